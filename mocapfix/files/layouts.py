@@ -83,7 +83,7 @@ class TableLayout:
         delimiter: Field separator.
         decimal_sign: "." or ",".
         unit_m: Metres per file unit.
-        line_indices: Index of the line of each of the T frames.
+        line_indices: Index of the line of each of the T frames, -1 for a frame that has no line.
         field_indices: Index of the X, Y and Z field of each of the P points. Empty if lines list only the visible markers.
         number_format: Format specification of a coordinate, as for `format`.
         missing_text: Text of a missing coordinate, such as "", "NaN" or "0.000".

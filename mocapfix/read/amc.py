@@ -17,6 +17,7 @@ from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
 from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, decode_text, read_file_bytes
+from mocapfix.read.frame_rate import FileFrames, choose_rate, count_frame_steps, describe_missing_frames
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
@@ -92,22 +93,35 @@ def read_amc(
     if not start:
         raise ReadError(f"{path}: has no frames; an AMC has a line with the number of each frame. Export it again.")
     header, tokens = data[: start.start()], scan_tokens(data, start.start())
-    first_frame, value_tokens = _locate_values(path, tokens, skeleton)
-    rate_match = RATE_PATTERN.search(header)
-    rate = float(rate_match[1] or rate_match[2]) if rate_match else 0.0
-    notes = [f"Its skeleton is {skeleton_path.name}."]
-    if not rate > 0:
-        notes.append(f"An AMC file has no rate; {DEFAULT_AMC_RATE_HZ:.0f} Hz, CMU's, is assumed.")
-    values, uses_radians = tokens.values[value_tokens], b":radians" in header.lower()
-    animation = _build_animation(path, skeleton, values, rate or DEFAULT_AMC_RATE_HZ, tuple(notes), first_frame)
-    animation = replace(
-        animation, value_byte_offsets=tokens.start_bytes[value_tokens], skeleton_path=skeleton_path, uses_radians=uses_radians
-    )
+    frame_numbers, value_tokens = _locate_values(path, tokens, skeleton)
+    rate, rate_notes = _find_rate(path, header, options)
+    notes = [f"Its skeleton is {skeleton_path.name}.", *rate_notes]
+    steps, _, irregular = count_frame_steps(frame_numbers)
+    if irregular is not None or steps.sum() >= 2 * len(frame_numbers):
+        row = int(np.argmax(steps)) if irregular is None else irregular
+        problem = f"Frame {frame_numbers[row + 1]:.0f} follows frame {frame_numbers[row]:.0f}"
+        notes.append(f"{problem} in the file; frames are counted from the first.")
+        steps = np.ones(len(steps), int)
+    row_frames, first_frame = np.concatenate([[0], np.cumsum(steps)]).astype(int), int(frame_numbers[0])
+    frames = FileFrames(rate, first_frame, row_frames, (*notes, *describe_missing_frames(first_frame, row_frames)))
+    values, uses_radians = frames.spread_rows(tokens.values[value_tokens]), b":radians" in header.lower()
+    animation = _build_animation(path, skeleton, values, frames.rate, frames.notes, first_frame)
+    value_byte_offsets = frames.spread_rows(tokens.start_bytes[value_tokens], -1)
+    animation = replace(animation, value_byte_offsets=value_byte_offsets, skeleton_path=skeleton_path, uses_radians=uses_radians)
     if not uses_radians:
         return animation
     rotation_columns = np.concatenate([animation.get_rotation_channels(joint)[0] for joint in range(len(animation.names))])
     values[:, rotation_columns] = np.degrees(values[:, rotation_columns])
     return animation
+
+
+def _find_rate(path: Path, header: bytes, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
+    """Return the rate (Hz) of an AMC by the option or its comments, or that of CMU, and a note on what was assumed."""
+    match = RATE_PATTERN.search(header)
+    stated = float(match[1] or match[2]) if match else 0.0
+    if stated > 0 or options.rate_hz is not None:
+        return choose_rate(lambda sentence: ReadError(f"{path}: {sentence}"), stated or None, options)
+    return DEFAULT_AMC_RATE_HZ, (f"An AMC file has no rate; {DEFAULT_AMC_RATE_HZ:.0f} Hz, CMU's, is assumed (--rate).",)
 
 
 def find_asf(path: Path) -> Path:
@@ -167,8 +181,10 @@ def _build_animation(
     return infer_unit(infer_up_axis(animation))
 
 
-def _locate_values(path: Path, tokens: TextTokens, skeleton: AsfSkeleton) -> tuple[int, Int[np.ndarray, "T C"]]:
-    """Return the number of the first frame, and the token of each channel's value in each frame.
+def _locate_values(
+    path: Path, tokens: TextTokens, skeleton: AsfSkeleton
+) -> tuple[Float[np.ndarray, " T"], Int[np.ndarray, "T C"]]:
+    """Return the number of each frame, and the token of each channel's value in it.
 
     Raises:
         ReadError: If a token is not a number, or a bone is not in the skeleton, is missing, occurs twice or has another number
@@ -203,7 +219,7 @@ def _locate_values(path: Path, tokens: TextTokens, skeleton: AsfSkeleton) -> tup
             frame_tokens = line_tokens[~is_bone_line]
             _check_bone_lines(path, tokens, bone.name, frame_tokens, bone_lines, len(bone.degrees_of_freedom))
             columns.append(line_tokens[own, None] + 1 + np.array(bone.amc_columns))
-    return int(tokens.values[line_tokens[0]]), np.hstack(columns)
+    return tokens.values[line_tokens[~is_bone_line]], np.hstack(columns)
 
 
 def _match_names(tokens: TextTokens, line_tokens: Int[np.ndarray, " L"], names: list[str]) -> Int[np.ndarray, " L"]:

@@ -1,4 +1,4 @@
-"""Properties that animation files do not give: unit of length, up axis and exact frame rate. All assumptions are noted."""
+"""Properties that animation files do not give: unit of length and up axis. All assumptions are noted."""
 
 from dataclasses import replace
 
@@ -20,15 +20,6 @@ CANDIDATE_UNITS_M = {
 }
 MIN_UP_AXIS_COSINE = 0.8  # of the angle between an axis and the vector from feet to head of a standing figure
 MAX_INSPECTED_POSES = 200  # poses from which the up axis is inferred
-
-COMMON_RATES_HZ = (
-    *(24, 25, 30, 48, 50, 60, 72, 75, 80, 90, 96, 100, 120, 125, 144, 150, 160, 180, 200),
-    *(240, 250, 256, 300, 360, 400, 480, 500, 512, 1000),
-)
-NTSC_RATES_HZ = tuple(base * 1000 / 1001 for base in (24, 30, 48, 60, 120, 240))
-MAX_RATE_ROUNDING = 0.02  # relative difference of the common and the given rate; a frame time rounded by more is not replaced
-LAST_DECIMAL_TOLERANCE = 1e-6  # of a unit of the last decimal, for the rounding error of the division
-MIN_NOTED_RATE_CHANGE = 1e-5  # relative; a smaller change is a frame in half an hour at 60 Hz
 
 
 def infer_unit(animation: Animation) -> Animation:
@@ -89,25 +80,3 @@ def infer_up_axis(animation: Animation) -> Animation:
             note = "The Z axis points up, because the head is above the feet along it."
             return replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP["Z"], notes=(*animation.notes, note))
     return animation
-
-
-def infer_rate(frame_time_text: str) -> tuple[float, tuple[str, ...]]:
-    """Return the rate (Hz) of a frame time in seconds as the file spells it, and a note if it was rounded.
-
-    A frame time of .0083 is that of any rate from 119.8 to 121.2 Hz. It is taken as 120 Hz, the common rate whose frame time
-    rounds, or is cut off, to these decimals.
-    """
-    seconds = float(frame_time_text)
-    rate = 1 / seconds
-    mantissa, _, exponent = frame_time_text.lower().partition("e")
-    last_decimal_s = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
-    # The error is -0.5 to 0.5 units of the last decimal if the time was rounded, 0 to 1 if it was cut off.
-    for rates, lowest in ((COMMON_RATES_HZ, -0.5), (NTSC_RATES_HZ, -0.5), (COMMON_RATES_HZ, 0.0), (NTSC_RATES_HZ, 0.0)):
-        nearest = min(rates, key=lambda each: abs(each - rate))
-        error = (1 / nearest - seconds) / last_decimal_s
-        is_in_range = lowest - LAST_DECIMAL_TOLERANCE <= error <= lowest + 1 + LAST_DECIMAL_TOLERANCE
-        if is_in_range and abs(nearest / rate - 1) < MAX_RATE_ROUNDING:
-            is_noted = abs(nearest / rate - 1) > MIN_NOTED_RATE_CHANGE
-            note = f"The frame time {frame_time_text} s is rounded; {nearest:g} Hz is assumed."
-            return float(nearest), (note,) if is_noted else ()
-    return rate, ()

@@ -15,9 +15,10 @@ from jaxtyping import Bool, Int
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
-from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_axis
+from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
-from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, parse_number, read_file_bytes
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, read_file_bytes
+from mocapfix.read.frame_rate import choose_rate, read_frame_time
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
@@ -72,7 +73,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
         problem = "has no line MOTION after its hierarchy: it is not a BVH, or it was cut off"
         raise ReadError(f"{path}: {problem}. Export it again.")
     hierarchy = parse_hierarchy(path, data[: match.start()])
-    timing = _parse_timing(path, data, match.end())
+    timing = _parse_timing(path, data, match.end(), options)
     width = sum(len(each) for each in hierarchy.channels)
     tokens = scan_tokens(data, timing.stop_byte)
     frame_count = _count_frames(path, tokens, width)
@@ -96,7 +97,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     return replace(animation, notes=(*animation.notes, *_describe_stretch(animation)))
 
 
-def _parse_timing(path: Path, data: bytes, start: int) -> _Timing:
+def _parse_timing(path: Path, data: bytes, start: int, options: ReadOptions) -> _Timing:
     line_number = 1 + len(data[:start].splitlines())
     frames = FRAME_COUNT_PATTERN.match(data, start)
     time = FRAME_TIME_PATTERN.match(data, frames.end()) if frames else None
@@ -105,14 +106,17 @@ def _parse_timing(path: Path, data: bytes, start: int) -> _Timing:
         raise ReadError(f"{path}, line {line_number}: {problem}.")
     frames_text, time_text = _decode_word(frames[1]), _decode_word(time[1])
     try:
-        declared, seconds = int(frames[1]), parse_number(time_text)
+        declared, stated = int(frames[1]), read_frame_time(time_text.replace(",", "."))
     except ValueError as error:
         problem = f"the number of frames {frames_text} or the frame time {time_text} is not a number"
         raise ReadError(f"{path}, line {line_number}: {problem}.") from error
-    if not (np.isfinite(seconds) and seconds > 0):
-        problem = f"a frame time of {time_text} s gives no rate"
-        raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the seconds per frame.")
-    rate, notes = infer_rate(time_text.replace(",", "."))
+    if options.rate_hz is not None:
+        rate, notes = choose_rate(ReadError, stated[0] if stated else None, options)
+    elif stated is not None:
+        rate, notes = stated
+    else:
+        problem = f"a frame time of {time_text} s gives no possible rate (5 to 2000 Hz)"
+        raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the frames per second with --rate HZ.")
     return _Timing(declared, rate, time.end(), notes)
 
 

@@ -17,6 +17,7 @@ from mocapfix.read.coordinates import (
     find_valid_points,
     get_metres_per_unit,
 )
+from mocapfix.read.frame_rate import choose_rate
 from mocapfix.read.point_takes import add_other_points, find_computed_markers
 from mocapfix.read.point_types import (
     DeclaredPoints,
@@ -54,6 +55,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy or export it again.") from error
     layout, notes = _build_layout(path, parameters, len(data))
+    rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: POINT:RATE: {sentence}"), float(parameters.rate), options)
     visible, residual_words = _find_valid_samples(layout, data)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
     declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
@@ -63,7 +65,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     if up_axis is None:
         inspected = types.markers if len(types.markers) else types.unlabelled
         in_file = _convert_to_metres(layout, data, visible, inspected)
-        up_axis = estimate_up_axis([types.labels[i] for i in inspected], in_file, parameters.rate)
+        up_axis = estimate_up_axis([types.labels[i] for i in inspected], in_file, rate)
         del in_file
     layout = replace(layout, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis.letter])
     convert = partial(_convert_to_metres, layout, data, visible)
@@ -72,7 +74,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     take = Take(
         convert(columns),
         tuple(types.labels[i] for i in columns),
-        parameters.rate,
+        rate,
         parameters.first_frame,
         path,
         layout=layout,
@@ -81,7 +83,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
         up_axis=up_axis,
-        notes=notes,
+        notes=(*notes, *rate_notes),
     )
     return add_other_points(take, types, functions, convert)
 
@@ -165,8 +167,6 @@ def _build_layout(path: Path, parameters: C3dParameters, file_bytes: int) -> tup
     if unit_m is None:
         choices = ", ".join(METRES_PER_UNIT)
         raise ReadError(f"{path}: POINT:UNITS is {parameters.unit_name!r}; set it to one of {choices}.")
-    if not (np.isfinite(parameters.rate) and parameters.rate > 0):
-        raise ReadError(f"{path}: POINT:RATE is {parameters.rate:g}; set it to the frames per second.")
     if not np.isfinite(parameters.scale_factor) or parameters.scale_factor == 0:
         raise ReadError(f"{path}: POINT:SCALE is {parameters.scale_factor:g}, which gives no coordinates; export it again.")
     is_float = parameters.scale_factor < 0

@@ -24,6 +24,7 @@ from mocapfix.files.read_options import ReadOptions
 from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.read.coordinates import METRES_PER_UNIT
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text
+from mocapfix.read.frame_rate import choose_rate
 from mocapfix.read.marker_table import build_take
 from mocapfix.take import Take
 
@@ -56,13 +57,16 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     if not isinstance(frames, list) or not frames:
         raise ReadError(f"{path}: frames: must be a list of at least one frame; is it a file of 3-D keypoints?")
     mapping = cast("dict[str, Any]", content)
-    rate = _parse_rate(path, mapping.get("rate"))
+    rate, rate_notes = _read_rate(path, mapping.get("rate"), options)
     labels, points = _parse_frames(path, mapping, cast("list[Any]", frames))
-    unit, notes = mapping.get("unit"), ()
+    unit, notes = mapping.get("unit"), rate_notes
     if unit is None:
         finite = points[np.isfinite(points)]
         unit = "mm" if len(finite) and np.ptp(finite) > MAX_FILM_SPAN_M else "m"
-        notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)
+        notes = (
+            *rate_notes,
+            f"The file names no unit; {unit} is assumed, from the span of its coordinates.",
+        )
     if not isinstance(unit, str) or unit not in METRES_PER_UNIT:
         raise ReadError(f"{path}: unit: must be one of {', '.join(METRES_PER_UNIT)}, not {unit!r}.")
     return build_take(
@@ -79,10 +83,13 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
 
 
-def _parse_rate(path: Path, rate: object) -> float:
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < math.inf:
-        raise ReadError(f"{path}: rate: must be frames a second, more than 0, not {rate!r}; add it to the file.")
-    return float(rate)
+def _read_rate(path: Path, rate: object, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
+    if options.rate_hz is None and (isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < math.inf):
+        raise ReadError(
+            f"{path}: rate: must be frames a second, more than 0, not {rate!r}; add it to the file, or give --rate HZ."
+        )
+    stated = float(rate) if isinstance(rate, int | float) and 0 < rate < math.inf else None
+    return choose_rate(lambda sentence: ReadError(f"{path}: rate: {sentence}"), stated, options)
 
 
 def _parse_frames(path: Path, content: dict[str, Any], frames: list[Any]) -> tuple[list[str], Float[np.ndarray, "T P 3"]]:

@@ -15,6 +15,7 @@ from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
 from mocapfix.read.file_content import TextDocument
+from mocapfix.read.frame_rate import FrameTimes, find_frames
 from mocapfix.read.point_takes import add_other_points, find_computed_markers
 from mocapfix.read.point_types import DeclaredPoints, check_point_types, classify_points
 from mocapfix.read.table_cells import (
@@ -24,6 +25,7 @@ from mocapfix.read.table_cells import (
     detect_decimal_sign,
     infer_number_format,
     parse_fields,
+    parse_times,
     parse_whole_number,
     split_fields,
 )
@@ -31,7 +33,6 @@ from mocapfix.read.up_axis import estimate_up_axis
 from mocapfix.take import Take
 
 MAX_HEADER_LINES = 15  # lines within which the column names must begin
-MAX_FRAME_NUMBER = 2**53  # larger whole numbers are not exact as floats
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,10 @@ class MarkerTable:
         field_indices: Index of the X, Y and Z field of each of the P points.
         labels: Labels of the points.
         unit_m: Metres per file unit.
-        rate: Frames per second.
+        rate_text: Frames per second as the header gives them, "" if it does not.
+        rate_line: Index of the line that gives them, for messages.
+        time_field: Field with the time; None if there is none.
+        time_unit_s: Seconds in the unit of the time; None if it is not known.
         declared_frame_count: Number of frames as the header gives it, "" if it does not.
         default_up_axis: Up axis of most files of the format, "Y" or "Z".
         notes: Sentences about assumptions made so far.
@@ -59,7 +63,10 @@ class MarkerTable:
     field_indices: Int[np.ndarray, "P 3"]
     labels: Sequence[str]
     unit_m: float
-    rate: float
+    rate_text: str = ""
+    rate_line: int = 0
+    time_field: int | None = None
+    time_unit_s: float | None = 1.0
     declared_frame_count: str = ""
     default_up_axis: str = "Z"
     notes: tuple[str, ...] = ()
@@ -95,33 +102,45 @@ def find_xyz_triples(axes: Sequence[str]) -> list[int]:
 def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
     """Return the take in a table.
 
-    Points are missing where a coordinate is blank or spelled as missing, and where `find_valid_points` rejects them.
+    Points are missing where a coordinate is blank or spelled as missing, where `find_valid_points` rejects them, and in frames
+    that frame numbers or times omit.
 
     Raises:
-        ReadError: If a field is not a number, frame numbers are not consecutive, the last line is incomplete, or no point is
-            a labelled marker. The message names file and line.
+        ReadError: If a field is not a number, frame numbers are not in order, the last line is incomplete, no rate is possible,
+            or no point is a labelled marker. The message names file and line.
     """
     document, line_indices, field_indices = table.document, table.line_indices, table.field_indices
-    notes = (*table.notes, *_check_completeness(table))
+    _check_completeness(table)
     decimal_sign = detect_decimal_sign(document, line_indices, table.delimiter)
     wanted = field_indices.ravel() if table.frame_field is None else np.r_[field_indices.ravel(), table.frame_field]
     numbers = parse_fields(document, line_indices, table.delimiter, decimal_sign, wanted)
-    points_file = numbers[:, : field_indices.size].reshape(len(line_indices), -1, 3)
-    first_frame = 1
-    if table.frame_field is not None:
-        first_frame, numbering_notes = read_first_frame(document, line_indices, numbers[:, -1])
-        notes += numbering_notes
+    times = None
+    if table.time_field is not None:
+        times = FrameTimes(parse_times(document, line_indices, table.delimiter, table.time_field), table.time_unit_s)
+    frames = find_frames(
+        lambda row, sentence: document.build_error(line_indices[row], sentence),
+        lambda sentence: document.build_error(table.rate_line, sentence),
+        len(line_indices),
+        stated_rate=table.rate_text,
+        times=times,
+        frame_numbers=None if table.frame_field is None else numbers[:, -1],
+        options=options,
+    )
+    rows_file = numbers[:, : field_indices.size].reshape(len(line_indices), -1, 3)
+    layout = _build_table_layout(table, decimal_sign, find_valid_points(rows_file))
+    counted = parse_whole_number(table.declared_frame_count) == frames.frame_count
+    count_notes = () if counted else check_frame_count(table.declared_frame_count, len(line_indices))
     return build_take(
         document.path,
-        points_file,
+        frames.spread_rows(rows_file),
         table.labels,
         unit_m=table.unit_m,
-        rate=table.rate,
-        first_frame=first_frame,
-        layout=_build_table_layout(table, decimal_sign, find_valid_points(points_file)),
-        default_up_axis=table.default_up_axis,
-        notes=notes,
+        rate=frames.rate,
+        first_frame=frames.first_frame,
+        layout=replace(layout, line_indices=frames.spread_rows(layout.line_indices, -1)),
         options=options,
+        default_up_axis=table.default_up_axis,
+        notes=(*table.notes, *count_notes, *frames.notes),
     )
 
 
@@ -184,37 +203,11 @@ def build_take(
     return add_other_points(take, types, functions, convert)
 
 
-def read_first_frame(
-    document: TextDocument, line_indices: Sequence[int], frame_numbers: Float[np.ndarray, " T"]
-) -> tuple[int, tuple[str, ...]]:
-    """Return the number of the first frame, and a note if frame numbers increase by more than one.
-
-    Raises:
-        ReadError: If frame numbers are not consecutive. The message names the line.
-    """
-    is_invalid = ~(np.abs(frame_numbers) < MAX_FRAME_NUMBER) | (frame_numbers != np.rint(frame_numbers))
-    if (invalid := np.flatnonzero(is_invalid)).size:
-        raise document.build_error(line_indices[invalid[0]], "does not begin with a frame number; export it again.")
-    steps = np.diff(frame_numbers)
-    step = steps[0] if len(steps) else 1.0
-    if (irregular := np.flatnonzero((steps != step) | (steps < 1))).size:
-        t = irregular[0]
-        problem = f"frame {frame_numbers[t + 1]:.0f} follows frame {frame_numbers[t]:.0f}"
-        raise document.build_error(line_indices[t + 1], f"{problem}; export the complete trial.")
-    first = int(frame_numbers[0])
-    if step == 1:
-        return first, ()
-    return first, (f"Frame numbers in the file increase by {step:.0f}; they are counted here from {first} in steps of one.",)
-
-
-def _check_completeness(table: MarkerTable) -> tuple[str, ...]:
-    """Return a note if the header declares another number of frames than the table has.
+def _check_completeness(table: MarkerTable) -> None:
+    """Raise ReadError if there are no frames, or the file was cut off.
 
     Fewer complete lines than declared are accepted: the trial was shortened. A copy that was cut off ends within a line or,
     with too few frames, without a line end.
-
-    Raises:
-        ReadError: If there are no frames, or the file was cut off.
     """
     document, frame_count = table.document, len(table.line_indices)
     declared = parse_whole_number(table.declared_frame_count)
@@ -228,7 +221,6 @@ def _check_completeness(table: MarkerTable) -> tuple[str, ...]:
     if has_no_line_end and declared is not None and declared > frame_count:
         problem = f"{declared} frames are declared and {frame_count} are there"
         raise document.build_error(last, f"the file is cut off: {problem}; copy or export it again.")
-    return check_frame_count(table.declared_frame_count, frame_count)
 
 
 def _build_table_layout(table: MarkerTable, decimal_sign: str, visible: Bool[np.ndarray, "T P"]) -> TableLayout:

@@ -20,16 +20,16 @@ from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
+from mocapfix.read.frame_rate import FrameTimes, find_frames
 from mocapfix.read.marker_table import (
     MarkerTable,
     build_take,
     find_names_line,
     find_xyz_triples,
-    read_first_frame,
     read_marker_table,
 )
 from mocapfix.read.point_types import is_unlabelled
-from mocapfix.read.table_cells import check_frame_count, find_nonblank_lines, parse_fields, parse_rate, parse_unit_or_default
+from mocapfix.read.table_cells import check_frame_count, find_nonblank_lines, parse_fields, parse_times, parse_unit_or_default
 from mocapfix.take import Take
 
 MARKER_TYPE = "marker"  # type of a column with a measured marker, in lower case
@@ -70,14 +70,17 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         ReadError: If there are no markers, or coordinates are local to bodies. The message names file and line.
     """
     document = parse_document(path, data)
-    delimiter = detect_delimiter(document.get_line(0)) or ","
-    header = _parse_motive_header(document.split_cells(0, delimiter))
+    header_index = document.find_first_line()
+    delimiter = detect_delimiter(document.get_line(header_index)) or ","
+    header = _parse_motive_header(document.split_cells(header_index, delimiter))
     if header.get("coordinate space", "").lower() == "local":
-        raise document.build_error(0, "the coordinates are local to rigid bodies; export it with Coordinate Space Global.")
+        raise document.build_error(
+            header_index, "the coordinates are local to rigid bodies; export it with Coordinate Space Global."
+        )
     axes_index = find_names_line(document, "columns")
-    columns = _find_marker_columns(document, axes_index, delimiter)
+    columns = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
     line_indices = list(find_nonblank_lines(document, axes_index + 1, delimiter))
-    unit_m, unit_notes = parse_unit_or_default(document, 0, header.get("length units", ""), "m")
+    unit_m, unit_notes = parse_unit_or_default(document, header_index, header.get("length units", ""), "m")
     rate = header.get("export frame rate") or header.get("capture frame rate", "")
     return read_marker_table(
         MarkerTable(
@@ -88,7 +91,9 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             field_indices=columns.field_indices,
             labels=columns.labels,
             unit_m=unit_m,
-            rate=parse_rate(document, 0, rate, line_indices, delimiter, time_field=1),
+            rate_text=rate,
+            rate_line=header_index,
+            time_field=1,
             default_up_axis="Y",
             declared_frame_count=header.get("total exported frames", ""),
             notes=(*columns.notes, *unit_notes),
@@ -114,27 +119,35 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     if not line_indices:
         raise ReadError(f"{path}: has no frames; export the trial again.")
     rows = [document.split_cells(index, ",") for index in line_indices]
-    frames = [_parse_row_markers(document, index, row) for index, row in zip(line_indices, rows, strict=True)]
-    labels = list(dict.fromkeys(label for frame in frames for label in frame))
+    marker_rows = [_parse_row_markers(document, index, row) for index, row in zip(line_indices, rows, strict=True)]
+    labels = list(dict.fromkeys(label for row in marker_rows for label in row))
     missing = [np.nan] * 3
-    points = np.array([[frame.get(label, missing) for label in labels] for frame in frames]).reshape(len(line_indices), -1, 3)
+    points = np.array([[row.get(label, missing) for label in labels] for row in marker_rows]).reshape(len(line_indices), -1, 3)
     if "lefthanded" in row_types:
         points[..., 2] *= -1
     frame_numbers = parse_fields(document, line_indices, ",", ".", np.array([FRAME_FIELD]))[:, 0]
-    first_frame, notes = read_first_frame(document, line_indices, frame_numbers)
+    frames = find_frames(
+        lambda row, sentence: document.build_error(line_indices[row], sentence),
+        lambda sentence: document.build_error(line_indices[-1], sentence),
+        len(line_indices),
+        stated_rate="",
+        times=FrameTimes(parse_times(document, line_indices, ",", TIME_FIELD), 1.0),
+        frame_numbers=frame_numbers,
+        options=options,
+    )
     info = [document.split_cells(index, ",") for index, row_type in enumerate(row_types) if row_type == "info"]
     declared = next((row[2] for row in info if row[1:2] == ["framecount"] and len(row) > 2), "")
     return build_take(
         path,
-        points,
+        frames.spread_rows(points),
         labels,
         unit_m=MOTIVE_ROWS_UNIT_M,
-        rate=parse_rate(document, line_indices[-1], "", line_indices, ",", time_field=TIME_FIELD),
-        first_frame=first_frame,
+        rate=frames.rate,
+        first_frame=frames.first_frame,
         layout=TableLayout(document.encoding, document.newline, ",", ".", unit_m=MOTIVE_ROWS_UNIT_M),
         default_up_axis="Y",
         options=options,
-        notes=(*notes, *check_frame_count(declared, len(line_indices))),
+        notes=(*frames.notes, *check_frame_count(declared, len(line_indices))),
     )
 
 
@@ -143,10 +156,10 @@ def _parse_motive_header(cells: list[str]) -> dict[str, str]:
     return {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
 
 
-def _find_marker_columns(document: TextDocument, axes_index: int, delimiter: str) -> _MarkerColumns:
-    """Return the columns of the markers."""
+def _find_marker_columns(document: TextDocument, start: int, axes_index: int, delimiter: str) -> _MarkerColumns:
+    """Return the columns of the markers, which the rows from `start` on describe."""
     header_rows = [
-        document.split_cells(i, delimiter) for i in range(1, axes_index) if document.get_line(i).strip(delimiter + " ")
+        document.split_cells(i, delimiter) for i in range(start, axes_index) if document.get_line(i).strip(delimiter + " ")
     ]
     if len(header_rows) < 2:
         problem = "there are no rows with the types and names of the columns above"

@@ -15,7 +15,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, find_xyz_triples, read_marker_table
-from mocapfix.read.table_cells import parse_rate, parse_unit
+from mocapfix.read.table_cells import parse_unit
 from mocapfix.take import Take
 
 TRAJECTORY_SECTION = "trajectories"
@@ -72,7 +72,8 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             field_indices=np.array(first_fields)[:, None] + np.arange(3),
             labels=[names[i] for i in first_fields],
             unit_m=parse_unit(document, axes_index + 1, unit),
-            rate=parse_rate(document, start + 1, rate),
+            rate_text=rate,
+            rate_line=start + 1,
         ),
         options,
     )

@@ -15,16 +15,22 @@ from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.coordinates import METRES_PER_UNIT
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, read_marker_table
-from mocapfix.read.table_cells import detect_decimal_sign, find_nonblank_lines, parse_fields, parse_rate
+from mocapfix.read.table_cells import check_decimal_commas, detect_decimal_sign, find_nonblank_lines, parse_fields
 from mocapfix.take import Take
 
 COLUMN_PATTERN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)
-FRAME_COLUMN_PATTERN = re.compile(r"(frame|field|sample)\b.*", re.IGNORECASE)
-TIME_COLUMN_PATTERN = re.compile(r"(time|seconds)(\b|_).*", re.IGNORECASE)
-MILLISECONDS_PATTERN = re.compile(r".*(\b|_)(ms|msecs?|milliseconds?)(\b|_).*", re.IGNORECASE)
+FRAME_COLUMN_PATTERN = re.compile(r"(frame|field|sample)(\b.*|s|_?(number|num|no|nr|index|idx|id|count))", re.IGNORECASE)
+TIME_COLUMN_PATTERN = re.compile(
+    r"([a-z]+[ _.])?(times?|time[ _]?stamps?|seconds?|secs?|epoch|elapsed|t|milliseconds?|msecs?|ms)([ _.(\[].*)?", re.IGNORECASE
+)
+# Units of times in the names of their columns, the longer names first.
+TIME_UNIT_PATTERN = re.compile(
+    r"(?:.*[ _.(\[])?(?:(ms|msecs?|milliseconds?)|(us|µs|microseconds?)|(ns|nanoseconds?)|(s|secs?|seconds?))[\])]?",
+    re.IGNORECASE,
+)
+TIME_PATTERN_UNITS_S = (1e-3, 1e-6, 1e-9, 1.0)
 MAX_CAPTURE_SPAN_M = 20  # coordinates that span more units than this are not in metres
 INSPECTED_FRAMES = 50  # from which the span of the coordinates is computed
-MAX_TIME_STEP_RATIO = 2.5  # of a time step and the median one; rounded times may advance by two steps at once
 
 
 class _PointColumns(NamedTuple):
@@ -51,26 +57,28 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         ReadError: If a field is not a number, or the frame rate is unknown. The message names file and line.
     """
     document = parse_document(path, data)
-    if "\r" in document.get_line(0):
-        raise document.build_error(0, "has another line end than the other lines; save the file with one kind of line ends.")
-    delimiter = detect_delimiter(document.get_line(0))
-    cells = document.split_cells(0, delimiter)
+    names_index = document.find_first_line()
+    if "\r" in document.get_line(names_index):
+        problem = "has another line end than the other lines; save the file with one kind of line ends."
+        raise document.build_error(names_index, problem)
+    delimiter = detect_delimiter(document.get_line(names_index))
+    cells = document.split_cells(names_index, delimiter)
     points = _find_points(cells)
     if not points:
-        raise document.build_error(0, "has no columns X, Y and Z of a marker side by side; export it again.")
-    line_indices = list(find_nonblank_lines(document, 1, delimiter))
-    frame_field = next((i for i, cell in enumerate(cells) if FRAME_COLUMN_PATTERN.fullmatch(cell)), None)
-    time_field = next((i for i, cell in enumerate(cells) if TIME_COLUMN_PATTERN.fullmatch(cell)), None)
-    if time_field is None:
-        raise document.build_error(0, "there is no column for the time, so the rate is unknown; add a column Time in seconds.")
-    if frame_field is None:
-        _check_times(document, line_indices, delimiter, time_field)
+        raise document.build_error(names_index, "has no columns X, Y and Z of a marker side by side; export it again.")
+    line_indices = list(find_nonblank_lines(document, names_index + 1, delimiter))
+    check_decimal_commas(document, line_indices, delimiter, len(cells))
+    others = [i for i in range(len(cells)) if not any(0 <= i - point.first_field < 3 for point in points)]
+    time_field = next((i for i in others if TIME_COLUMN_PATTERN.fullmatch(cells[i])), None)
+    frame_field = next((i for i in others if FRAME_COLUMN_PATTERN.fullmatch(cells[i])), None)
+    if time_field is None and options.rate_hz is None:
+        remedy = "give it with --rate HZ, or add a column Time in seconds"
+        raise document.build_error(names_index, f"there is no column for the time, so the rate is unknown; {remedy}.")
     field_indices = np.array([point.first_field for point in points])[:, None] + np.arange(3)
     unit, notes = next((point.unit for point in points if point.unit), ""), ()
     if not unit:
         unit = _infer_unit(document, line_indices, delimiter, field_indices)
         notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)
-    time_unit_s = 0.001 if MILLISECONDS_PATTERN.fullmatch(cells[time_field]) else 1.0
     return read_marker_table(
         MarkerTable(
             document=document,
@@ -80,22 +88,21 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             field_indices=field_indices,
             labels=[point.label for point in points],
             unit_m=METRES_PER_UNIT[unit],
-            rate=parse_rate(document, 0, "", line_indices, delimiter, time_field=time_field, time_unit_s=time_unit_s),
+            rate_line=names_index,
+            time_field=time_field,
+            time_unit_s=None if time_field is None else _get_time_unit(cells[time_field]),
             notes=notes,
         ),
         options,
     )
 
 
-def _check_times(document: TextDocument, line_indices: list[int], delimiter: str, time_field: int) -> None:
-    """Raise ReadError if times decrease or omit frames, in a file without frame numbers."""
-    decimal_sign = detect_decimal_sign(document, line_indices, delimiter)
-    steps = np.diff(parse_fields(document, line_indices, delimiter, decimal_sign, np.array([time_field]))[:, 0])
-    median = np.median(steps) if len(steps) else 0.0
-    if (irregular := np.flatnonzero((steps < 0) | ((steps > MAX_TIME_STEP_RATIO * median) & (median > 0)))).size:
-        problem = f"the time step is {steps[irregular[0]]:g}, elsewhere {median:g}"
-        remedy = "export the complete trial, or with its frame numbers"
-        raise document.build_error(line_indices[irregular[0] + 1], f"{problem}; {remedy}.")
+def _get_time_unit(name: str) -> float | None:
+    """Return the seconds in the unit that the name of a time column gives, None if it gives none."""
+    match = TIME_UNIT_PATTERN.fullmatch(name)
+    if not match:
+        return None
+    return next(unit_s for group, unit_s in zip(match.groups(), TIME_PATTERN_UNITS_S, strict=True) if group)
 
 
 def _find_points(cells: list[str]) -> list[_PointColumns]:

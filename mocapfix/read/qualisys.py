@@ -14,14 +14,15 @@ import numpy as np
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, parse_document
+from mocapfix.read.frame_rate import parse_time
 from mocapfix.read.marker_table import MarkerTable, read_marker_table
-from mocapfix.read.table_cells import MISSING_TEXTS, find_nonblank_lines, parse_rate
+from mocapfix.read.table_cells import MAX_INSPECTED_LINES, MISSING_TEXTS, find_nonblank_lines
 from mocapfix.take import Take
 
 TAB = "\t"
 KEY_PATTERN = re.compile(r"[A-Z][A-Z0-9_]+")
 QUALISYS_UNIT_M = 0.001
-MAX_TIME_ERROR_FRAMES = 0.1  # of a time step that is one frame: times may be written with few digits
+MAX_TIME_STEP_DEVIATION = 0.15  # of time steps from the usual one: times may be written with few digits, at 1000 Hz with five
 # What other exports of the program contain, by a key in their header.
 OTHER_EXPORTS = {
     "BODY_NAMES": "rigid bodies (6D)",
@@ -67,8 +68,9 @@ def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
     line_indices = list(find_nonblank_lines(document, body + has_column_names, TAB))
     frequency = header.get("FREQUENCY", _HeaderValue(names_index, [""]))
-    rate = parse_rate(document, frequency.line_index, frequency.values[0])
-    first_field, frame_field = _find_first_field(document, body, line_indices, has_column_names, rate)
+    first_field, frame_field = _find_first_field(
+        document, body, line_indices, has_column_names, 3 * len(labels), frequency.values[0]
+    )
     if frame_field is None:  # a line of tabs only is a frame without visible markers
         line_indices = [index for index in range(body + has_column_names, len(document.lines)) if document.get_line(index)]
     return read_marker_table(
@@ -80,7 +82,9 @@ def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
             field_indices=first_field + np.arange(3 * len(labels)).reshape(-1, 3),
             labels=labels,
             unit_m=QUALISYS_UNIT_M,
-            rate=rate,
+            rate_text=frequency.values[0],
+            rate_line=frequency.line_index,
+            time_field=1 if first_field == 2 else None,
             declared_frame_count=header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0],
         ),
         options,
@@ -93,7 +97,7 @@ def _parse_header(document: TextDocument) -> tuple[dict[str, _HeaderValue], int]
     The line after the marker names may be a frame whose first field is missing: blank, or spelled unlike a key, such as NULL.
     """
     header: dict[str, _HeaderValue] = {}
-    for index in range(len(document.lines)):
+    for index in range(document.find_first_line(), len(document.lines)):
         key, *values = document.split_cells(index, TAB)
         is_missing = key.lower() in MISSING_TEXTS
         if (values and "MARKER_NAMES" in header) if is_missing else not KEY_PATTERN.fullmatch(key):
@@ -104,23 +108,28 @@ def _parse_header(document: TextDocument) -> tuple[dict[str, _HeaderValue], int]
 
 
 def _find_first_field(
-    document: TextDocument, body: int, line_indices: list[int], has_column_names: bool, rate: float
+    document: TextDocument, body: int, line_indices: list[int], has_column_names: bool, coordinate_count: int, rate_text: str
 ) -> tuple[int, int | None]:
     """Return the field of the first marker's X, and that of the frame number, None if there is none.
 
-    Without column names, a whole number that increases by one is the frame number, and a number after it that increases by the
-    duration of a frame is the time.
+    Without column names, whole numbers that increase are the frame number. Numbers after it that increase with it are the time if
+    the lines have a field more than coordinates need, or if they increase by the duration of a frame.
     """
     if has_column_names:
         cells = [cell.upper() for cell in document.split_cells(body, TAB)]
         return next(i for i, cell in enumerate(cells) if cell.endswith("X")), 0 if cells[0] == "FRAME" else None
-    if len(line_indices) < 2:
+    inspected = line_indices[:MAX_INSPECTED_LINES]
+    if len(inspected) < 2:
         return 0, None
-    (frame_0, time_0), (frame_1, time_1) = ([*document.split_cells(i, TAB), ""][:2] for i in line_indices[:2])
-    if not (frame_0.isdecimal() and frame_1.isdecimal() and int(frame_1) == int(frame_0) + 1):
+    rows = [[*document.split_cells(i, TAB), ""] for i in inspected]
+    if not all(row[0].isdecimal() for row in rows):
         return 0, None
-    try:
-        frames = rate * (float(time_1.replace(",", ".")) - float(time_0.replace(",", ".")))
-    except ValueError:
-        return 1, 0
-    return 2 if abs(frames - 1) < MAX_TIME_ERROR_FRAMES else 1, 0
+    frame_steps = np.diff([int(row[0]) for row in rows])
+    if (frame_steps < 1).any() or np.median(frame_steps) != 1:
+        return 0, None
+    step_s = np.diff([parse_time(row[1]) for row in rows]) / frame_steps
+    usual_s, rate = float(np.median(step_s)), parse_time(rate_text)
+    is_steady = usual_s > 0 and bool((np.abs(step_s - usual_s) <= MAX_TIME_STEP_DEVIATION * usual_s).all())
+    width = max(i + 1 for row in rows for i, cell in enumerate(row) if cell)
+    is_time = is_steady and (width >= coordinate_count + 2 or abs(usual_s * rate - 1) < MAX_TIME_STEP_DEVIATION)
+    return 2 if is_time else 1, 0

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.read.coordinates import METRES_PER_UNIT, get_metres_per_unit
 from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN, TextDocument
+from mocapfix.read.frame_rate import parse_time
 
 MISSING_TEXTS = {"", "n/a", "na", "null", "none", "-", "--"}  # in lower case
 DECIMAL_COMMA_PATTERN = re.compile(r"\d,\d")
@@ -21,6 +22,7 @@ CELL_PADDING = ' \t"'  # characters around the text of a cell
 MAX_INSPECTED_LINES = 200  # lines from which number formats are inferred
 # Fewest decimals of a written coordinate, by metres per unit: enough for 0.01 mm.
 MIN_DECIMALS_BY_UNIT = {0.001: 2, 0.01: 3, 1.0: 5, 0.0254: 4, 0.3048: 5}
+MIN_SPLIT_NUMBER_RATIO = 1.5  # of fields to columns, if decimal commas split numbers in two
 MAX_TABLE_DECIMALS = 9  # of a written coordinate
 MIN_EXPONENT_DECIMALS = 6  # of a coordinate written with an exponent
 
@@ -110,45 +112,27 @@ def parse_unit_or_default(document: TextDocument, index: int, name: str, default
     return METRES_PER_UNIT[default_unit], (f"The header names no unit; {default_unit}, the usual one, is assumed.",)
 
 
-def parse_rate(
-    document: TextDocument,
-    index: int,
-    rate_text: str,
-    line_indices: Sequence[int] = (),
-    delimiter: str = "",
-    *,
-    time_field: int = 0,
-    time_unit_s: float = 1.0,
-) -> float:
-    """Return the frame rate (Hz) of a table.
+def parse_times(document: TextDocument, line_indices: Sequence[int], delimiter: str, time_field: int) -> Float[np.ndarray, " T"]:
+    """Return the times in one field of T lines as `parse_time` reads them, NaN where there is none."""
+    cells = (document.get_line(index).split(delimiter, time_field + 1) for index in line_indices)
+    texts = (line[time_field].strip(CELL_PADDING) if len(line) > time_field else "" for line in cells)
+    return np.array([parse_time(text) if text else np.nan for text in texts], float)
 
-    Args:
-        document: The file.
-        index: Index of the line that gives the rate, for the error message.
-        rate_text: The rate as that line gives it, "" if it does not.
-        line_indices: The lines of the table. If `rate_text` is not a rate, it is computed from the times in the first and the
-            last of them.
-        delimiter: Field separator.
-        time_field: Index of the field with the time.
-        time_unit_s: Seconds in the unit of the time.
 
-    Raises:
-        ReadError: If neither gives a rate.
+def check_decimal_commas(document: TextDocument, line_indices: Sequence[int], delimiter: str, column_count: int) -> None:
+    """Raise ReadError if numbers have decimal commas in a table with commas between its fields.
+
+    Its lines have about twice as many fields as columns, and no points.
     """
-    try:
-        rate = float(rate_text.replace(",", "."))
-    except ValueError:
-        rate = 0.0
-    if np.isfinite(rate) and rate > 0:
-        return rate
-    if len(line_indices) > 1:
-        ends = [line_indices[0], line_indices[-1]]
-        decimal_sign = "." if delimiter == "," else ","
-        first, last = parse_fields(document, ends, delimiter, decimal_sign, np.array([time_field]))[:, 0]
-        if last > first and (rate := round((len(line_indices) - 1) / (last - first) / time_unit_s, 3)) > 0:
-            return float(rate)
-    problem = f"the frame rate is {rate_text!r}" if rate_text else "the file does not give its frame rate"
-    raise document.build_error(index, f"{problem}; give the frames per second.")
+    if delimiter != "," or not line_indices:
+        return
+    index = line_indices[0]
+    line = document.get_line(index)
+    if "." not in line and line.rstrip(", ").count(",") + 1 >= MIN_SPLIT_NUMBER_RATIO * column_count:
+        problem = (
+            f"has {line.count(',') + 1} fields for {column_count} columns: its decimal commas cannot be told from those between"
+        )
+        raise document.build_error(index, f"{problem}; export it with semicolons, tabs or decimal points.")
 
 
 def infer_number_format(present: Sequence[str], missing: Sequence[str], unit_m: float) -> tuple[str, str]:

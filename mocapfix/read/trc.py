@@ -12,7 +12,7 @@ import numpy as np
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document
 from mocapfix.read.marker_table import MarkerTable, find_names_line, read_marker_table
-from mocapfix.read.table_cells import find_nonblank_lines, parse_rate, parse_unit_or_default, parse_whole_number
+from mocapfix.read.table_cells import check_decimal_commas, find_nonblank_lines, parse_unit_or_default, parse_whole_number
 from mocapfix.take import Take
 
 FIRST_MARKER_FIELD = 2  # field of the first marker's X, after frame and time
@@ -47,6 +47,7 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
         AXIS_PATTERN.fullmatch(cell) for cell in document.split_cells(axes_index, delimiter)
     )
     line_indices = list(find_nonblank_lines(document, axes_index + has_axes, delimiter))
+    check_decimal_commas(document, line_indices, delimiter, FIRST_MARKER_FIELD + 3 * len(names))
     widest = max((document.get_line(i).rstrip(delimiter + " ").count(delimiter) + 1 for i in line_indices), default=0)
     point_count = max(len(names), -(-(widest - FIRST_MARKER_FIELD) // 3))
     unit_m, unit_notes = parse_unit_or_default(document, keys_index + 1, header.get("units", ""), "mm")
@@ -59,7 +60,9 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
             field_indices=FIRST_MARKER_FIELD + np.arange(3 * point_count).reshape(-1, 3),
             labels=[*names, *(f"*{i}" for i in range(len(names), point_count))],
             unit_m=unit_m,
-            rate=parse_rate(document, keys_index + 1, header.get("datarate", ""), line_indices, delimiter, time_field=1),
+            rate_text=header.get("datarate", ""),
+            rate_line=keys_index + 1,
+            time_field=1,
             declared_frame_count=header.get("numframes", ""),
             notes=(*unit_notes, *_check_marker_count(header, len(names), point_count)),
         ),

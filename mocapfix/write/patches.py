@@ -193,7 +193,8 @@ def _build_edits(layout: TableLayout, lines: list[str], before: Take, after: Tak
 
     def add(frames: Int[np.ndarray, " n"], points: Int[np.ndarray, " n"], texts: Iterable[list[str]]) -> None:
         for frame, point, xyz_texts in zip(frames.tolist(), points.tolist(), texts, strict=True):
-            edits[line_indices[frame]].update(zip(field_indices[point], xyz_texts, strict=True))
+            if line_indices[frame] >= 0:
+                edits[line_indices[frame]].update(zip(field_indices[point], xyz_texts, strict=True))
 
     missing = [layout.format_coordinate(np.nan)] * 3
     assigned_frames, assigned_points = find_assigned_points(before, after)

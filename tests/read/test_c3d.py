@@ -173,7 +173,7 @@ def test_a_shortened_file_with_its_old_header_is_read_and_noted(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@given(rate=st.floats(0.5, 5000, width=32), scale=st.floats(0.125, 2, width=32))
+@given(rate=st.floats(5, 2000, width=32), scale=st.floats(0.125, 2, width=32))
 def test_numeric_parameters_in_every_encoding(tmp_path_factory, encoding, rate, scale):
     folder = tmp_path_factory.mktemp("numbers")
     take = write_and_read(folder, STANDING, LABELS, encoding=encoding, scale=scale, extra={"POINT:RATE": rate})
@@ -268,7 +268,10 @@ BAD = {
     "no points": (c3d_bytes(np.zeros((4, 0, 3)), ["x"]), "no points"),
     "no frames": (c3d_bytes(np.zeros((0, 3, 3)), LABELS), "no frames"),
     "strange units": (c3d_bytes(STANDING, LABELS, extra={"POINT:UNITS": "furlong"}), "'furlong'; set it to one of mm, cm, m"),
-    "no rate": (c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}), "POINT:RATE is 0"),
+    "no rate": (
+        c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}),
+        "POINT:RATE: a frame rate of 0 Hz is not possible (5 to 2000); give it with --rate HZ",
+    ),
     "no scale": (c3d_bytes(STANDING, LABELS, extra={"POINT:SCALE": 0.0}), "POINT:SCALE is 0"),
     "two numbers of points": (c3d_bytes(STANDING, LABELS, extra={"POINT:USED": 5}), "3 points by its header and 5"),
     "cut off": (c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60 - 1], "4 frames are declared and 1 are there"),

@@ -57,7 +57,6 @@ INVALID_FILES = {
     "rigid bodies": ("NO_OF_FRAMES\t2\r\nNO_OF_BODIES\t1\r\nBODY_NAMES\tBox\r\n1\t2\t3\r\n", r"rigid bodies \(6D\)"),
     "analog": ("NO_OF_SAMPLES\t2\r\nFREQUENCY\t100\r\nCHANNEL_NAMES\tEMG\r\n1\r\n", "has analog signals"),
     "no names": (qualisys(labels=()), "line 8: names no markers"),
-    "no rate": (qualisys().replace("FREQUENCY\t100", "FREQUENCY\t"), "line 4: the file does not give its frame rate"),
     "cut off": (qualisys()[:-20], "line 13: the file is cut off"),
     "a word": (qualisys().replace("1701.000", "oops"), "line 11: field 5 is 'oops'"),
 }

@@ -112,7 +112,6 @@ INVALID_FILES = {
     "a word": (trc().replace("1701.000", "moved"), "line 8: field 5 is 'moved' and not a number"),
     "a unit": (trc(units="furlong"), "line 3: the unit is 'furlong'; set it to one of mm, cm, m"),
     "no rate": (trc(STANDING[:1], DataRate="?"), "line 3: the frame rate is '?'"),
-    "a frame left out": ("\r\n".join(LINES[:7] + LINES[8:]), "line 9: frame 4 follows frame 3"),
     "a frame twice": ("\r\n".join([*LINES[:8], LINES[7], *LINES[8:]]), "line 9: frame 2 follows frame 2"),
     "no frame numbers": (trc().replace("2\t0.01000", "\t0.01000"), "line 8: does not begin with a frame number"),
     "cut off in a line": (trc()[:-30], "line 10: the file is cut off"),
