@@ -21,12 +21,13 @@ def c3d_bytes(
     scale: float = 0.1,
     first: int = 1,
     extra: Mapping[str, Value | None] | None = None,
+    analog: tuple[int, int] = (3, 1),
 ) -> bytes:
     """Return a C3D of coordinates `xyz` (T, P, 3) in file units, stored as counts of `scale` in an integer file.
 
     `words` are the residual words (T, P), by default 0. `extra` adds parameters or replaces them, by "GROUP:NAME"; None removes
-    one. Every frame ends with three analog words of noise and the data with half a block of noise, and the header has an event:
-    bytes that a copy must keep.
+    one. Every frame ends with `analog` channels and samples of noise, the data with half a block of noise, and the header has an
+    event: bytes that a copy must keep.
     """
     processor, is_float = encoding
     order = ">" if processor == 86 else "<"
@@ -43,7 +44,15 @@ def c3d_bytes(
         given[f"POINT:LABELS{1 + more // 255}"] = list(labels[more : more + 255])
     section = _parameter_section({**given, **(extra or {})}, processor, order)
     header = _header(points, first, frames, -scale if is_float else scale, 2 + len(section) // 512, processor, order)
-    return header + section + _data(xyz, words, encoding, scale, order)
+    header = replace_word(header + section, 3, analog[0] * analog[1])
+    header = replace_word(header, 10, analog[1])
+    return header + _data(xyz, words, encoding, scale, order, analog[0] * analog[1])
+
+
+def replace_word(data: bytes, number: int, value: int) -> bytes:
+    """Return a C3D with another value of a word of its header, counted from 1."""
+    order = ">" if data[512 + 3] == 86 else "<"
+    return data[: 2 * number - 2] + struct.pack(order + "H", value) + data[2 * number :]
 
 
 def get_layout(take: Take) -> C3dLayout:
@@ -65,7 +74,7 @@ def _float(value: float, processor: int) -> bytes:
     return vax(np.float32(value).item()) if processor == 85 else struct.pack(">f" if processor == 86 else "<f", value)
 
 
-def _data(xyz: np.ndarray, words: np.ndarray | None, encoding: tuple[int, bool], scale: float, order: str) -> bytes:
+def _data(xyz: np.ndarray, words: np.ndarray | None, encoding: tuple[int, bool], scale: float, order: str, analog: int) -> bytes:
     processor, is_float = encoding
     stored = np.concatenate([xyz if is_float else np.rint(xyz / scale), np.zeros((*xyz.shape[:2], 1))], axis=-1)
     if words is not None:
@@ -77,7 +86,7 @@ def _data(xyz: np.ndarray, words: np.ndarray | None, encoding: tuple[int, bool],
     else:
         frames = np.ascontiguousarray(rows.astype(order + ("f4" if is_float else "i2"))).view("u1")
     noise = np.random.default_rng(0)
-    analog = noise.integers(0, 256, (len(rows), 3 * (4 if is_float else 2)), np.uint8)
+    analog = noise.integers(0, 256, (len(rows), analog * (4 if is_float else 2)), np.uint8)
     return np.hstack([frames, analog]).tobytes() + noise.bytes(256)
 
 

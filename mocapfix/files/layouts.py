@@ -58,6 +58,11 @@ class C3dLayout:
         return 4 if self.is_float else 2
 
     @property
+    def analog_word_count(self) -> int:
+        """Analog samples of a frame, which follow its points."""
+        return self.frame_stride_bytes // self.word_size_bytes - 4 * self.point_count
+
+    @property
     def word_dtype(self) -> np.dtype[Any]:
         """Data type of one stored word. A VAX float has the type of its raw bits, a little-endian 32-bit integer."""
         if self.is_float:
@@ -69,6 +74,19 @@ class C3dLayout:
         shape = (self.frame_count, self.point_count, 4)
         strides = (self.frame_stride_bytes, 4 * self.word_size_bytes, self.word_size_bytes)
         return np.ndarray(shape, self.word_dtype, data, self.data_start_byte, strides)
+
+    def view_analog_words(self, data: bytes | bytearray | memoryview) -> Shaped[np.ndarray, "T A"]:
+        """Return the stored analog words of all frames as a view of `data`."""
+        size, shape = self.word_size_bytes, (self.frame_count, self.analog_word_count)
+        start = self.data_start_byte + 4 * self.point_count * size
+        return np.ndarray(shape, self.word_dtype, data, start, (self.frame_stride_bytes, size))
+
+    def decode_words(self, words: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Return stored words as numbers, integers in counts."""
+        if self.has_vax_floats:
+            words = ((words >> 16) | (words << 16)).view("<f4")
+        with np.errstate(invalid="ignore"):  # damaged bytes may spell a signalling NaN
+            return words.astype(float) / (4 if self.has_vax_floats else 1)
 
 
 @dataclass(frozen=True)

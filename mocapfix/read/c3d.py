@@ -5,11 +5,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout
 from mocapfix.files.read_options import ReadOptions
+from mocapfix.read.c3d_blocks import locate_samples
 from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
     METRES_PER_UNIT,
@@ -31,6 +32,7 @@ from mocapfix.take import Take, UpAxis
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 MAX_BLOCK_SAMPLES = 1 << 17  # that are converted at once
+MAX_RATE_DIFFERENCE = 0.005  # relative, of two rates that are the same, one of them rounded, such as 59.94 and 60 Hz
 C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
 
 
@@ -54,8 +56,9 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         parameters = read_c3d_parameters(data)
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy or export it again.") from error
-    layout, notes = _build_layout(path, parameters, len(data))
-    rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: POINT:RATE: {sentence}"), float(parameters.rate), options)
+    layout, notes = _build_layout(path, parameters, data)
+    stated_rate, stated_notes = _find_stated_rate(parameters, layout)
+    rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: POINT:RATE: {sentence}"), stated_rate, options)
     visible, residual_words = _find_valid_samples(layout, data)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
     declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
@@ -83,7 +86,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
         up_axis=up_axis,
-        notes=(*notes, *rate_notes),
+        notes=(*notes, *(() if options.rate_hz else stated_notes), *rate_notes),
     )
     return add_other_points(take, types, functions, convert)
 
@@ -99,7 +102,7 @@ def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
     if not isinstance(layout, C3dLayout) or take.path is None or take.computed is None or not take.computed.any():
         return fill_sd
     stored = layout.view_words(take.path.read_bytes())[:, :, 3][:, take.point_indices]
-    counts = _decode_words(layout, stored[take.computed]) % (MAX_RESIDUAL_COUNTS + 1)
+    counts = layout.decode_words(stored[take.computed]) % (MAX_RESIDUAL_COUNTS + 1)
     fill_sd[take.computed] = np.where(counts < MAX_RESIDUAL_COUNTS, counts * (layout.scale_factor * layout.unit_m), np.inf)
     return fill_sd
 
@@ -129,7 +132,7 @@ def _convert_to_metres(
     axes = np.abs(layout.rotation_y_up_file).argmax(1)
     signed_unit_m = layout.unit_m * layout.rotation_y_up_file.sum(1)
     for block in _list_frame_blocks(layout, len(words)):
-        coordinates = _decode_words(layout, words[block, columns[:, None], axes])
+        coordinates = layout.decode_words(words[block, columns[:, None], axes])
         if not layout.is_float:
             coordinates *= layout.scale_factor
         markers[block] = coordinates * signed_unit_m
@@ -140,10 +143,10 @@ def _convert_to_metres(
 def _find_valid_samples(layout: C3dLayout, data: bytes) -> tuple[Bool[np.ndarray, "T P"], Float[np.ndarray, "T P"]]:
     """Return which samples are valid, and the residual word of each."""
     words = layout.view_words(data)
-    residual_words = _decode_words(layout, words[:, :, 3]).astype(np.float32)
+    residual_words = layout.decode_words(words[:, :, 3]).astype(np.float32)
     visible = np.empty(residual_words.shape, bool)
     for block in _list_frame_blocks(layout, len(words)):
-        coordinates = _decode_words(layout, words[block, :, :3])
+        coordinates = layout.decode_words(words[block, :, :3])
         if not layout.is_float:
             coordinates *= layout.scale_factor
         visible[block] = find_valid_points(coordinates) & ~(residual_words[block] < 0)
@@ -156,64 +159,27 @@ def _list_frame_blocks(layout: C3dLayout, frame_count: int) -> list[slice]:
     return [slice(first, first + length) for first in range(0, frame_count, length)]
 
 
-def _build_layout(path: Path, parameters: C3dParameters, file_bytes: int) -> tuple[C3dLayout, tuple[str, ...]]:
-    """Return the layout without its rotation, checked against the size of the file, and a note on the number of frames."""
+def _build_layout(path: Path, parameters: C3dParameters, data: bytes) -> tuple[C3dLayout, tuple[str, ...]]:
+    """Return the layout without its rotation, and notes on words of the header and parameters that are wrong."""
     unit_m = get_metres_per_unit(parameters.unit_name or DEFAULT_C3D_UNIT)
-    points, header_points = parameters.point_count, parameters.header_point_count
-    if points == 0:
+    if parameters.point_count == 0:
         raise ReadError(f"{path}: has no points; export the marker trajectories as well.")
-    if points != header_points:
-        raise ReadError(f"{path}: has {header_points} points by its header and {points} by POINT:USED; export it again.")
     if unit_m is None:
         choices = ", ".join(METRES_PER_UNIT)
         raise ReadError(f"{path}: POINT:UNITS is {parameters.unit_name!r}; set it to one of {choices}.")
     if not np.isfinite(parameters.scale_factor) or parameters.scale_factor == 0:
         raise ReadError(f"{path}: POINT:SCALE is {parameters.scale_factor:g}, which gives no coordinates; export it again.")
-    is_float = parameters.scale_factor < 0
-    frame_bytes = (4 * points + parameters.analog_values_per_frame) * (4 if is_float else 2)
-    frame_count = _count_frames(path, parameters, file_bytes, frame_bytes)
-    layout = C3dLayout(
-        processor_type=parameters.processor_type,
-        is_float=is_float,
-        scale_factor=abs(parameters.scale_factor),
-        data_start_byte=parameters.data_start_byte,
-        frame_stride_bytes=frame_bytes,
-        point_count=points,
-        frame_count=frame_count,
-        unit_m=unit_m,
-        rotation_y_up_file=np.eye(3),
-    )
-    if frame_count in (parameters.declared_frame_count, parameters.header_frame_count):
-        return layout, ()
-    return layout, (f"The header declares {parameters.declared_frame_count} frames; the file has {frame_count}.",)
+    blocks, notes = locate_samples(path, parameters, data)
+    return blocks.build_layout(parameters.processor_type, abs(parameters.scale_factor), unit_m), notes
 
 
-def _count_frames(path: Path, parameters: C3dParameters, file_bytes: int, frame_bytes: int) -> int:
-    """Return the number of frames: the declared one, if the file is large enough.
-
-    A file that ends with the last frame of its header is complete even if a parameter, left over from a longer trial, declares
-    more. So is a file that was shortened without changing its header: it ends with a frame and not with a block, as a file
-    that was cut off in a transfer may. A file may also have more frames than a word can declare.
-    """
-    declared, data_bytes = parameters.declared_frame_count, file_bytes - parameters.data_start_byte
-    stored = max(0, data_bytes) // frame_bytes
-    if declared < 1:
-        raise ReadError(f"{path}: has no frames; export the trial again.")
-    if declared <= stored:
-        has_more = parameters.is_count_saturated and (stored - declared) * frame_bytes >= C3D_BLOCK_BYTES
-        return stored if has_more else declared
-    header_frame_count = parameters.header_frame_count
-    if header_frame_count > 0 and 0 <= data_bytes - header_frame_count * frame_bytes < C3D_BLOCK_BYTES:
-        return header_frame_count
-    if stored and not data_bytes % frame_bytes and file_bytes % C3D_BLOCK_BYTES:
-        return stored
-    problem = f"is cut off: {declared} frames are declared and {stored} are there"
-    raise ReadError(f"{path}: {problem}; copy or export it again.")
-
-
-def _decode_words(layout: C3dLayout, words: Shaped[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Return stored words as numbers: coordinates in file units, or of integer files in counts."""
-    if layout.has_vax_floats:
-        words = ((words >> 16) | (words << 16)).view("<f4")
-    with np.errstate(invalid="ignore"):  # damaged bytes may spell a signalling NaN
-        return words.astype(float) / (4 if layout.has_vax_floats else 1)
+def _find_stated_rate(parameters: C3dParameters, layout: C3dLayout) -> tuple[float, tuple[str, ...]]:
+    """Return the frames per second and a note if header and POINT:RATE differ: the header's if the analog rate confirms it."""
+    rate, other = parameters.rate, parameters.header_rate
+    if not (np.isfinite(other) and other > 0) or np.isclose(rate, other, rtol=MAX_RATE_DIFFERENCE):
+        return rate, ()
+    samples = layout.analog_word_count / (parameters.analog_channel_count or np.inf)
+    by_analog = parameters.analog_rate / samples if samples > 0 else np.nan
+    if np.isclose(by_analog, other, rtol=MAX_RATE_DIFFERENCE) and not np.isclose(by_analog, rate, rtol=MAX_RATE_DIFFERENCE):
+        return other, (f"POINT:RATE says {rate:g} Hz; the header and the analog rate say {other:g} Hz, which was used.",)
+    return rate, (f"The header says {other:g} Hz; POINT:RATE, {rate:g} Hz, was used.",)

@@ -1,6 +1,7 @@
 """Header and parameters of a C3D file, read with the `c3d` library, whose gaps are closed here."""
 
 import io
+import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,10 +25,17 @@ class C3dParameters:
         processor_type: One of PROCESSOR_TYPES.
         point_count: Points per frame, by POINT:USED.
         header_point_count: Points per frame, by the header.
-        analog_values_per_frame: Analog samples stored after the points of a frame.
-        data_start_byte: Offset of the first frame.
+        header_analog_words: Analog values after the points of a frame, by the header's third word.
+        header_samples_per_frame: Analog samples of a channel in a frame, by the header's tenth word.
+        analog_channel_count: ANALOG:USED, None if not given.
+        analog_rate: ANALOG:RATE, NaN if not given.
+        header_data_block: Number of the first block of data by the header, 0 if not given.
+        data_start_block: POINT:DATA_START, 0 if not given.
+        section_end_byte: First block boundary after the last parameter.
         scale_factor: POINT:SCALE, negative if samples are floats.
+        header_scale_factor: The same by the header.
         rate: Frames per second.
+        header_rate: The same by the header.
         unit_name: POINT:UNITS, "" if not given.
         screen_axis: The file axis that its program draws upwards, such as "+Z", "" if not given.
         labels: Labels of all points, without blanks around them. There may be more or fewer than points.
@@ -37,17 +45,24 @@ class C3dParameters:
         subject_names: Names of the subjects that the file lists, as Vicon's files do.
         first_frame: Number of the first frame.
         header_frame_count: Number of frames by the header.
-        declared_frame_count: Largest number of frames by header or parameters; the header's words end at 65535.
+        frame_counts: Numbers of frames by header and parameters; the header's words end at 65535.
         is_count_saturated: Whether the header's last frame is 65535 and no parameter declares more.
     """
 
     processor_type: int
     point_count: int
     header_point_count: int
-    analog_values_per_frame: int
-    data_start_byte: int
+    header_analog_words: int
+    header_samples_per_frame: int
+    analog_channel_count: int | None
+    analog_rate: float
+    header_data_block: int
+    data_start_block: int
+    section_end_byte: int
     scale_factor: float
+    header_scale_factor: float
     rate: float
+    header_rate: float
     unit_name: str
     screen_axis: str
     labels: tuple[str, ...]
@@ -57,7 +72,7 @@ class C3dParameters:
     subject_names: tuple[str, ...]
     first_frame: int
     header_frame_count: int
-    declared_frame_count: int
+    frame_counts: tuple[int, ...]
     is_count_saturated: bool
 
 
@@ -79,7 +94,9 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         raise ValueError(f"unknown processor type {processor_type}")
     with warnings.catch_warnings(action="ignore"):
         # Buffered, because a BytesIO reads everything for the negative length in a broken chain of parameters.
-        reader = LenientReader(io.BufferedReader(io.BytesIO(data)))
+        handle = io.BufferedReader(io.BytesIO(data))
+        reader = LenientReader(handle)
+    section_end_byte = -(-handle.tell() // C3D_BLOCK_BYTES) * C3D_BLOCK_BYTES
     header = reader.header
     first = _read_whole_number(reader, "TRIAL:ACTUAL_START_FIELD")
     last = _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
@@ -87,22 +104,23 @@ def _parse_parameters(data: bytes) -> C3dParameters:
     header_frame_count = header.last_frame - header.first_frame + 1
     if first is not None and first > MAX_C3D_WORD:  # the header's words are cut off or have overflowed
         header_frame_count = trial_frame_count or 0
-    counts = (
-        header_frame_count,
-        _read_whole_number(reader, "POINT:FRAMES"),
-        _read_whole_number(reader, "POINT:LONG_FRAMES"),
-        trial_frame_count,
-    )
-    declared_frame_count = max(n for n in counts if n is not None)
-    data_block = header.data_block or _read_whole_number(reader, "POINT:DATA_START") or 1
+    declared = (_read_whole_number(reader, name) for name in ("POINT:FRAMES", "POINT:LONG_FRAMES"))
+    counts = tuple(n for n in (header_frame_count, *declared, trial_frame_count) if n is not None)
     return C3dParameters(
         processor_type=processor_type,
         point_count=int(reader.point_used),
         header_point_count=header.point_count,
-        analog_values_per_frame=header.analog_count,
-        data_start_byte=C3D_BLOCK_BYTES * (data_block - 1),
+        header_analog_words=header.analog_count,
+        header_samples_per_frame=header.analog_per_frame,
+        analog_channel_count=_read_whole_number(reader, "ANALOG:USED"),
+        analog_rate=_read_float(reader, "ANALOG:RATE"),
+        header_data_block=header.data_block,
+        data_start_block=_read_whole_number(reader, "POINT:DATA_START") or 0,
+        section_end_byte=section_end_byte,
         scale_factor=float(reader.point_scale),
+        header_scale_factor=float(header.scale_factor),
         rate=float(reader.point_rate),
+        header_rate=float(header.frame_rate),
         unit_name=next(iter(read_texts(reader, "POINT:UNITS")), ""),
         screen_axis="".join(read_texts(reader, "POINT:Y_SCREEN")).upper(),
         labels=tuple(_read_text_series(reader, "POINT:LABELS")),
@@ -112,8 +130,8 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         subject_names=tuple(name for name in read_texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frame_count=header_frame_count,
-        declared_frame_count=declared_frame_count,
-        is_count_saturated=header.last_frame == MAX_C3D_WORD and declared_frame_count <= MAX_C3D_WORD,
+        frame_counts=counts,
+        is_count_saturated=header.last_frame == MAX_C3D_WORD and max(counts) <= MAX_C3D_WORD,
     )
 
 
@@ -146,6 +164,14 @@ def _read_whole_number(reader: LenientReader, name: str) -> int | None:
         return int(np.ravel(parameter.float_array if parameter.dimensions else parameter.float_value)[0])
     words = np.ravel(parameter.uint16_array if parameter.dimensions else parameter.uint16_value)
     return sum(int(word) << 16 * i for i, word in enumerate(words))
+
+
+def _read_float(reader: LenientReader, name: str) -> float:
+    """Return a number stored as a float, NaN if there is none."""
+    parameter = reader.get(name)
+    if parameter is None or parameter.bytes_per_element != 4 or not parameter.bytes:
+        return math.nan
+    return float(np.ravel(parameter.float_array if parameter.dimensions else parameter.float_value)[0])
 
 
 def read_texts(reader: LenientReader, name: str) -> list[str]:

@@ -72,21 +72,13 @@ def _read_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
 
 def _read_analog(data: bytes, layout: C3dLayout, reader: LenientReader) -> Float[np.ndarray, "T S C"]:
     """Return the analog channels: frames, samples per frame, channels, in the units of the channels."""
-    values_per_frame = reader.header.analog_count
     channel_count = int(np.ravel(_read_values(reader, "ANALOG:USED"))[0])
-    samples = values_per_frame // channel_count
     is_unsigned = any("UNSIGNED" in text.upper() for text in read_texts(reader, "ANALOG:FORMAT"))
-    dtype = layout.word_dtype if layout.is_float or not is_unsigned else np.dtype(layout.word_dtype.str.replace("i", "u"))
-    words = np.ndarray(
-        (layout.frame_count, samples, channel_count),
-        dtype,
-        data,
-        layout.data_start_byte + 4 * layout.point_count * layout.word_size_bytes,
-        (layout.frame_stride_bytes, channel_count * layout.word_size_bytes, layout.word_size_bytes),
-    )
-    if layout.has_vax_floats:
-        words = ((words >> 16) | (words << 16)).view("<f4")
-    values = words.astype(float) / (4 if layout.has_vax_floats else 1)
+    words = layout.view_analog_words(data)
+    if is_unsigned and not layout.is_float:
+        words = words.view(words.dtype.str.replace("i", "u"))
+    samples = layout.analog_word_count // channel_count
+    values = layout.decode_words(words[:, : samples * channel_count]).reshape(-1, samples, channel_count)
     scale = np.ravel(_read_values(reader, "ANALOG:SCALE"))[:channel_count]
     offset = np.ravel(_read_values(reader, "ANALOG:OFFSET"))[:channel_count]
     if is_unsigned:
