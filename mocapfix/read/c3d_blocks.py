@@ -238,8 +238,8 @@ def _list_unproved(
 
     If they speak against a reading, it is one of them only if header and parameters agree on the content of a frame.
     """
-    said = {(each.field, each.value) for each in sources} | {("frame_count", each) for each in parameters.frame_counts}
-    unproved = [each for each in looks if each.is_exact(size) and said.issuperset(each._asdict().items())]
+    declared_values = {(each.field, each.value) for each in sources} | {("frame_count", each) for each in parameters.frame_counts}
+    unproved = [each for each in looks if each.is_exact(size) and declared_values.issuperset(each._asdict().items())]
     is_frame_known = all(each.value == getattr(declared, each.field) for each in sources if each.field != "start_byte")
     return [each for each in unproved if looks[each].is_unknown] or unproved * is_frame_known
 
@@ -356,8 +356,8 @@ def _describe_errors(sources: list[_Source], blocks: SampleBlocks) -> list[str]:
     notes: dict[str, None] = {}
     for name, field, value in sources:
         if value != (right := getattr(blocks, field)):
-            said, found = _describe_value(field, value), _describe_value(field, right)
-            notes[f"{name[0].upper()}{name[1:]} says {said}; by size and values the file has {found}."] = None
+            given, found = _describe_value(field, value), _describe_value(field, right)
+            notes[f"{name[0].upper()}{name[1:]} says {given}; by size and values the file has {found}."] = None
     return list(notes)
 
 
