@@ -11,6 +11,8 @@ from mocapfix.skeleton import BODY_SECTIONS, MIN_WHOLE_BODY_LIMBS, load_cmu31_bo
 
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
 """the characters between the words of a label"""
+SUBJECT_SEPARATORS = re.compile(r"[._-]")
+"""the characters, besides the colon, that may follow the name of a subject in a label"""
 MIN_REQUIRED_MARKER_FRACTION = 0.6
 """the fraction of the required markers of a set that a take must have to show a whole body"""
 MIN_MARKERS_PER_LIMB = 2
@@ -88,7 +90,7 @@ class MarkerSet:
         labels counts. If labels have subject prefixes ("Jim:LFHD", "Q_LThigh"), the prefix with the most markers of this set is
         used.
         """
-        return max((self._match_names(names) for names in index_labels_by_prefix(labels).values()), key=len, default={})
+        return max((self.match_names(names) for names in index_labels_by_prefix(labels).values()), key=len, default={})
 
     def find_columns(self, labels: Sequence[str]) -> Int[np.ndarray, " K"]:
         """Return the index of each marker of this set among a take's labels, -1 for those that the take does not have."""
@@ -200,7 +202,8 @@ class MarkerSet:
         is_marked = all(joints.count(segment) >= MIN_SINGLE_SEGMENT_MARKERS for segment in LIMB_JOINT_NAMES[limb][:2])
         return is_marked and len(found) >= MIN_SINGLE_LIMB_MARKERS
 
-    def _match_names(self, index_of_name: Mapping[str, int]) -> dict[str, int]:
+    def match_names(self, index_of_name: Mapping[str, int]) -> dict[str, int]:
+        """Return the index of each marker of this set, by the marker's name, from those of folded names without prefixes."""
         found: dict[str, int] = {}
         for label, aliases in zip(self.labels, self.aliases, strict=True):
             indices = [index_of_name[name] for name in map(fold_label, (label, *aliases)) if name in index_of_name]
@@ -221,7 +224,7 @@ def iterate_label_readings(label: str) -> Iterator[tuple[str, str]]:
     """
     subject, colon, name = label.rpartition(":")
     yield subject + colon, fold_label(name)
-    for separator in re.finditer("_", name):
+    for separator in SUBJECT_SEPARATORS.finditer(name):
         if fold_label(name[separator.end() :]):
             yield subject + colon + name[: separator.end()], fold_label(name[separator.end() :])
 

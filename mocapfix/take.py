@@ -55,6 +55,7 @@ class Take:
         computed: Samples that software estimated, according to the residual words of a C3D file.
         uncaptured: Samples that no camera contributed to, in a file that records which cameras contributed.
         relabelled_points: Index of the file's point that each sample comes from; None if no label was changed.
+        subject_prefixes: What the labels of each subject begin with where it does not end in a colon: "Jim_" of "Jim_LFHD".
         subject_names: Names of the subjects that the file lists, whether or not it holds their markers.
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
@@ -79,6 +80,7 @@ class Take:
     computed: Bool[np.ndarray, "T M"] | None = None
     uncaptured: Bool[np.ndarray, "T M"] | None = None
     relabelled_points: Int[np.ndarray, "T M"] | None = None
+    subject_prefixes: tuple[str, ...] = ()
     subject_names: tuple[str, ...] = ()
     subject_name: str = ""
     notes: tuple[str, ...] = ()
@@ -122,14 +124,21 @@ class Take:
     @cached_property
     def bare_labels(self) -> tuple[str, ...]:
         """The labels without subject prefixes: "LFHD" for "Jim:LFHD"."""
-        return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
+        return tuple(self._split_label(label)[1] for label in self.labels)
 
     @property
     def marker_subjects(self) -> tuple[str, ...]:
         """Subject of each marker: its label's prefix, else the only subject that the file lists, else ""."""
-        prefixes = [label.rpartition(":")[0].strip() for label in self.labels]
+        prefixes = [self._split_label(label)[0] for label in self.labels]
         default = self.subject_names[0] if len(self.subject_names) == 1 and not any(prefixes) else ""
         return tuple(prefix or default for prefix in prefixes)
+
+    def _split_label(self, label: str) -> tuple[str, str]:
+        """Return the name of the subject in a label, "" without one, and that of the marker."""
+        if prefix := max((each for each in self.subject_prefixes if label.startswith(each)), key=len, default=""):
+            return prefix[:-1].strip(), label.removeprefix(prefix).strip()
+        subject, _, name = label.rpartition(":")
+        return subject.strip(), name.strip()
 
     @property
     def main_subject(self) -> str:

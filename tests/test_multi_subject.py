@@ -12,7 +12,8 @@ from mocapfix.changes import UnfilledRun
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.marker_sets.library import load_marker_set
+from mocapfix.labelling.requested_labels import label_take
+from mocapfix.marker_sets.library import SubjectChoice, find_subject_prefixes, load_marker_set, load_shipped_marker_sets
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.read.capture import read_take
 from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
@@ -47,6 +48,51 @@ def test_the_subject_is_in_the_label_or_is_the_only_one_of_the_file():
     assert build_take(("Jim:LFHD", "A:B:C7", "T10"), subject_names=("Jim",)).marker_subjects == ("Jim", "A:B", "")
     assert build_take(("LFHD", "C7"), subject_names=("Jim",)).marker_subjects == ("Jim", "Jim")
     assert build_take(("LFHD", "C7"), subject_names=("Jim", "Ann")).marker_subjects == ("", "")
+
+
+@pytest.mark.parametrize("separator", ["_", "-", "."])
+@pytest.mark.parametrize("names", [("A",), ("A", "B"), ("Jim_1", "Jim_2"), ("L", "R")], ids="+".join)
+def test_names_of_subjects_may_end_in_other_separators(names, separator):
+    more = (f"box{separator}1", f"box{separator}2", "loose")
+    labels = (*(f"{name}{separator}{label}" for name in names for label in CMU41), *more)
+    take = label_take(build_take(labels), SubjectChoice(None, None))
+    assert take.labels == labels
+    assert take.marker_subjects == (*(name for name in names for _ in CMU41), "", "", "")
+    assert take.bare_labels == (*CMU41 * len(names), *more)
+    parts = multi_subject.split_subjects(take)
+    assert [part.subject_name for part in parts] == ([*names, "others"] if len(names) > 1 else [""])
+    (selected,) = multi_subject.split_subjects(take, subject_prefix=names[-1])
+    assert selected.bare_labels == CMU41
+    assert set(CMU41) == set(load_marker_set("cmu41").match_labels(selected.labels))
+
+
+@pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
+def test_words_for_sides_and_parts_of_the_body_are_no_subjects(marker_set):
+    for labels in (marker_set.labels, *_spell(marker_set)):
+        assert find_subject_prefixes(labels) == ()
+        assert find_subject_prefixes(labels[: len(labels) // 2]) == ()
+        assert find_subject_prefixes(tuple(f"A_{label}" for label in labels)) == ("A_",)
+
+
+def _spell(marker_set):
+    """Return the labels of a set with their aliases in place of the markers' names, as far as they have any."""
+    count = max(len(aliases) for aliases in marker_set.aliases)
+    named = list(zip(marker_set.labels, marker_set.aliases, strict=True))
+    return [tuple(aliases[n] if n < len(aliases) else label for label, aliases in named) for n in range(count)]
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        ("L_ANKLE", "R_ANKLE", "Left_Knee", "Right_Knee", "V_Sacral", "R.Heel", "L.Heel", "L-ASIS", "R-ASIS", "L_TOE", "R_TOE"),
+        tuple(f"Marker_{n}" for n in range(60)),
+        tuple(f"{side}_{name}" for side in "LR" for name in ("HEE", "TOE", "ANK", "KNE", "THI", "TIB", "ASI", "PSI")),
+        ("Jim:L_ANKLE", *(f"A_{label}" for label in CMU41)),
+    ],
+    ids=["sides", "numbers", "legs", "colons"],
+)
+def test_other_separators_are_parts_of_labels(labels):
+    assert find_subject_prefixes(labels) == ()
 
 
 def test_whole_bodies_are_subjects_and_parts_of_bodies_are_not():

@@ -517,3 +517,12 @@ def test_the_initialisation_method_is_used_and_reported(brief):
 def test_an_invalid_prior_scale_is_an_error_before_the_file_is_read(prior_scale):
     with pytest.raises(OptionError, match="prior_scale must be greater than 0 and finite, not "):
         pipeline.clean("nowhere.c3d", prior_scale=prior_scale)
+
+
+def test_subject_before_another_separator_is_known_and_kept_in_the_file(brief, tmp_path):
+    path = tmp_path / "jim.c3d"
+    path.write_bytes(build_c3d(brief.markers, [f"Jim_{label}" for label in brief.labels], first=FIRST_FRAME))
+    result = pipeline.clean(path, subject=brief.subject, keep=("LKNE",), subject_prefix="jim")
+    assert {change.markers for change in result.changes} == {("Jim_RELB",), ("Jim_STRN",)}
+    result.write(tmp_path / "out")
+    assert capture.read_take(tmp_path / "out" / "jim.c3d").labels == tuple(f"Jim_{label}" for label in brief.labels)

@@ -27,7 +27,13 @@ from mocapfix.labelling.take_labelling import (
     find_file_tracklets,
 )
 from mocapfix.marker_set import MarkerSet, format_name_list
-from mocapfix.marker_sets.library import SubjectChoice, choose_marker_set, load_requested_subject, load_shipped_marker_sets
+from mocapfix.marker_sets.library import (
+    SubjectChoice,
+    choose_marker_set,
+    find_subject_prefixes,
+    load_requested_subject,
+    load_shipped_marker_sets,
+)
 from mocapfix.options import CleanOptions, ReadOptions
 from mocapfix.read.capture import read_capture
 from mocapfix.subject import Subject
@@ -75,7 +81,7 @@ def label_capture(
 
 
 def label_take(take: Take, request: SubjectChoice) -> Take:
-    """Return a take with labels if its points have none, or none with a meaning.
+    """Return a take with labels if its points have none, or none with a meaning, and with the prefixes of its subjects.
 
     They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
     does, fragments of the same markers are joined and numbered, and a take whose points cannot be joined, or are joined already,
@@ -84,6 +90,7 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
     Raises TakeError if the points of a take without any label cannot be joined, or no person with the markers of a set that the
     user names is found.
     """
+    take = replace(take, subject_prefixes=find_subject_prefixes(take.labels, request.marker_set))
     points = collect_unlabelled_points(take)
     if points is None:
         if request.marker_set is None or not are_labels_arbitrary(take.labels, request.marker_set):

@@ -19,7 +19,7 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_body_values import JointName, Vector3
 from mocapfix.files.yaml_models import InlineMapping, StrictModel, dump_yaml, find_by_name, read_yaml_model
-from mocapfix.marker_set import MarkerSet, fold_label, format_name_list
+from mocapfix.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, format_name_list, index_labels_by_prefix
 from mocapfix.marker_sets.landmarks import Landmark, find_landmark
 from mocapfix.options import SubjectOptions
 from mocapfix.skeleton import load_cmu31_body
@@ -200,6 +200,32 @@ class MarkerSetMatch:
 
     marker_set: MarkerSet | None
     reason: str
+
+
+def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = None) -> tuple[str, ...]:
+    """Return what the labels of each subject begin with where it is no name with a colon: "Jim_" of "Jim_LFHD".
+
+    "L_" of "L_ANKLE" is none: a prefix is the name of a subject only if what follows it shows a body or a part of one in a
+    marker set, and if more markers are found in this way than by the whole labels.
+
+    marker_set  a set to be considered besides the shipped ones
+    """
+    if any(":" in label for label in labels):
+        return ()
+    sets = (*load_shipped_marker_sets(), *((marker_set,) if marker_set else ()))
+    readings = index_labels_by_prefix(labels)
+    whole_names = readings.pop("", {})
+    found: list[str] = []
+    for prefix, names in readings.items():
+        if len(names) < MIN_SINGLE_LIMB_MARKERS:
+            continue
+        columns = set(names.values())
+        whole = {name: column for name, column in whole_names.items() if column in columns}
+        matches = [(each, each.match_names(names)) for each in sets]
+        shown = max((len(match) for each, match in matches if match and not each.describe_missing_body(match)), default=0)
+        if shown > max(len(each.match_names(whole)) for each in sets):
+            found.append(prefix)
+    return tuple(found)
 
 
 def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:

@@ -14,7 +14,7 @@ from mocapfix.errors import TakeError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.marker_set import format_name_list
 from mocapfix.marker_sets.learning import LearnedMarkerSet, learn_from_markers, select_subject_markers
-from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice
+from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice, find_subject_prefixes
 from mocapfix.marker_sets.props import find_props
 from mocapfix.read.capture import read_take
 from mocapfix.report.stage_timer import ProgressCallback
@@ -63,6 +63,7 @@ def learn_marker_set(
     report_stage = progress or (lambda stage: None)
     report_stage("read")
     take = read_take(path, options)
+    take = replace(take, subject_prefixes=find_subject_prefixes(take.labels))
     if subject_prefix is not None:
         (take,) = multi_subject.split_subjects(take, None, subject_prefix)
     selected = select_subject_markers(take.masked(take.measured))

@@ -79,7 +79,7 @@ def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], frag
     unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
     if not unassigned:
         return []
-    prefixes = {take.labels[m].rpartition(":")[0] for m in columns} - {""}
+    prefixes = {take.marker_subjects[m] for m in columns} - {""}
     solved = f"The solved subject is {', '.join(sorted(prefixes))}. " if prefixes else ""
     return [f"{solved}Not in its marker set, filled without the skeleton: {', '.join(unassigned)}."]
 
