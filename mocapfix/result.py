@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from mocapfix.changes import Change, UnfilledRun
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.contacts.plate_contacts import is_file_event_wrong
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
 from mocapfix.files.layouts import C3dLayout
@@ -180,6 +181,12 @@ class CleaningResult:
         notes = [*report["notes"], *build_output_notes(options, self.input_take, exported_motion is not None)]
         if self.requested.contacts.write_events and not isinstance(self.input_take.layout, C3dLayout):
             notes.append("The cleaned file has no events (--events), since only C3D has a place for them; use --also events.")
+        elif self.requested.contacts.write_events and self.contacts is not None:
+            moved = [each for each in self.contacts.event_disagreements if is_file_event_wrong(each)]
+            what = "1 event of the file has" if len(moved) == 1 else f"{len(moved)} events of the file have"
+            notes += [
+                f"{what} the time of a force plate in the cleaned file; its description there tells the time before."
+            ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final = replace(self, report=final_report)._drop_samples(unstorable_samples)
         for each in list_output_formats(options):

@@ -36,7 +36,7 @@ def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, 
     contacts = find_contacts(skeleton, moving, position, animation.rate)
     if contacts.has_feet:
         no_markers = np.zeros((len(position), 0, 3))
-        feet = build_foot_points(subject, moving, no_markers, no_markers)
+        feet = build_foot_points(subject, moving, no_markers, no_markers, contacts.is_known)
         events = detect_gait_events(feet, contacts.floor, animation.rate)
         delay_s = start / animation.rate
         shifted = tuple(event._replace(time_s=event.time_s + delay_s, source=JOINT_SOURCE) for event in events)

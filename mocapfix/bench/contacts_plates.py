@@ -1,6 +1,7 @@
 """Benchmark of gait events: those from markers compared with force plates, on captures that have both.
 
-The plates are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and toes count.
+The plates and the events of the file are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and
+toes count.
 """
 
 import shutil
@@ -26,12 +27,13 @@ from mocapfix.options import CleanOptions
 from mocapfix.read.capture import read_capture
 from mocapfix.read.force_plates import read_force_plates
 from mocapfix.solve import kinematics
+from mocapfix.write.c3d_events import HEADER_EVENT_COUNT
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
 
-PLATE_GROUP, HIDDEN_GROUP = b"FORCE_PLATFORM", b"HIDDEN_PLATFOR"
-"""name of the group of the plates, and another of the same length"""
+HIDDEN_GROUPS = {b"FORCE_PLATFORM": b"HIDDEN_PLATFOR", b"EVENT": b"HIDEV"}
+"""names of the groups of the plates and of events, and others of the same length"""
 MAX_EVENT_ERROR_S = 0.15
 """Time from an event of a plate up to which an event of markers is the same."""
 JUDGED_MARGIN_S = 0.3
@@ -84,7 +86,7 @@ def measure_plate_events(
 
 
 def clean_without_plates(path: Path) -> "CleaningResult | None":
-    """Return the result for a copy of a C3D file whose plates have another name; None for a file without plates."""
+    """Return the result for a copy of a C3D file that hides its plates and events; None for a file without plates."""
     data = path.read_bytes()
     capture = read_capture(path)
     layout = None if isinstance(capture, Animation) else capture.layout
@@ -93,7 +95,9 @@ def clean_without_plates(path: Path) -> "CleaningResult | None":
     with TemporaryDirectory() as folder:
         hidden = Path(folder) / path.name
         shutil.copyfile(path, hidden)
-        head = data[: layout.data_start_byte].replace(PLATE_GROUP, HIDDEN_GROUP)
+        head = data[:HEADER_EVENT_COUNT] + bytes(2) + data[HEADER_EVENT_COUNT + 2 : layout.data_start_byte]
+        for name, other in HIDDEN_GROUPS.items():
+            head = head.replace(name, other)
         hidden.write_bytes(head + data[layout.data_start_byte :])
         return mocapfix.clean(hidden, CleanOptions().change(feet=FEET_OFF))
 
@@ -112,12 +116,13 @@ def get_foot_points(result: "CleaningResult") -> dict[str, FootPoints]:
     subject, motion, take = result.subject, result.motion, result.relabelled_take
     assert subject is not None
     assert motion is not None
+    assert result.contacts is not None
     _, body_markers = kinematics.compute_joint_and_marker_positions(subject, motion)
     markers = np.full(body_markers.shape, np.nan)
     for k, label in enumerate(subject.labels):
         if label in take.bare_labels:
             markers[:, k] = take.markers[:, take.bare_labels.index(label)]
-    return dict(build_foot_points(subject, motion, markers, body_markers))
+    return dict(build_foot_points(subject, motion, markers, body_markers, result.contacts.is_known))
 
 
 def compare_events(capture: str, load: PlateContact, contacts: BodyContacts) -> list[PlateEventError]:

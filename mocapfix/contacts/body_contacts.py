@@ -11,7 +11,7 @@ from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.contacts.held_uncertainty import reduce_held_uncertainty
 from mocapfix.contacts.hold_feet import hold_feet
-from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, replace_marker_events
+from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, merge_events
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.files.option_choices import FEET_LOCK, FEET_OFF
 from mocapfix.motion import Motion
@@ -21,6 +21,7 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit, CleaningState
 from mocapfix.take import Take
+from mocapfix.write.c3d_events import read_gait_events
 
 
 def hold_standing_feet(state: CleaningState, options: CleanOptions) -> CleaningState:
@@ -63,18 +64,21 @@ def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.nda
     markers  (T, K, 3) m, in the body's order, NaN if missing or faulty
     take     whose file may have force plates
 
-    A body without both feet has no events.
+    A body without both feet has no events but those of the file.
     """
+    recorded, plates = (), []
+    if isinstance(take.layout, C3dLayout) and take.path is not None:
+        data = take.labelled_file or take.path.read_bytes()
+        plates = read_force_plates(data, take.layout)
+        last_s = (take.frame_count - 1) / take.rate
+        recorded = read_gait_events(data[: take.layout.data_start_byte], take.main_subject, (take.first_frame, take.rate), last_s)
     if not are_feet_solved(body):
-        return contacts
-    feet = build_foot_points(body.extended_subject, body.motion, markers, body.marker_positions)
-    contacts = replace(contacts, events=detect_gait_events(feet, contacts.floor, contacts.rate))
-    if not isinstance(take.layout, C3dLayout) or take.path is None:
-        return contacts
-    plates = read_force_plates(take.labelled_file or take.path.read_bytes(), take.layout)
+        return replace(contacts, events=recorded)
+    feet = build_foot_points(body.extended_subject, body.motion, markers, body.marker_positions, contacts.is_known)
+    detected = detect_gait_events(feet, contacts.floor, contacts.rate)
     on_plates = find_plate_contacts(plates, feet, contacts.floor, contacts.rate)
-    aligned = align_contacts_with_plates(contacts, on_plates)
-    return replace(aligned, events=replace_marker_events(contacts.events, on_plates))
+    events, disagreements = merge_events(detected, recorded, on_plates)
+    return replace(align_contacts_with_plates(contacts, on_plates), events=events, event_disagreements=disagreements)
 
 
 def move_body(body: BodyFit, motion: Motion) -> BodyFit:

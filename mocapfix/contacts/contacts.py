@@ -15,7 +15,7 @@ FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "Righ
 CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
 OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")
 """knees and wrists, which are in contact in falls, rolls and crawls"""
-PLATE_SOURCE = "force plate"
+PLATE_SOURCE, FILE_SOURCE = "force plate", "file"
 
 
 class GaitEvent(NamedTuple):
@@ -24,13 +24,25 @@ class GaitEvent(NamedTuple):
     side    "left" or "right"
     kind    "foot strike" or "foot off"
     time_s  seconds after the first frame, between frames where the source is finer than these
-    source  "markers", "joints" of an animation, or "force plate"
+    source  "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
     """
 
     side: str
     kind: str
     time_s: float
     source: str
+
+
+class EventDisagreement(NamedTuple):
+    """An event of gait, and the same by another source that gives another time and counts less."""
+
+    event: GaitEvent
+    other: GaitEvent
+
+    @property
+    def delay_s(self) -> float:
+        """How much later the event is by the other source, in seconds."""
+        return self.other.time_s - self.event.time_s
 
 
 class HeldFeet(NamedTuple):
@@ -58,6 +70,7 @@ class BodyContacts:
     rate        frames per second
     events      events of gait, by time
     held_feet   what was done to the feet in contact
+    event_disagreements  events of which two sources give different times
     """
 
     joints: tuple[str, ...]
@@ -67,6 +80,7 @@ class BodyContacts:
     rate: float
     events: tuple[GaitEvent, ...] = field(default=())
     held_feet: HeldFeet = NOT_HELD
+    event_disagreements: tuple[EventDisagreement, ...] = field(default=())
 
     @property
     def has_feet(self) -> bool:

@@ -1,11 +1,16 @@
 """Events of gait: the instants at which a foot strikes the floor and leaves it.
 
-A foot is near the floor while its heel or its toes are low and slow. At a strike the floor stops the foot: the vertical
-acceleration of heel or toes has its greatest peak (Hreljac and Marshall, J. Biomech. 33, 2000). When a foot leaves, its toes
-begin to accelerate: the instant at which their acceleration reaches most of its next peak. Both are between frames.
+A foot is near the floor while its heel or its toes are low and slow. At a strike the floor stops the point that lands first,
+the heel or the toes: the first peak of vertical acceleration of a point that is down and nearly stopped (after Hreljac and
+Marshall, J. Biomech. 33, 2000). A foot that glides to its place without an impact strikes when this point stops. When a foot
+leaves, its toes begin to accelerate: the instant at which their acceleration reaches most of its next peak. Events are between
+frames.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,63 +18,164 @@ from scipy.ndimage import binary_closing, binary_opening
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from mocapfix.contacts.contacts import GaitEvent
-from mocapfix.contacts.floor import Floor
+from mocapfix.contacts.floor import MAX_LEVEL_DEVIATION_M, Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 
 NEAR_FLOOR_M = 0.05
-"""Height of a point of the foot above its lowest 5 % while it is slow, below which it is near the floor."""
-NEAR_FLOOR_SPEED_M_S = 0.8
+NEAR_LOWEST_M = 0.1
+"""Height of a point of the foot above its lowest 5 % while it stands, below which it is near the floor, and the same where no
+floor is known: of sprinters, whose feet never stand for long, on a track that rises by 13 mm a step."""
+NEAR_FLOOR_SPEED_M_S, SLOW_STEP_SPEED_M_S = 0.8, 0.4
+"""Speed below which a point of the foot is slow, and the same in steps whose swing is as slow as that."""
+NEAR_FLOOR_SPEED_SHARE, SPRINT_SPEED_SHARE = 0.4, 0.04
+MIN_NEAR_FLOOR_SPEED_M_S = 0.2
+"""The same as shares of the speed of a swing: for slow feet, whose points would be slow in swings, but not less than the third;
+and for sprinters, whose toes move at 0.6 of 20 m/s while they stand."""
+STANDING_POINT_SPEED_M_S = 0.3
+STANDING_POINT_SPEED_SHARE = 0.03
+"""Speed of a heel or toes below which these stand: the first, or this share of a swing for sprinters. At 8 strikes on plates in
+4 walks the heel had 0.2 to 0.4 m/s."""
+SWING_PERCENTILE = 98.0
+"""Percentile of a point's speed that is the speed of its swing."""
 LOWEST_PERCENTILE = 5.0
 MIN_CONTACT_S = 0.06
 """Shortest contact, and shortest time without contact."""
+MIN_SEEN_S = 0.05
+"""Time before and after an event for which the take must last and markers must show the foot."""
 LOWPASS_HZ = 25.0
 """Cut-off of the positions before they are differentiated twice; the impact of a strike is above the usual 6 to 12 Hz."""
 MAX_LOWPASS_SHARE = 0.4
 """The same at most, as a share of the frame rate."""
-STRIKE_WINDOW_S = (0.08, 0.06)
+STRIKE_WINDOW_S = (0.08, 0.08)
 OFF_WINDOW_S = (0.06, 0.15)
 """Seconds before and after the ends of a contact in which its events are searched."""
 MAX_STRIKE_HEIGHT_M = 0.03
 """Height of the point that strikes above its low places in the contact."""
-MIN_STRIKE_ACCELERATION_M_S2 = 2.0
+MAX_STRIKE_SPEED_M_S = 0.8
+MAX_STRIKE_SPEED_SHARE = 0.2
+"""Speed of a point at its strike: at most the first, or this share of its swing. The toes of a sprinter land at 3 of 20 m/s."""
+MIN_STRIKE_ACCELERATION_M_S2 = 3.0
 """Vertical acceleration below which there was no impact, or smoothing of the markers has removed it."""
-PEAK_SHARE = 0.9
+STRIKE_PEAK_SHARE, OFF_PEAK_SHARE = 0.95, 0.9
 """Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak."""
 MIN_FRAMES = 30
 """Frames below which no acceleration is computed."""
 
 
+class PointMotion(NamedTuple):
+    """The motion of the heel or the toes of a foot.
+
+    path          (T, 3) m
+    speed         (T,) m/s
+    acceleration  (T, 3) m/s^2, filtered
+    swing_m_s     its speed in a swing
+    """
+
+    path: Float[np.ndarray, "T 3"]
+    speed: Float[np.ndarray, " T"]
+    acceleration: Float[np.ndarray, "T 3"]
+    swing_m_s: float
+
+
 def detect_gait_events(feet: Mapping[str, FootPoints], floor: Floor, rate: float) -> tuple[GaitEvent, ...]:
-    """Return the events of all feet by time, from the markers. Contacts at the ends of the take have one event only."""
+    """Return the events of all feet by time, from the markers.
+
+    A foot has no event where markers do not show it, nor within MIN_SEEN_S of the ends of the take.
+
+    Args:
+        feet: The heel and the toes of each foot, by side.
+        floor: The floor.
+        rate: Frames per second.
+    """
     events: list[GaitEvent] = []
     for side, points in feet.items():
         if len(points.heel) < MIN_FRAMES:
             continue
-        is_near = find_foot_near_floor(points, floor, rate)
-        acceleration = [compute_acceleration(path, rate) for path in points]
-        for first, last in find_runs(is_near):
-            if first > 0:
-                events.append(GaitEvent(side, "foot strike", find_strike(points, acceleration, (first, last), rate), "markers"))
-            if last < len(is_near) - 1:
-                events.append(GaitEvent(side, "foot off", find_off(acceleration[1], last, rate), "markers"))
+        times = remove_repeated_contacts(list(_generate_contact_times(points, floor, rate)))
+        for times_s, kind, is_seen in (
+            ([strike_s for strike_s, _ in times], "foot strike", np.all(points.is_seen, axis=1)),
+            ([off_s for _, off_s in times], "foot off", points.is_seen[:, 1]),
+        ):
+            events += [GaitEvent(side, kind, time_s, "markers") for time_s in times_s if _is_event_seen(time_s, is_seen, rate)]
     return tuple(sorted(events, key=lambda event: event.time_s))
 
 
+def _generate_contact_times(points: FootPoints, floor: Floor, rate: float) -> Iterator[tuple[float, float]]:
+    """Yield strike and off of each contact of a foot, in seconds; NaN where the take begins or ends in contact."""
+    heel, toe = motions = [_build_point_motion(path, rate) for path in points.paths]
+    for first, last in find_runs(find_foot_near_floor(points, floor, rate)):
+        strikes_s = [find_strike(motion, (first, last), rate) for motion in motions]
+        strike_s = float(np.nanmin(strikes_s)) if np.isfinite(strikes_s).any() else first / rate
+        off_s = find_off(toe.acceleration, last, rate)
+        yield (strike_s if first > 0 else np.nan), (off_s if last < len(heel.path) - 1 else np.nan)
+
+
+def remove_repeated_contacts(contacts: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the contacts (strike and off, s) of one foot, joined where two strikes or two offs are within half a step.
+
+    Half a step is a quarter of the median time from one strike of the foot to the next.
+    """
+    stride_s = [after - before for (before, _), (after, _) in pairwise(contacts) if np.isfinite(before)]
+    half_step_s = max(0.25 * float(np.median(stride_s)), 2 * MIN_CONTACT_S) if stride_s else 2 * MIN_CONTACT_S
+    kept: list[tuple[float, float]] = []
+    for strike_s, off_s in contacts:
+        previous_strike_s, previous_off_s = kept[-1] if kept else (np.nan, np.nan)
+        if strike_s - previous_strike_s < half_step_s or off_s - previous_off_s < half_step_s or strike_s <= previous_off_s:
+            kept[-1] = (previous_strike_s, off_s)
+        else:
+            kept.append((strike_s, off_s))
+    return kept
+
+
+def _is_event_seen(time_s: float, is_seen: Bool[np.ndarray, " T"], rate: float) -> bool:
+    """Return whether markers show a foot in all frames about an event, which has such frames on both sides."""
+    first, last = np.ceil((time_s - MIN_SEEN_S) * rate), np.floor((time_s + MIN_SEEN_S) * rate)
+    return bool(first >= 0 and last < len(is_seen) and is_seen[int(first) : int(last) + 1].all())
+
+
 def find_foot_near_floor(points: FootPoints, floor: Floor, rate: float) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which the heel or the toes are low above a level of the floor, and slow."""
-    is_near = np.zeros(len(points.heel), bool)
-    for path in points:
-        height = floor.compute_height_above(path)
-        is_slow = compute_speed(path, rate) < NEAR_FLOOR_SPEED_M_S
-        if is_slow.any():
-            is_near |= is_slow & (height < np.percentile(height[is_slow], LOWEST_PERCENTILE) + NEAR_FLOOR_M)
+    """Return the frames in which the heel or the toes are slow and low, about times at which they stand on the floor.
+
+    A contact lasts while a point is slower than NEAR_FLOOR_SPEED_M_S, between steps in which no point ever is faster while it is
+    slower than SLOW_STEP_SPEED_M_S.
+    """
+    is_slowest, is_slow = (find_low_frames(points, floor, rate, limit) for limit in (SLOW_STEP_SPEED_M_S, NEAR_FLOOR_SPEED_M_S))
+    is_near = is_slowest.copy()
+    for first, last in find_runs(~is_slowest):
+        if not is_slow[first : last + 1].all():
+            is_near[first : last + 1] = is_slow[first : last + 1]
     length = max(1, round(MIN_CONTACT_S * rate))
     structure = np.ones(length + 1, bool)
     padded = np.pad(is_near, len(structure), mode="edge")
-    cleaned = binary_opening(binary_closing(padded, structure), structure)
-    return cleaned[len(structure) : -len(structure)]
+    closed = binary_closing(padded, structure)[len(structure) : -len(structure)]
+    return binary_opening(closed, structure)
+
+
+def find_low_frames(points: FootPoints, floor: Floor, rate: float, limit_m_s: float) -> Bool[np.ndarray, " T"]:
+    """Return the frames in which the heel or the toes are low and slower than a limit, in runs in which they stand."""
+    is_found = np.zeros(len(points.heel), bool)
+    ground = replace(floor, level_heights_m=floor.level_heights_m[:1])
+    margin_m = NEAR_FLOOR_M if floor.level_heights_m else NEAR_LOWEST_M
+    for path in points.paths if len(is_found) else ():
+        height, speed = floor.compute_height_above(path), compute_speed(path, rate)
+        swing_m_s = float(np.percentile(speed, SWING_PERCENTILE))
+        largest_m_s = max(limit_m_s, SPRINT_SPEED_SHARE * swing_m_s)
+        is_slow = speed < np.clip(NEAR_FLOOR_SPEED_SHARE * swing_m_s, MIN_NEAR_FLOOR_SPEED_M_S, largest_m_s)
+        is_standing = speed < max(STANDING_POINT_SPEED_M_S, STANDING_POINT_SPEED_SHARE * swing_m_s)
+        standing_m = height[is_standing & (height > -MAX_LEVEL_DEVIATION_M)]
+        lowest_m = np.percentile(standing_m, LOWEST_PERCENTILE) if len(standing_m) else 0.0
+        # a point below an upper level is between two levels, not on it; one below the lowest level is on something lower still
+        is_on_level = (height > lowest_m - MAX_LEVEL_DEVIATION_M) | (ground.compute_height_above(path) < lowest_m)
+        for first, last in find_runs(is_slow & is_on_level & (height < lowest_m + margin_m)):
+            is_found[first : last + 1] |= is_standing[first : last + 1].any()
+    return is_found
+
+
+def _build_point_motion(path: Float[np.ndarray, "T 3"], rate: float) -> PointMotion:
+    speed = compute_speed(path, rate)
+    return PointMotion(path, speed, compute_acceleration(path, rate), float(np.percentile(speed, SWING_PERCENTILE)))
 
 
 def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, "T 3"]:
@@ -80,46 +186,41 @@ def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[n
     return np.gradient(np.gradient(smooth, 1 / rate, axis=0), 1 / rate, axis=0)
 
 
-def find_strike(points: FootPoints, acceleration: list[Float[np.ndarray, "T 3"]], contact: tuple[int, int], rate: float) -> float:
-    """Return the time in seconds at which the floor stops the heel or the toes, about the beginning of a contact.
+def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> float:
+    """Return the time in seconds at which the floor stops a point of the foot, about the beginning of a contact.
 
-    Where the markers were smoothed so much that no impact is left in their height, it is where the lower point stops sliding.
+    Without an impact, or where the laboratory has smoothed it away, it is where the point stops sliding. NaN if it does neither.
     """
-    first, last = contact
+    (path, speed, acceleration, swing_m_s), (first, last) = motion, contact
     start = max(1, first - round(STRIKE_WINDOW_S[0] * rate))
-    stop = min(len(points.heel) - 2, first + round(STRIKE_WINDOW_S[1] * rate))
-    best_frame, best_value, best_signal = first, 0.0, acceleration[0][:, 1]
-    heights_at_first: list[float] = []
-    for path, signal in zip(points, (each[:, 1] for each in acceleration), strict=True):
-        heights = np.sort(path[first : last + 1, 1])
-        low = float(np.median(heights[: max(1, len(heights) // 3)]))
-        heights_at_first.append(path[first, 1] - low)
-        for frame in start + find_peaks(signal[start : stop + 1])[0]:
-            if signal[frame] > best_value and path[frame, 1] < low + MAX_STRIKE_HEIGHT_M:
-                best_frame, best_value, best_signal = int(frame), float(signal[frame]), signal
-    if best_value < MIN_STRIKE_ACCELERATION_M_S2:
-        size = np.linalg.norm(acceleration[int(np.argmin(heights_at_first))], axis=1)
-        best_frame, best_signal = find_highest_peak(size, start, stop), size
-    return first / rate if best_frame is None else find_rise(best_signal, best_frame) / rate
-
-
-def find_highest_peak(signal: Float[np.ndarray, " T"], start: int, stop: int) -> int | None:
-    """Return the frame of the highest peak from `start` to `stop`; None without a peak."""
+    stop = min(len(path) - 2, first + round(STRIKE_WINDOW_S[1] * rate))
+    heights = np.sort(path[first : last + 1, 1])
+    is_low = path[:, 1] < float(np.median(heights[: max(1, len(heights) // 3)])) + MAX_STRIKE_HEIGHT_M
+    is_down = is_low & (speed < max(MAX_STRIKE_SPEED_M_S, MAX_STRIKE_SPEED_SHARE * swing_m_s))
+    signal = acceleration[:, 1]
     peaks = start + find_peaks(signal[start : stop + 1])[0]
-    return int(peaks[signal[peaks].argmax()]) if len(peaks) else None
+    peaks = peaks[is_down[peaks] & (signal[peaks] >= MIN_STRIKE_ACCELERATION_M_S2)]
+    if len(peaks):
+        return find_rise(signal, int(peaks[signal[peaks].argmax()]), STRIKE_PEAK_SHARE) / rate
+    stops = start + np.flatnonzero((is_low & (speed < STANDING_POINT_SPEED_M_S))[start : last + 1])
+    if not len(stops):
+        return np.nan
+    before, at = speed[stops[0] - 1], speed[stops[0]]
+    share = (before - STANDING_POINT_SPEED_M_S) / (before - at) if before > STANDING_POINT_SPEED_M_S else 1.0
+    return float(stops[0] - 1 + share) / rate
 
 
 def find_off(toe_acceleration: Float[np.ndarray, "T 3"], last: int, rate: float) -> float:
     """Return the time in seconds at which the toes' acceleration reaches most of its peak, about the end of a contact."""
     size = np.linalg.norm(toe_acceleration, axis=1)
     start = max(1, last - round(OFF_WINDOW_S[0] * rate))
-    peak = find_highest_peak(size, start, min(len(size) - 2, last + round(OFF_WINDOW_S[1] * rate)))
-    return last / rate if peak is None else find_rise(size, peak) / rate
+    peaks = start + find_peaks(size[start : last + 1 + round(OFF_WINDOW_S[1] * rate)])[0]
+    return find_rise(size, int(peaks[size[peaks].argmax()]), OFF_PEAK_SHARE) / rate if len(peaks) else last / rate
 
 
-def find_rise(signal: Float[np.ndarray, " T"], peak: int) -> float:
-    """Return the frame, with a fraction, at which a signal reaches most of a peak."""
-    level, frame = PEAK_SHARE * signal[peak], peak
+def find_rise(signal: Float[np.ndarray, " T"], peak: int, share: float) -> float:
+    """Return the frame, with a fraction, at which a signal reaches a share of a peak."""
+    level, frame = share * signal[peak], peak
     while frame > 1 and level < signal[frame - 1] <= signal[peak]:
         frame -= 1
     before, at = signal[frame - 1], signal[frame]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.contacts.contacts import FOOT_JOINTS, PLATE_SOURCE, BodyContacts, GaitEvent
+from mocapfix.contacts.contacts import FILE_SOURCE, FOOT_JOINTS, PLATE_SOURCE, BodyContacts, EventDisagreement, GaitEvent
 from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.gait_events import find_foot_near_floor
@@ -22,8 +22,12 @@ LOAD_N = 20.0
 """Vertical force from which a plate is loaded, as is usual in gait analysis."""
 MIN_LOAD_S = 0.06
 """Shortest load that is a step."""
-MAX_EVENT_DISTANCE_S = 0.15
-"""Time between the events of a plate and of markers that are one event."""
+USUAL_STRIDE_S = 1.0
+"""Time from one strike of a foot to its next in walking, for takes that show no two."""
+MAX_EVENT_DISAGREEMENT_S = 0.05
+"""Difference between the times of one event by two sources above which it is reported."""
+MAX_FILE_EVENT_ERROR_S = 0.025
+"""Difference from the load of a plate above which an event of the file is wrong."""
 
 
 class PlateContact(NamedTuple):
@@ -54,20 +58,56 @@ def find_plate_contacts(
     return contacts
 
 
-def replace_marker_events(events: Sequence[GaitEvent], contacts: Sequence[PlateContact]) -> tuple[GaitEvent, ...]:
-    """Return events by time, with those of force plates in place of the events of markers about the same time."""
-    measured = [
+def merge_events(
+    detected: Sequence[GaitEvent], recorded: Sequence[GaitEvent], contacts: Sequence[PlateContact]
+) -> tuple[tuple[GaitEvent, ...], tuple[EventDisagreement, ...]]:
+    """Return events by time from all sources, each once, and the events of which two sources give different times.
+
+    The events of force plates count before those that the file has, and these before those from markers. Events of one foot and
+    kind are the same within half a step.
+
+    Args:
+        detected: Events from markers.
+        recorded: Events that the file has.
+        contacts: Contacts with force plates.
+    """
+    half_step_s = compute_half_step([*recorded, *detected])
+    kept = [
         GaitEvent(contact.side, kind, time_s, PLATE_SOURCE)
         for contact in contacts
         for kind, time_s in (("foot strike", contact.strike_s), ("foot off", contact.off_s))
         if np.isfinite(time_s)
     ]
-    kept = [
-        event
-        for event in events
-        if not any(_is_same(event, other) for other in measured) and not any(_is_within(event, each) for each in contacts)
-    ]
-    return tuple(sorted([*kept, *measured], key=lambda event: event.time_s))
+    disagreements: list[EventDisagreement] = []
+    for events in (recorded, detected):
+        added, found = list[GaitEvent](), dict[GaitEvent, EventDisagreement]()
+        for event in events:
+            same = [each for each in kept if (each.side, each.kind) == (event.side, event.kind)]
+            nearest = min(same, key=lambda each: abs(each.time_s - event.time_s), default=None)
+            if nearest is not None and abs(nearest.time_s - event.time_s) < half_step_s:
+                each = EventDisagreement(nearest, event)
+                found[nearest] = min(found.get(nearest, each), each, key=lambda pair: abs(pair.delay_s))
+            elif events is recorded or not any(_is_within(event, each) for each in contacts):
+                added.append(event)
+        kept += added
+        disagreements += found.values()
+    large = [each for each in disagreements if abs(each.delay_s) > MAX_EVENT_DISAGREEMENT_S or is_file_event_wrong(each)]
+    return tuple(sorted(kept, key=lambda event: event.time_s)), tuple(sorted(large, key=lambda each: each.event.time_s))
+
+
+def compute_half_step(events: Sequence[GaitEvent]) -> float:
+    """Return half the duration of a step in seconds: a quarter of the median time between strikes of one foot by one source."""
+    strides_s: list[float] = []
+    for group in {(event.side, event.source) for event in events}:
+        times = [event.time_s for event in events if (event.side, event.source) == group and event.kind == "foot strike"]
+        strides_s += list(np.diff(sorted(times)))
+    return 0.25 * (float(np.median(strides_s)) if strides_s else USUAL_STRIDE_S)
+
+
+def is_file_event_wrong(disagreement: EventDisagreement) -> bool:
+    """Return whether a force plate shows that an event of the file is at another time."""
+    event, other = disagreement
+    return (event.source, other.source) == (PLATE_SOURCE, FILE_SOURCE) and abs(disagreement.delay_s) > MAX_FILE_EVENT_ERROR_S
 
 
 def align_contacts_with_plates(contacts: BodyContacts, plate_contacts: Sequence[PlateContact]) -> BodyContacts:
@@ -91,11 +131,6 @@ def align_contacts_with_plates(contacts: BodyContacts, plate_contacts: Sequence[
 def _clear_run(is_contact: Bool[np.ndarray, " T"]) -> None:
     """Set the values of the run at the beginning to False, in place."""
     is_contact[: int(np.argmin(is_contact)) if not is_contact.all() else len(is_contact)] = False
-
-
-def _is_same(event: GaitEvent, other: GaitEvent) -> bool:
-    is_near = abs(event.time_s - other.time_s) < MAX_EVENT_DISTANCE_S
-    return is_near and (event.side, event.kind) == (other.side, other.kind)
 
 
 def _is_within(event: GaitEvent, contact: PlateContact) -> bool:
@@ -122,7 +157,7 @@ def _find_points_on_plate(points: FootPoints, plate: ForcePlate) -> Bool[np.ndar
     corners = plate.corners[:, [0, 2]]
     edges = np.roll(corners, -1, axis=0) - corners
     inside: list[Bool[np.ndarray, " T"]] = []
-    for path in points:
+    for path in points.paths:
         offsets = path[:, None, [0, 2]] - corners
         cross = edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0]
         inside.append(np.all(cross >= 0, axis=1) | np.all(cross <= 0, axis=1))

@@ -42,7 +42,7 @@ class GaitEventEntry(TypedDict):
 
     time_s  seconds after the first frame
     frame   the same in the file's own frame numbers, with a fraction
-    source  "markers", "joints" of an animation, or "force plate"
+    source  "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
     """
 
     side: str
@@ -50,6 +50,13 @@ class GaitEventEntry(TypedDict):
     time_s: float
     frame: float
     source: str
+
+
+class EventDisagreementEntry(GaitEventEntry):
+    """An event of gait, and how much later (ms) another source, which counts less, gives it."""
+
+    other_source: str
+    delay_ms: float
 
 
 class GaitEntry(TypedDict):
@@ -78,3 +85,4 @@ class ContactSection(TypedDict):
     feet: HeldFeetEntry
     gait: GaitEntry
     events: list[GaitEventEntry]
+    event_disagreements: list[EventDisagreementEntry]

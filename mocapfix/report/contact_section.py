@@ -7,7 +7,7 @@ import numpy as np
 
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
 from mocapfix.files.option_choices import FEET_OFF
-from mocapfix.report.contact_entries import ContactSection, GaitEntry, JointContactEntry
+from mocapfix.report.contact_entries import ContactSection, GaitEntry, GaitEventEntry, JointContactEntry
 from mocapfix.report.terms import PointTerms, join_words
 from mocapfix.take import Take
 
@@ -15,6 +15,7 @@ STEP_TIME_RANGE_S = (0.2, 1.2)
 """Time between the strikes of the two feet that make a step; a longer one is a pause."""
 MIN_CADENCE_STEPS = 4
 """Steps from which a cadence is computed."""
+SOURCE_NAMES = {"force plate": "its force plate", "file": "the file", "markers": "the markers"}
 MAX_FLOOR_ERROR_M = 0.03
 """Difference between the floor's height and the one that motion files assume above which a note names it."""
 
@@ -36,16 +37,25 @@ def build_contact_section(contacts: BodyContacts, take: Take) -> ContactSection:
             "largest_displacement_mm": round(contacts.held_feet.largest_displacement_m * 1e3, 2),
         },
         "gait": build_gait_entry(contacts.events),
-        "events": [
+        "events": [_build_event_entry(event, contacts.rate, take) for event in contacts.events],
+        "event_disagreements": [
             {
-                "side": event.side,
-                "event": event.kind,
-                "time_s": round(float(event.time_s), 4),
-                "frame": round(float(take.first_frame + event.time_s * contacts.rate), 2),
-                "source": event.source,
+                **_build_event_entry(each.event, contacts.rate, take),
+                "other_source": each.other.source,
+                "delay_ms": round(1e3 * float(each.delay_s), 1),
             }
-            for event in contacts.events
+            for each in contacts.event_disagreements
         ],
+    }
+
+
+def _build_event_entry(event: GaitEvent, rate: float, take: Take) -> GaitEventEntry:
+    return {
+        "side": event.side,
+        "event": event.kind,
+        "time_s": round(float(event.time_s), 4),
+        "frame": round(float(take.first_frame + event.time_s * rate), 2),
+        "source": event.source,
     }
 
 
@@ -101,7 +111,7 @@ def describe_contacts(contacts: BodyContacts, requested_mode: str, floor_height_
     if len(floor.level_heights_m) > 1:
         heights = join_words([f"{height:.2f}" for height in floor.level_heights_m])
         notes.append(f"The feet stand on {len(floor.level_heights_m)} levels, at heights of {heights} m, such as steps or boxes.")
-    return notes + _describe_inferred_contacts(contacts, terms)
+    return notes + _describe_inferred_contacts(contacts, terms) + _describe_event_disagreements(contacts)
 
 
 def _describe_inferred_contacts(contacts: BodyContacts, terms: PointTerms) -> list[str]:
@@ -113,3 +123,17 @@ def _describe_inferred_contacts(contacts: BodyContacts, terms: PointTerms) -> li
         return []
     what = "1 contact of a heel or a ball of a foot is" if count == 1 else f"{count} contacts of heels and balls of feet are"
     return [f"{what} partly inferred: for {seconds:.1f} s in all, too few {terms.points} show the foot."]
+
+
+def _describe_event_disagreements(contacts: BodyContacts) -> list[str]:
+    """Return a note on the events of which two sources give different times; no note without any."""
+    if not contacts.event_disagreements:
+        return []
+    (side, kind, time_s, source), other = max(contacts.event_disagreements, key=lambda each: abs(each.delay_s))
+    delay_ms, count = 1e3 * (other.time_s - time_s), len(contacts.event_disagreements)
+    more = f" (and {count - 1} more in the report)" if count > 1 else ""
+    when = f"{abs(delay_ms):.0f} ms {'later' if delay_ms > 0 else 'earlier'} by {SOURCE_NAMES.get(other.source, other.source)}"
+    return [
+        f"The {side} {kind} at {time_s:.3f} s by {SOURCE_NAMES.get(source, source)} is {when}{more}; "
+        "force plates count before the file, and the file before markers."
+    ]

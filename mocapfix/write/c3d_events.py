@@ -1,34 +1,97 @@
-"""Add events of gait to the EVENT group of a C3D file (C3D User Guide, "The EVENT Group"); all else keeps its bytes."""
+"""Read events of gait from the header and the EVENT group of a C3D file, and add them to the group; all else keeps its bytes.
 
+C3D User Guide, "The EVENT Group" and "The Header Section". A label names foot and kind by words ("Foot Strike" with the context
+"Left") or by initials ("LHS", "RTO").
+"""
+
+import re
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.contacts.contacts import FILE_SOURCE, PLATE_SOURCE, GaitEvent
+from mocapfix.contacts.plate_contacts import MAX_FILE_EVENT_ERROR_S
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.write.c3d_head import BYTE_TYPE, FLOAT_TYPE, WORD_TYPE, C3dHead, NumberParameter
 
 EVENT_GROUP = "EVENT"
 MAX_EVENTS = 255
 """Events that one parameter can hold."""
-MAX_REPEATED_EVENT_S = 0.1
-"""Time from an event of the file up to which a detected one of the same foot and kind is the same."""
+MAX_REPEATED_EVENT_S = 0.25
+"""Time from an event of the file up to which another of the same foot and kind is the same: half a step in walking."""
 LABELS = {"foot strike": "Foot Strike", "foot off": "Foot Off"}
 ICONS = {"foot strike": 1, "foot off": 2}
 EVENT_TIME_UNIT_S = 60.0
 """The unit of the first of the two numbers of a time: a minute."""
+SIDE_PATTERN = re.compile(
+    r"^(L(?:EFT)?|R(?:IGHT)?)(?=[ _.-]|HS|TO$|FS|FO$|IC|ON$|OFF$|HEEL|TOE|FOOT|INITIAL)[ _.-]*|[ _.-]+(LEFT|RIGHT|L|R)$"
+)
+KIND_PATTERNS = {
+    "foot strike": re.compile(r"^((FOOT|HEEL|TOE)[ _.-]*(STRIKE|CONTACT|ON|DOWN)|INITIAL[ _.-]*CONTACT|HS|FS|FC|IC|ON)$"),
+    "foot off": re.compile(r"^((FOOT|TOE)[ _.-]*(OFF|UP)|TO|FO|OFF)$"),
+}
+"""words and initials of laboratories' programs"""
+HEADER_EVENT_COUNT, HEADER_EVENT_TIMES, HEADER_EVENT_LABELS = 300, 304, 396
+"""offsets of the number of events in the header, of their times, and of their labels"""
+MAX_HEADER_EVENTS, HEADER_LABEL_BYTES = 18, 4
 
 
 class FileEvent(NamedTuple):
-    """An event as a file has it; the time in seconds from the file's frame 1."""
+    """An event as a file has it; the time from the file's frame 1 is the sum of minutes and seconds."""
 
     label: str
     context: str
     description: str
     subject: str
-    time_s: float
+    minutes: float
+    seconds: float
     icon: float = 0
     flag: float = 0
+
+    @property
+    def time_s(self) -> float:
+        """Seconds from the file's frame 1."""
+        return EVENT_TIME_UNIT_S * self.minutes + self.seconds
+
+    @property
+    def foot_and_kind(self) -> tuple[str, str] | None:
+        """The side ("left", "right") and the kind ("foot strike", "foot off"); None for other events."""
+        label, context = self.label.strip().upper(), self.context.strip().upper()
+        found = SIDE_PATTERN.search(label)
+        side = context if context in ("LEFT", "RIGHT") else (found[1] or found[2] if found else "")
+        word = SIDE_PATTERN.sub("", label)
+        kind = next((kind for kind, pattern in KIND_PATTERNS.items() if pattern.match(word) or pattern.match(label)), None)
+        return ("left" if side.startswith("L") else "right", kind) if side and kind else None
+
+    def is_of(self, subject: str) -> bool:
+        """Return whether the event may be of a person, by name; names that are missing fit everybody."""
+        return not subject or not self.subject.strip() or subject.upper() == self.subject.strip().upper()
+
+
+def read_gait_events(
+    head_data: bytes, subject: str, first_frame_and_rate: tuple[int, float], last_s: float
+) -> tuple[GaitEvent, ...]:
+    """Return the events of gait of one person that a C3D file has, by time; those of its header if it has no other.
+
+    Args:
+        head_data: The bytes of the file before its data.
+        subject: The person's name, "" for any.
+        first_frame_and_rate: The file's number of its first frame, and its frames per second.
+        last_s: Time of the last frame after the first, in seconds; later events are of another part of the recording.
+    """
+    head, (first_frame, rate) = C3dHead(head_data), first_frame_and_rate
+    try:
+        found = read_c3d_events(head) or read_header_events(head)
+    except (struct.error, IndexError, ValueError):  # of damaged parameters, which the reader of markers has accepted
+        return ()
+    start_s = (first_frame - 1) / rate
+    events = [
+        GaitEvent(*event.foot_and_kind, event.time_s - start_s, FILE_SOURCE)
+        for event in found
+        if event.foot_and_kind is not None and event.is_of(subject)
+    ]
+    return tuple(sorted((event for event in events if 0 <= event.time_s <= last_s + 1 / rate), key=lambda event: event.time_s))
 
 
 def add_c3d_events(
@@ -36,7 +99,8 @@ def add_c3d_events(
 ) -> int:
     """Add events of gait to the C3D file `target`, and return how many.
 
-    An event that the file has already is not added. The time in a file begins at its frame 1, wherever its first frame is.
+    An event that the EVENT group has already is not added; one that is wrong by a force plate gets the plate's time, and its
+    description the time that it had. The time in a file begins at its frame 1, wherever its first frame is.
 
     Args:
         target: The file.
@@ -51,45 +115,61 @@ def add_c3d_events(
     data = target.read_bytes()
     head = C3dHead(data[:data_start_byte])
     known = read_c3d_events(head)
-    start_s = (first_frame - 1) / rate
-    detected = [_convert_event(event, subject, start_s) for subject, events in events_by_subject.items() for event in events]
-    added = [event for event in detected if not any(_is_repeated(event, other) for other in known)][: MAX_EVENTS - len(known)]
-    if added:
+    events, start_s, names = list(known), (first_frame - 1) / rate, {event.subject for event in known if event.subject.strip()}
+    only_name = names.pop() if len(names) == 1 else ""
+    for subject, event in ((subject, event) for subject, events_of in events_by_subject.items() for event in events_of):
+        time_s = event.time_s + start_s
+        same = [k for k, other in enumerate(known) if other.foot_and_kind == (event.side, event.kind) and other.is_of(subject)]
+        nearest = min(same, key=lambda k: abs(known[k].time_s - time_s), default=None)
+        if nearest is None or abs(known[nearest].time_s - time_s) > MAX_REPEATED_EVENT_S:
+            events.append(_convert_event(event, subject or only_name, time_s))
+        elif event.source == PLATE_SOURCE and abs(known[nearest].time_s - time_s) > MAX_FILE_EVENT_ERROR_S:
+            events[nearest] = _move_event(known[nearest], time_s)
+    if events != known:
         with replace_atomically(target) as part:
-            part.write_bytes(_replace_events(head, [*known, *added]) + data[data_start_byte:])
-    return len(added)
+            part.write_bytes(_replace_events(head, events[: max(MAX_EVENTS, len(known))]) + data[data_start_byte:])
+    return min(len(events), max(MAX_EVENTS, len(known))) - len(known)
 
 
 def read_c3d_events(head: C3dHead) -> list[FileEvent]:
-    """Return the events of a file."""
+    """Return the events of a file's EVENT group."""
     labels = head.read_texts(EVENT_GROUP, "LABELS")
     texts = {name: head.read_texts(EVENT_GROUP, name) for name in ("CONTEXTS", "DESCRIPTIONS", "SUBJECTS")}
-    numbers = {name: head.read_numbers(EVENT_GROUP, name) for name in ("TIMES", "ICON_IDS", "GENERIC_FLAGS")}
-    count = min(len(labels), len(numbers["TIMES"]) // 2)
+    numbers = {name: head.read_numbers(EVENT_GROUP, name) for name in ("USED", "TIMES", "ICON_IDS", "GENERIC_FLAGS")}
+    count = min(len(labels), len(numbers["TIMES"]) // 2, *(int(used) for used in numbers["USED"][:1]))
     contexts, descriptions, subjects = ((each + [""] * count)[:count] for each in texts.values())
     icons, flags = ((numbers[name] + [0.0] * count)[:count] for name in ("ICON_IDS", "GENERIC_FLAGS"))
-    times = [EVENT_TIME_UNIT_S * numbers["TIMES"][2 * k] + numbers["TIMES"][2 * k + 1] for k in range(count)]
-    return [FileEvent(*each) for each in zip(labels[:count], contexts, descriptions, subjects, times, icons, flags, strict=True)]
+    minutes, seconds = numbers["TIMES"][: 2 * count : 2], numbers["TIMES"][1 : 2 * count : 2]
+    columns = (labels[:count], contexts, descriptions, subjects, minutes, seconds, icons, flags)
+    return [FileEvent(*each) for each in zip(*columns, strict=True)]
 
 
-def _convert_event(event: GaitEvent, subject: str, start_s: float) -> FileEvent:
-    source = "force plate" if "plate" in event.source else "markers"
-    icon = ICONS[event.kind]
-    return FileEvent(
-        LABELS[event.kind], event.side.capitalize(), f"detected from {source}", subject, event.time_s + start_s, icon
-    )
+def read_header_events(head: C3dHead) -> list[FileEvent]:
+    """Return the events in the header of a file."""
+    count = min(head.read_word(HEADER_EVENT_COUNT), MAX_HEADER_EVENTS)
+    times_s = head.read_floats(HEADER_EVENT_TIMES, count)
+    starts = [HEADER_EVENT_LABELS + HEADER_LABEL_BYTES * k for k in range(count)]
+    labels = [head.data[start : start + HEADER_LABEL_BYTES].decode("ascii", "replace").strip(" \0") for start in starts]
+    return [FileEvent(label, "", "", "", 0.0, time_s) for label, time_s in zip(labels, times_s, strict=True)]
 
 
-def _is_repeated(event: FileEvent, other: FileEvent) -> bool:
-    is_same_kind = (event.label.upper(), event.context.upper()) == (other.label.upper(), other.context.upper())
-    is_same_subject = not event.subject or not other.subject.strip() or event.subject.upper() == other.subject.strip().upper()
-    return is_same_kind and is_same_subject and abs(event.time_s - other.time_s) < MAX_REPEATED_EVENT_S
+def _convert_event(event: GaitEvent, subject: str, time_s: float) -> FileEvent:
+    source = {PLATE_SOURCE: "detected from force plate", FILE_SOURCE: "from the header of the file"}
+    description = source.get(event.source, "detected from markers")
+    minutes, seconds = divmod(time_s, EVENT_TIME_UNIT_S)
+    return FileEvent(LABELS[event.kind], event.side.capitalize(), description, subject, minutes, seconds, ICONS[event.kind])
+
+
+def _move_event(event: FileEvent, time_s: float) -> FileEvent:
+    minutes, seconds = divmod(time_s, EVENT_TIME_UNIT_S)
+    description = f"detected from force plate; was at {event.time_s:.3f} s"
+    return event._replace(minutes=minutes, seconds=seconds, description=description)
 
 
 def _replace_events(head: C3dHead, events: Sequence[FileEvent]) -> bytes:
     """Return the bytes before the data with these events."""
     count = len(events)
-    times = [number for event in events for number in divmod(event.time_s, EVENT_TIME_UNIT_S)]
+    times = [number for event in events for number in (event.minutes, event.seconds)]
     return head.replace_parameters(
         EVENT_GROUP,
         {

@@ -47,6 +47,14 @@ class C3dHead:
         """All groups and parameters."""
         return read_parameter_records(self.data)
 
+    def read_word(self, offset: int) -> int:
+        """Return the unsigned word at an offset of the header."""
+        return struct.unpack_from(f"{self._get_byte_order()}H", self.data, offset)[0]
+
+    def read_floats(self, offset: int, count: int) -> tuple[float, ...]:
+        """Return numbers from an offset of the header on."""
+        return self._decode_numbers(self.data[offset : offset + FLOAT_TYPE * count], FLOAT_TYPE)
+
     def find_group(self, name: str) -> int | None:
         """Return the number of a group; None if there is none."""
         return next((-each.group for each in self.records if each.group < 0 and each.name == name), None)
@@ -54,10 +62,12 @@ class C3dHead:
     def read_texts(self, group: str, name: str) -> list[str]:
         """Return the texts of a parameter, without blanks at their ends; none if it is missing."""
         content = self._find_content(group, name)
-        if content is None or content[1] != 2:
+        if content is None or content[1] not in (1, 2):
             return []
-        width, count = content[2], content[3]
-        return [content[4 + k * width : 4 + (k + 1) * width].decode("utf-8", "replace").rstrip(" \0") for k in range(count)]
+        width, count, first = content[2], (content[3] if content[1] == 2 else 1), 2 + content[1]
+        return [
+            content[first + k * width : first + (k + 1) * width].decode("utf-8", "replace").rstrip(" \0") for k in range(count)
+        ]
 
     def read_numbers(self, group: str, name: str) -> list[float]:
         """Return the numbers of a parameter in the order of the file; none if it is missing."""

@@ -2,15 +2,19 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, PLATE_SOURCE, BodyContacts, GaitEvent
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FILE_SOURCE, PLATE_SOURCE, BodyContacts, GaitEvent
 from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.plate_contacts import (
     PlateContact,
     align_contacts_with_plates,
+    compute_half_step,
     find_plate_contacts,
-    replace_marker_events,
+    is_file_event_wrong,
+    merge_events,
 )
 from mocapfix.read.force_plates import ForcePlate
 from tests.contacts.walking_feet import make_path, walk
@@ -23,7 +27,7 @@ LEFT, RIGHT = walk()
 def make_feet() -> dict[str, FootPoints]:
     """Return the points of both walking feet."""
     toes = {"left": make_path(LEFT, SECONDS, RATE), "right": make_path(RIGHT, SECONDS, RATE)}
-    return {side: FootPoints(toe + [0.0, 0.0, -0.2], toe) for side, toe in toes.items()}
+    return {side: FootPoints(toe + [0.0, 0.0, -0.2], toe, np.ones((len(toe), 2), bool)) for side, toe in toes.items()}
 
 
 def make_plate(first_s: float, last_s: float, z: tuple[float, float], x: tuple[float, float] = (0.0, 0.4)) -> ForcePlate:
@@ -76,14 +80,51 @@ def test_events_of_plates_replace_those_of_markers():
         GaitEvent("left", "foot off", 1.58, "markers"),
         GaitEvent("left", "foot strike", 2.5, "markers"),
     ]
-    replaced = replace_marker_events(events, [PlateContact("left", 1.0, 1.6)])
+    replaced, disagreements = merge_events(events, [], [PlateContact("left", 1.0, 1.6)])
     assert [(event.side, event.kind, event.time_s, event.source) for event in replaced] == [
         ("left", "foot strike", 1.0, PLATE_SOURCE),
         ("right", "foot off", 1.2, "markers"),
         ("left", "foot off", 1.6, PLATE_SOURCE),
         ("left", "foot strike", 2.5, "markers"),
     ]
-    assert replace_marker_events(events, []) == tuple(events)
+    assert disagreements == ()
+    assert merge_events(events, [], []) == (tuple(events), ())
+
+
+def make_walk_events(source: str, delay_s: float = 0.0) -> list[GaitEvent]:
+    """Return strikes and offs of both feet, in strides of 1.1 s."""
+    steps = [("left", 0.5), ("right", 1.05), ("left", 1.6), ("right", 2.15), ("left", 2.7)]
+    events = [GaitEvent(side, "foot strike", start_s + delay_s, source) for side, start_s in steps]
+    return events + [GaitEvent(side, "foot off", start_s + 0.65 + delay_s, source) for side, start_s in steps]
+
+
+def list_times(events) -> list[tuple[str, str, float, str]]:
+    """Return events as tuples in order."""
+    return sorted((event.side, event.kind, round(event.time_s, 6), event.source) for event in events)
+
+
+@given(delay_s=st.floats(-0.25, 0.25).filter(lambda delay_s: abs(abs(delay_s) - 0.05) > 1e-6))
+def test_the_events_of_the_file_win_and_none_is_there_twice(delay_s):
+    recorded = make_walk_events(FILE_SOURCE)[:7]
+    events, disagreements = merge_events(make_walk_events("markers", delay_s), recorded, [])
+    assert len(events) == len(make_walk_events("markers"))
+    assert set(list_times(recorded)) <= set(list_times(events))
+    assert len(disagreements) == (len(recorded) if abs(delay_s) > 0.05 else 0)
+    assert all(each.delay_s == pytest.approx(delay_s) for each in disagreements)
+
+
+def test_a_plate_counts_before_the_file_and_tells_that_it_is_wrong():
+    recorded = [event._replace(time_s=event.time_s + 0.04) for event in make_walk_events(FILE_SOURCE)]
+    events, disagreements = merge_events(make_walk_events("markers"), recorded, [PlateContact("left", 1.6, 2.25)])
+    assert ("left", "foot strike", 1.6, PLATE_SOURCE) in list_times(events)
+    assert len(events) == len(recorded)
+    assert [(each.event.kind, each.other.source) for each in disagreements] == [("foot strike", "file"), ("foot off", "file")]
+    assert all(is_file_event_wrong(each) for each in disagreements)
+
+
+def test_half_a_step_follows_the_strides_and_is_that_of_walking_without_any():
+    assert compute_half_step(make_walk_events("markers")) == pytest.approx(1.1 / 4)
+    assert compute_half_step(make_walk_events("markers")[:2]) == 0.25
 
 
 def build_contacts(heel: slice, ball: slice) -> BodyContacts:

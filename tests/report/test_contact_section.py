@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import GaitEvent, build_no_contacts
+from mocapfix.contacts.contacts import EventDisagreement, GaitEvent, build_no_contacts
 from mocapfix.contacts.floor import NO_FLOOR, Floor
 from mocapfix.report.contact_section import build_contact_section, build_gait_entry, describe_contacts
 from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
@@ -80,6 +80,25 @@ def test_what_a_technician_must_know_of_the_floor_is_noted():
 def test_inferred_contacts_are_noted():
     assert describe(build_contacts()) == [
         "1 contact of a heel or a ball of a foot is partly inferred: for 0.1 s in all, too few markers show the foot."
+    ]
+
+
+def test_the_largest_disagreement_of_events_is_noted_and_all_are_in_the_section():
+    strike, off = GaitEvent("right", "foot strike", 1.823, "force plate"), GaitEvent("left", "foot off", 2.467, "file")
+    pairs = (
+        EventDisagreement(strike, strike._replace(time_s=1.883, source="file")),
+        EventDisagreement(off, off._replace(time_s=2.36, source="markers")),
+    )
+    contacts = replace(build_contacts(), is_known=np.ones_like(build_contacts().is_known), event_disagreements=pairs)
+    [note] = describe(contacts)
+    assert note == (
+        "The left foot off at 2.467 s by the file is 107 ms earlier by the markers (and 1 more in the report); "
+        "force plates count before the file, and the file before markers."
+    )
+    listed = build_contact_section(contacts, build_empty_take())["event_disagreements"]
+    assert [(each["source"], each["other_source"], each["delay_ms"]) for each in listed] == [
+        ("force plate", "file", 60.0),
+        ("file", "markers", -107.0),
     ]
 
 

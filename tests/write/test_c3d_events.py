@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import mocapfix
 from mocapfix.contacts.contacts import GaitEvent
 from mocapfix.options import ReadOptions
 from mocapfix.read.capture import read_take
-from mocapfix.write.c3d_events import MAX_EVENTS, add_c3d_events, read_c3d_events
+from mocapfix.write.c3d_events import MAX_EVENTS, FileEvent, add_c3d_events, read_c3d_events, read_gait_events, read_header_events
 from mocapfix.write.c3d_head import C3dHead
 from tests.c3d_files import ENCODINGS, c3d_bytes, get_layout
 
@@ -94,7 +95,7 @@ def test_adding_events_twice_changes_nothing(tmp_path):
     start = write(path, make_file())
     add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
     once, layout = path.read_bytes(), read_events(path)[1]
-    shifted = [event._replace(time_s=event.time_s + 0.03) for event in EVENTS]
+    shifted = [event._replace(time_s=event.time_s + 0.02) for event in EVENTS]
     assert add_c3d_events(path, layout.data_start_byte, {"": shifted}, 1, RATE) == 0
     assert path.read_bytes() == once
 
@@ -180,3 +181,139 @@ def test_captures_keep_their_events_and_all_else(tmp_path, name):
     assert found[:-1] == known
     assert path.read_bytes()[data_start:] == data[start:]
     np.testing.assert_array_equal(after.markers, take.markers)
+
+
+@pytest.mark.parametrize(
+    ("label", "context", "expected"),
+    [
+        ("Foot Strike", "Left", ("left", "foot strike")),
+        ("FOOT OFF", "RIGHT", ("right", "foot off")),
+        ("LHS", "", ("left", "foot strike")),
+        ("RTO", "", ("right", "foot off")),
+        ("R_HS", "", ("right", "foot strike")),
+        ("Left Toe Off", "", ("left", "foot off")),
+        ("L Initial Contact", "", ("left", "foot strike")),
+        ("Heel Strike R", "", ("right", "foot strike")),
+        ("LOFF", "", ("left", "foot off")),
+        ("TO", "Left", ("left", "foot off")),
+        ("Foot Strike", "General", None),
+        ("LMS", "", None),
+        ("Load", "Left", None),
+        ("Right turn", "", None),
+        ("STRT", "", None),
+    ],
+)
+def test_labels_of_laboratories_name_foot_and_kind(label, context, expected):
+    assert FileEvent(label, context, "", "", 0.0, 1.0).foot_and_kind == expected
+
+
+def write_events(path: Path, events, first: int = 1) -> int:
+    """Write a file that has events, and return where its data begin."""
+    start = write(path, make_file(first=first))
+    add_c3d_events(path, start, {"": events}, first, RATE)
+    return read_events(path)[1].data_start_byte
+
+
+def test_events_are_read_as_seconds_after_the_first_frame(tmp_path):
+    path = tmp_path / "cut.c3d"
+    start = write_events(path, EVENTS, first=121)
+    found = read_gait_events(path.read_bytes()[:start], "", (121, RATE), 10.0)
+    assert [event[:2] for event in found] == [event[:2] for event in EVENTS[:2]]  # the third is after the end of the take
+    assert [event.time_s for event in found] == pytest.approx([0.25, 0.5], abs=1e-5)
+    assert {event.source for event in found} == {"file"}
+    assert read_gait_events(path.read_bytes()[:start], "", (121 + 60, RATE), 10.0)[0].time_s == pytest.approx(0.0, abs=1e-5)
+
+
+def test_events_of_another_person_are_not_read(tmp_path):
+    path = tmp_path / "two.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, {"Ann": EVENTS[:1], "Bob": EVENTS[1:2]}, 1, RATE)
+    head = path.read_bytes()[: read_events(path)[1].data_start_byte]
+    assert [event.side for event in read_gait_events(head, "ann", (1, RATE), 10.0)] == ["left"]
+    assert len(read_gait_events(head, "", (1, RATE), 10.0)) == 2
+
+
+def test_parameters_without_events_leave_those_of_the_header():
+    head = bytearray(make_file()[:512] + bytes(512))
+    [event] = read_gait_events(bytes(head), "", (1, RATE), 10.0)  # of the header, where the parameters have none
+    assert (event.side, event.kind, event.time_s) == ("right", "foot strike", 0.5)
+    head[300:302] = bytes(2)
+    assert read_gait_events(bytes(head), "", (1, RATE), 10.0) == ()
+
+
+def test_an_event_within_half_a_step_is_not_added(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write_events(path, EVENTS[:1])
+    once = path.read_bytes()
+    for delay_s in (-0.2, 0.12, 0.2):
+        again = EVENTS[0]._replace(time_s=EVENTS[0].time_s + delay_s)
+        assert add_c3d_events(path, start, {"": [again]}, 1, RATE) == 0
+        assert path.read_bytes() == once
+
+
+def test_an_event_that_a_plate_contradicts_is_moved_and_tells_its_earlier_time(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write_events(path, EVENTS)
+    on_plate = GaitEvent("left", "foot strike", 0.31, "force plate")
+    assert add_c3d_events(path, start, {"": [on_plate]}, 1, RATE) == 0
+    found, layout = read_events(path)
+    assert len(found) == len(EVENTS)
+    assert found[0].time_s == pytest.approx(0.31, abs=1e-5)
+    assert found[0].description == "detected from force plate; was at 0.250 s"
+    assert [event.time_s for event in found[1:]] == pytest.approx([0.5, 61.5], abs=1e-4)
+    near = [GaitEvent("left", "foot strike", 0.33, "force plate")]
+    once = path.read_bytes()
+    assert add_c3d_events(path, layout.data_start_byte, {"": near}, 1, RATE) == 0
+    assert path.read_bytes() == once
+
+
+def test_new_events_have_the_only_name_that_the_others_have(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, {"Ann": EVENTS[:1]}, 1, RATE)
+    add_c3d_events(path, read_events(path)[1].data_start_byte, {"": EVENTS[1:]}, 1, RATE)
+    assert {event.subject for event in read_events(path)[0]} == {"Ann"}
+
+
+@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+def test_events_of_the_header_are_read_in_every_encoding():
+    for name in ("pc_int", "dec_real", "sgi_real"):
+        data = (CAPTURES / f"{name}.c3d").read_bytes()
+        events = read_header_events(C3dHead(data[: get_layout(read_take(CAPTURES / f"{name}.c3d")).data_start_byte]))
+        assert [event.label for event in events] == ["RHS", "STRT", "RMS", "LHS", "RTO", "LMS", "STOP", "LTO", "EOF"]
+        assert [event.time_s for event in events] == pytest.approx([0.38, 0.68, 0.72, 0.84, 0.92, 1.16, 1.2, 1.4, 1.76], abs=1e-4)
+        assert [event.foot_and_kind for event in events if event.foot_and_kind] == [
+            ("right", "foot strike"),
+            ("left", "foot strike"),
+            ("right", "foot off"),
+            ("left", "foot off"),
+        ]
+
+
+LEFT_STRIKE, LEFT_OFF = ("left", "foot strike"), ("left", "foot off")
+RIGHT_STRIKE, RIGHT_OFF = ("right", "foot strike"), ("right", "foot off")
+PLATE_EVENTS = {
+    "FMC_walk": {RIGHT_STRIKE: 0.691, LEFT_STRIKE: 1.204, RIGHT_OFF: 1.296, LEFT_OFF: 1.776},
+    "S4-AMGait05": {RIGHT_STRIKE: 0.247, LEFT_STRIKE: 0.788, RIGHT_OFF: 0.891, LEFT_OFF: 1.422},
+    "PiG_Motion-FlatFoot-Hole": {LEFT_STRIKE: 1.95, LEFT_OFF: 2.674},
+    "Qualisys": {LEFT_STRIKE: 0.0745, RIGHT_STRIKE: 0.538, LEFT_OFF: 0.617, RIGHT_OFF: 1.118},
+    "sub_labels": {RIGHT_STRIKE: 1.823, LEFT_OFF: 2.009, RIGHT_OFF: 2.692},
+}
+"""per capture, the seconds after the first frame at which the load of one foot passes 20 N, as ezc3d reads the plates"""
+
+
+@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@pytest.mark.parametrize("name", PLATE_EVENTS)
+def test_events_of_captures_are_within_two_frames_of_their_plates_and_none_is_there_twice(tmp_path, name):
+    result = mocapfix.clean(CAPTURES / f"{name}.c3d", write_events=True, feet="off")
+    result.write_source_copy(tmp_path / f"{name}.c3d")
+    take = read_take(tmp_path / f"{name}.c3d")
+    start_s = (take.first_frame - 1) / take.rate
+    found = read_c3d_events(C3dHead((tmp_path / f"{name}.c3d").read_bytes()[: get_layout(take).data_start_byte]))
+    times: dict[tuple[str, str], list[float]] = {}
+    for event in found:
+        assert event.foot_and_kind is not None
+        times.setdefault(event.foot_and_kind, []).append(event.time_s - start_s)
+    for foot_and_kind, time_s in PLATE_EVENTS[name].items():
+        assert min(abs(each - time_s) for each in times[foot_and_kind]) < 0.025
+    assert all(np.diff(sorted(each)).min(initial=np.inf) > 0.25 for each in times.values())
