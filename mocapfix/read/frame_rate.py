@@ -161,6 +161,11 @@ def find_frames(
             raise _build_step_error(build_row_error, times, int(decreasing[0]))
         if clock is not None:
             steps = steps + clock.omitted
+            if frame_numbers is not None and clock.omitted.any():
+                number = frame_numbers[int(np.argmax(clock.omitted > 0))]
+                notes.append(
+                    f"Times omit frames after number {number:.0f}, where numbers go on; frames are counted by the times."
+                )
     if steps.sum() + 1 > 2 * row_count:
         row = int(np.argmax(steps))
         if frame_numbers is None and times is not None:

@@ -29,7 +29,14 @@ from mocapfix.read.marker_table import (
     read_marker_table,
 )
 from mocapfix.read.point_types import is_unlabelled
-from mocapfix.read.table_cells import check_frame_count, find_nonblank_lines, parse_fields, parse_times, parse_unit_or_default
+from mocapfix.read.table_cells import (
+    check_decimal_commas,
+    check_frame_count,
+    find_nonblank_lines,
+    parse_fields,
+    parse_times,
+    parse_unit_or_default,
+)
 from mocapfix.take import Take
 
 MARKER_TYPE = "marker"  # type of a column with a measured marker, in lower case
@@ -80,6 +87,7 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     axes_index = find_names_line(document, "columns")
     columns = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
     line_indices = list(find_nonblank_lines(document, axes_index + 1, delimiter))
+    check_decimal_commas(document, line_indices, delimiter, len(document.split_cells(axes_index, delimiter)))
     unit_m, unit_notes = parse_unit_or_default(document, header_index, header.get("length units", ""), "m")
     rate = header.get("export frame rate") or header.get("capture frame rate", "")
     return read_marker_table(

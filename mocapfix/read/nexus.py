@@ -15,7 +15,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, find_xyz_triples, read_marker_table
-from mocapfix.read.table_cells import parse_unit
+from mocapfix.read.table_cells import check_decimal_commas, parse_unit
 from mocapfix.take import Take
 
 TRAJECTORY_SECTION = "trajectories"
@@ -61,6 +61,7 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     line_indices = _find_section_lines(document, axes_index + 1 + (units is not None), delimiter, sections)
     if not line_indices:
         raise document.build_error(axes_index, "no frames follow; export the trial again.")
+    check_decimal_commas(document, line_indices, delimiter, len(axes))
     unit = next((cell for cell in (units or [])[first_fields[0] :] if cell), "mm")
     rate = re.sub(r"[^\d.]+.*", "", document.split_cells(start + 1, delimiter)[0])
     return read_marker_table(

@@ -84,7 +84,7 @@ def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
             unit_m=QUALISYS_UNIT_M,
             rate_text=frequency.values[0],
             rate_line=frequency.line_index,
-            time_field=1 if first_field == 2 else None,
+            time_field=first_field - 1 if first_field > (frame_field is not None) else None,
             declared_frame_count=header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0],
         ),
         options,

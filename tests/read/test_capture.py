@@ -62,6 +62,39 @@ def test_any_line_ends_are_read(tmp_path, kind, end):
     assert capture.read_take(path).markers.shape == (4, 3, 3)
 
 
+TEXT_KINDS = [kind for kind in COMPLETE_FILES if kind not in ("C3D", "TRC in UTF-16")]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+@pytest.mark.parametrize("before", ["", "\r\n", "# exported by a program\r\n\r\n", "// by hand\r\n% twice\r\n"])
+@pytest.mark.parametrize("kind", TEXT_KINDS)
+def test_encodings_and_leading_comments_change_nothing(tmp_path, kind, before, encoding):
+    plain, path = COMPLETE_FILES[kind].decode(), tmp_path / "walk"
+    path.write_bytes(plain.encode())
+    expected = capture.read_take(path)
+    end = "\r\n" if "\r\n" in plain else "\n"
+    path.write_bytes((before.replace("\r\n", end) + plain).encode(encoding))
+    found = capture.read_take(path)
+    np.testing.assert_array_equal(found.markers, expected.markers)
+    assert (found.labels, found.rate, found.first_frame) == (expected.labels, expected.rate, expected.first_frame)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+@pytest.mark.parametrize("sign", [".", ","])
+def test_amc_and_asf_in_any_encoding(tmp_path, encoding, sign):
+    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09_01.amc").write_text(AMC)
+    expected = capture.read_capture(tmp_path / "09_01.amc")
+    (tmp_path / "09.asf").write_bytes(ASF.replace(".", sign).encode(encoding))
+    header, body = AMC.split("\n7\n")
+    (tmp_path / "09_01.amc").write_bytes((header + "\n7\n" + body.replace(".", sign)).encode(encoding))
+    found = capture.read_capture(tmp_path / "09_01.amc")
+    assert isinstance(found, Animation)
+    assert isinstance(expected, Animation)
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.offsets, expected.offsets)
+
+
 def test_missing_files_and_folders_are_refused(tmp_path):
     with pytest.raises(ReadError, match=r"none\.c3d: there is no such file"):
         capture.read_capture(tmp_path / "none.c3d")

@@ -136,6 +136,12 @@ def test_frame_numbers_may_omit_frames():
     assert found.row_frames.tolist() == [0, 1, 2, 4, 5]
 
 
+def test_times_count_where_frame_numbers_go_on():
+    found = find(np.delete(np.arange(50), [20, 21]) / 100, np.arange(5, 53))
+    assert (found.first_frame, found.frame_count) == (5, 50)
+    assert found.notes[0] == "Times omit frames after number 24, where numbers go on; frames are counted by the times."
+
+
 @pytest.mark.parametrize("numbers", [[1, 2, 2, 3], [3, 2, 1], [1, 2, 50], [1, 3, 5, 6]])
 def test_other_frame_numbers_are_refused(numbers):
     with pytest.raises(ReadError, match=r"row \d: frame \d+ follows frame \d; export the complete trial"):
