@@ -126,6 +126,8 @@ class BodyFit:
         detection: the detection whose inliers it was solved from; None for a body that is not solved again.
         evidence: what the solver needs to know of a solution to improve it.
         contacts: when the body's joints are in contact with the floor; None before they are found.
+        filling_motion: the motion from which lost markers are filled, if it is another: its standing feet are held also where
+            those of `motion` yield to visible markers.
     """
 
     subject: Subject
@@ -137,6 +139,7 @@ class BodyFit:
     detection: DetectionState | None = None
     evidence: PoseEvidence | None = None
     contacts: BodyContacts | None = None
+    filling_motion: Motion | None = None
 
     @property
     def solved_joint_positions(self) -> Float[np.ndarray, "T J 3"]:

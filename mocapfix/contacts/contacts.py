@@ -50,10 +50,12 @@ class HeldFeet(NamedTuple):
 
     mode                    "soft", "lock", or "off" if they are as they were solved
     largest_displacement_m  the farthest that a heel or a ball of a foot was moved
+    yielded_s               time for which a foot in contact was not held, since that would have moved visible markers
     """
 
     mode: str
     largest_displacement_m: float
+    yielded_s: float = 0.0
 
 
 NOT_HELD = HeldFeet(FEET_OFF, 0.0)

@@ -40,6 +40,11 @@ from mocapfix.take import Take
 MIN_PARTIAL_SWAP_DURATION_S = 0.1
 # Cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct.
 SWAPPED_COST_PER_S = 0.1
+# Smallest cost, in leaps, that an exchange saves.
+MIN_SWAP_GAIN = 0.7
+# Largest contradiction of exchanged samples, relative to that of the labels as they are, if no leap shows the exchange. In a rare
+# pose of several seconds neither fits: 0.76 to 0.96 were measured there for the two markers of a wrist.
+MAX_EXCHANGED_MISFIT = 0.6
 
 
 class LabelExchange(NamedTuple):
@@ -72,7 +77,11 @@ def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, dis
         extra_cost = state_cost[:, s] - state_cost[:, 0]
         for first, last in find_runs(state == s):
             inside = slice(first, last + 1)
-            gain = _compute_saved_step_cost(step_cost, state, first, last) - float(extra_cost[inside].sum())
+            leap_gain = _compute_saved_step_cost(step_cost, state, first, last)
+            misfit_share = float(state_cost[inside, s].sum()) / max(float(state_cost[inside, 0].sum()), 1e-9)
+            if leap_gain < MIN_SWAP_GAIN and misfit_share > MAX_EXCHANGED_MISFIT:
+                continue
+            gain = leap_gain - float(extra_cost[inside].sum())
             counter_evidence = float(extra_cost[state == 0].sum() - extra_cost[inside].sum())
             for cycle in find_permutation_cycles(states[s]):
                 exchanged = first + np.flatnonzero(visible[inside][:, cycle].any(1))
@@ -106,9 +115,6 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
 
 
 MAX_SWAP_PASSES = 5
-# Smallest cost, in leaps, that an exchange saves.
-MIN_SWAP_GAIN = 0.7
-
 # Largest contradiction of the other marker's distances, relative to that of the own ones.
 MAX_RELATIVE_CONTRADICTION = 0.85
 # Shortest stretch of contradictions that makes a candidate.

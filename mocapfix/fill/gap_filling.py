@@ -193,7 +193,8 @@ def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: Bod
     has_column = columns >= 0
     subject_take = take.select(columns, is_inlier)
     is_missing = ~is_inlier[:, columns] & has_column
-    filled, filled_sd = body_fill.fill_from_body(subject_take.markers, is_missing, body.extended_subject, body.motion, take.rate)
+    motion = body.filling_motion or body.motion
+    filled, filled_sd = body_fill.fill_from_body(subject_take.markers, is_missing, body.extended_subject, motion, take.rate)
     positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
     return build_marker_estimate(positions, sd, FillMethod.BODY)
 

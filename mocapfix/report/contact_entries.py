@@ -31,10 +31,12 @@ class JointContactEntry(TypedDict):
 
 
 class HeldFeetEntry(TypedDict):
-    """What was done to standing feet: the option --feet, and the farthest that a heel or a ball of a foot was moved."""
+    """What was done to standing feet: the option --feet, the farthest that a heel or a ball of a foot was moved, and for how long
+    a foot was not held, since that would have moved what visible markers show."""
 
     mode: str
     largest_displacement_mm: float
+    yielded_s: float
 
 
 class GaitEventEntry(TypedDict):

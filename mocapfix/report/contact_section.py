@@ -35,6 +35,7 @@ def build_contact_section(contacts: BodyContacts, take: Take) -> ContactSection:
         "feet": {
             "mode": contacts.held_feet.mode,
             "largest_displacement_mm": round(contacts.held_feet.largest_displacement_m * 1e3, 2),
+            "yielded_s": round(contacts.held_feet.yielded_s, 3),
         },
         "gait": build_gait_entry(contacts.events),
         "events": [_build_event_entry(event, contacts.rate, take) for event in contacts.events],

@@ -111,6 +111,9 @@ def describe_contact_section(section: ContactSection, terms: PointTerms) -> str:
     feet, solved = section["feet"], "in the file" if terms.point == "joint" else "solved"
     distance = format_number(feet["largest_displacement_mm"])
     sentences.append(FEET_TEXTS[feet["mode"]].format(solved=solved, distance=distance) + ".")
+    if feet["yielded_s"]:
+        seconds = format_number(feet["yielded_s"], 2)
+        sentences.append(f"For {seconds} s a foot was not held, since that would have moved what visible markers show.")
     if events := section["events"]:
         plate_count = sum(event["source"] == "force plate" for event in events)
         source = f", {plate_count:,} of them from force plates" if plate_count else ""

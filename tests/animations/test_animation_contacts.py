@@ -61,7 +61,7 @@ def test_contacts_are_those_of_the_body_and_the_file_is_unchanged(truth, path, t
     assert contacts["LeftFoot"] == [list(each) for each in found.list_intervals("LeftFoot")]  # the BVH keeps its rate
     report = get_section(result)
     assert report["floor"] is not None
-    assert report["feet"] == {"mode": "off", "largest_displacement_mm": 0.0}
+    assert report["feet"] == {"mode": "off", "largest_displacement_mm": 0.0, "yielded_s": 0.0}
     assert {event["source"] for event in report["events"]} == {"joints"}
     assert report["floor"]["height_m"] == pytest.approx(found.floor.height_m, abs=1e-4)
     with np.load(outputs["npz"]) as arrays:

@@ -42,11 +42,12 @@ def test_the_foot_truly_stands_while_it_is_hidden(truth):
 def test_a_hidden_foot_stays_where_it_stood(truth, results, mode):
     is_contact = np.ones((LOSS.last + 1 - LOSS.first, 2), bool)
     held, unheld = (get_feet(results[name].joint_position_world, truth) for name in (mode, "off"))
-    assert compute_slide(held, is_contact, truth.rate) < 0.5 * compute_slide(unheld, is_contact, truth.rate)
+    share = 0.75 if mode == "soft" else 0.5  # soft yields to the markers of the shin, which are visible
+    assert compute_slide(held, is_contact, truth.rate) < share * compute_slide(unheld, is_contact, truth.rate)
     true = get_feet(truth.joint_positions, truth)
-    assert np.linalg.norm(held - true, axis=-1).mean() <= np.linalg.norm(unheld - true, axis=-1).mean() + 0.001
+    assert np.linalg.norm(held - true, axis=-1).mean() <= np.linalg.norm(unheld - true, axis=-1).mean() - 0.001
     if mode == "lock":
-        assert compute_drift(held, is_contact) < 1.5
+        assert compute_drift(held, is_contact) < 2.0  # the thigh moves by 2 mm at most
 
 
 def test_filled_markers_follow_the_held_foot(truth, results):

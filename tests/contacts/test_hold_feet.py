@@ -8,7 +8,14 @@ import pytest
 from mocapfix import synthetic
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
-from mocapfix.contacts.hold_feet import LEG_JOINTS, hold_feet, solve_legs
+from mocapfix.contacts.hold_feet import (
+    LEG_JOINTS,
+    MAX_ROOT_DISPLACEMENT_M,
+    build_foot_targets,
+    displace_feet,
+    hold_feet,
+    solve_legs,
+)
 from mocapfix.motion import Motion
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -96,8 +103,20 @@ def test_legs_reach_targets_exactly():
     frames = TAKE.motion.select_frames(np.arange(0, 100, 10))
     before = TAKE.joint_positions[::10][:10]
     target = before[:, FEET] + [0.004, 0.0, -0.003]
-    root, local = solve_legs(SKELETON, frames, FEET, target)
+    root, local = solve_legs(SKELETON, frames, build_foot_targets(FEET, target))
     after = kinematics.compute_joint_and_marker_positions(
         TAKE.subject, replace(frames, root_position=root, local_rotations=local)
     )[0]
     np.testing.assert_allclose(after[:, FEET], target, atol=0.0003)
+
+
+def test_a_place_out_of_reach_moves_the_body_no_farther_than_the_limit():
+    frames = TAKE.motion.select_frames(np.arange(0, 100, 10))
+    before = TAKE.joint_positions[::10][:10]
+    displacement = np.zeros((10, len(FEET), 3))
+    displacement[:, :2] = [0.1, -0.15, 0.1]
+    after = compute_joints(displace_feet(SKELETON, frames, before, displacement))
+    legs = [SKELETON.find_joint(joint) for joint in (*LEG_JOINTS, "LeftToeBase", "RightToeBase")]
+    others = np.setdiff1d(np.arange(len(SKELETON.names)), legs)
+    assert np.linalg.norm(after - before, axis=-1)[:, others].max() <= MAX_ROOT_DISPLACEMENT_M + 1e-6
+    assert np.linalg.norm(after - before, axis=-1)[:, FEET[:2]].min() > 0.01

@@ -32,7 +32,7 @@ def test_section_is_json_with_the_files_frame_numbers():
     assert section["events"] == [
         {"side": "left", "event": "foot strike", "time_s": 4.005, "frame": 501.5, "source": "force plate"}
     ]
-    assert section["feet"] == {"mode": "soft", "largest_displacement_mm": 3.4}
+    assert section["feet"] == {"mode": "soft", "largest_displacement_mm": 3.4, "yielded_s": 0.0}
     assert section["floor"] == {"height_m": 0.002, "tilt_deg": 0.0, "level_heights_m": [0.002]}
 
 

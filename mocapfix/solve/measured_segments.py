@@ -1,0 +1,83 @@
+"""What is measured is not moved by what is inferred: the rule by which an inferred term yields to visible markers.
+
+A term that is inferred, such as the contact of a foot, may increase the mean distance of a segment's visible markers from where
+the body places them by at most MAX_RESIDUAL_GROWTH_M in any window of RESIDUAL_WINDOW_S, compared with the body without the term.
+Where it does more, only a share of what it does is kept. Distances are convex in that share, so that a share of the growth is at
+least as good as the same share of the displacement. The share changes slowly, so that nothing jumps.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+MAX_RESIDUAL_GROWTH_M = 0.002
+"""Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
+AIMED_GROWTH_SHARE = 0.9
+"""Share of that growth to which a term is reduced, so that other windows of about the same length keep the limit too."""
+RESIDUAL_WINDOW_S = 0.1
+"""Time over which distances are averaged: noise cancels, and a strike does not."""
+SHARE_SMOOTHING_S = 0.08
+"""Standard deviation of the kernel that smooths a share: a displacement of 60 mm then changes by at most 2.3 m/s^2."""
+SHARE_REACH_SD = 3.0
+"""Half the length of that kernel, in standard deviations."""
+
+
+def measure_residual_growth(
+    joints: Int[np.ndarray, " K"],
+    markers: Float[np.ndarray, "T K 3"],
+    before: Float[np.ndarray, "T K 3"],
+    after: Float[np.ndarray, "T K 3"],
+    rate: float,
+) -> dict[int, Float[np.ndarray, " W"]]:
+    """Return by how much the mean distance of each segment's visible markers grows in each window of RESIDUAL_WINDOW_S.
+
+    Args:
+        joints: The joint that carries each marker.
+        markers: Measured positions in metres, NaN if not visible or faulty.
+        before: Where the body without the inferred term places the markers, in metres.
+        after: The same with the term.
+        rate: Frames per second.
+
+    Returns:
+        By joint, the growth in metres of each window of w frames that begins at frames 0 to T - w; 0 in windows without markers.
+    """
+    growth = np.linalg.norm(markers - after, axis=-1) - np.linalg.norm(markers - before, axis=-1)
+    length = min(get_window_length(rate), len(growth))
+    by_joint: dict[int, Float[np.ndarray, " W"]] = {}
+    for joint in np.unique(joints).tolist():
+        of_segment = growth[:, joints == joint]
+        is_seen = ~np.isnan(of_segment)
+        total, count = (np.r_[0.0, np.cumsum(each.sum(1))] for each in (np.where(is_seen, of_segment, 0.0), is_seen))
+        by_joint[joint] = (total[length:] - total[:-length]) / np.maximum(count[length:] - count[:-length], 1)
+    return by_joint
+
+
+def get_window_length(rate: float) -> int:
+    """Return the frames of a window of RESIDUAL_WINDOW_S."""
+    return max(1, round(RESIDUAL_WINDOW_S * rate))
+
+
+def find_excess_windows(growth: Float[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
+    """Return the windows in which the growth in metres exceeds the limit."""
+    return growth > MAX_RESIDUAL_GROWTH_M
+
+
+def compute_allowed_share(growth: Float[np.ndarray, " W"], frame_count: int) -> Float[np.ndarray, " T"]:
+    """Return the share of an inferred displacement that may be kept in each frame: 1 where no window exceeds the limit.
+
+    Args:
+        growth: The growth in metres of each window of consecutive frames, as from `measure_residual_growth`.
+        frame_count: T; windows have T + 1 - W frames.
+    """
+    excess = np.where(find_excess_windows(growth), growth / (AIMED_GROWTH_SHARE * MAX_RESIDUAL_GROWTH_M), 1.0)
+    length = frame_count + 1 - len(growth)
+    share = np.pad(1 / excess, (length - 1, length - 1), constant_values=1.0)
+    return np.lib.stride_tricks.sliding_window_view(share, length).min(1)
+
+
+def smooth_share(share: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarray, " T"]:
+    """Return a share that changes slowly and is nowhere above the given one."""
+    sd = max(SHARE_SMOOTHING_S * rate, 1e-3)
+    reach = int(SHARE_REACH_SD * sd + 0.5)
+    least = minimum_filter1d(share, 2 * reach + 1, mode="nearest")
+    return gaussian_filter1d(least, sd, mode="nearest", radius=reach)

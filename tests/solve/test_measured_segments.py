@@ -1,0 +1,81 @@
+"""What an inferred term may do to segments in sight: growth in windows, the share that is kept, and bodies with lost limbs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocapfix import synthetic
+from mocapfix.contacts.body_contacts import LEGS, hold_measured_feet, move_body
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.floor import NO_FLOOR
+from mocapfix.contacts.hold_feet import compute_held_displacements, displace_feet
+from mocapfix.solve.measured_segments import (
+    MAX_RESIDUAL_GROWTH_M,
+    compute_allowed_share,
+    get_window_length,
+    measure_residual_growth,
+    smooth_share,
+)
+from mocapfix.state import BodyFit
+
+RATE = 120.0
+TAKE = synthetic.compose_take(seed=3, seconds=3.0, rate=RATE)
+NAMES = TAKE.subject.skeleton.names
+FRAMES = TAKE.motion.frame_count
+
+
+def test_growth_is_the_change_of_the_mean_distance_in_each_window():
+    markers, before = np.zeros((30, 2, 3)), np.zeros((30, 2, 3))
+    before[..., 0] = 0.01
+    after = before.copy()
+    after[10:, 0, 0] = 0.016
+    markers[:, 1] = np.nan
+    growth = measure_residual_growth(np.array([4, 4]), markers, before, after, 60.0)[4]
+    assert len(growth) == 30 + 1 - get_window_length(60.0)
+    np.testing.assert_allclose(growth[[0, 4, 7, 10]], [0.0, 0.0, 0.003, 0.006], atol=1e-12)
+
+
+@given(st.lists(st.floats(-0.01, 0.05), min_size=20, max_size=60), st.integers(1, 12))
+def test_a_kept_share_brings_every_window_within_the_limit(frame_growth, length):
+    growth = np.abs(np.array(frame_growth))
+    windows = np.convolve(growth, np.full(length, 1 / length), "valid")
+    share = smooth_share(compute_allowed_share(windows, len(growth)), RATE)
+    kept = np.convolve(share * growth, np.full(length, 1 / length), "valid")
+    assert kept.max() <= MAX_RESIDUAL_GROWTH_M + 1e-12
+    assert ((share >= 0) & (share <= 1)).all()
+
+
+def test_what_is_within_the_limit_is_kept_whole():
+    np.testing.assert_array_equal(compute_allowed_share(np.full(20, MAX_RESIDUAL_GROWTH_M), 31), np.ones(31))
+
+
+@pytest.mark.parametrize("is_locked", [False, True])
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
+    """Random legs are lost for random times and said to stand, rightly or wrongly; markers have errors of 5 mm."""
+    rng = np.random.default_rng(seed)
+    markers = TAKE.marker_positions + 0.005 * rng.standard_normal(TAKE.marker_positions.shape[1:])
+    is_contact, is_known = np.zeros((FRAMES, len(CONTACT_JOINTS)), bool), np.ones((FRAMES, len(CONTACT_JOINTS)), bool)
+    for foot, chain in enumerate(LEGS):
+        first, length = rng.integers(20, FRAMES - 220), rng.integers(30, 200)
+        lost = slice(first, first + length)
+        columns = np.flatnonzero(np.isin(TAKE.subject.joints, [NAMES.index(joint) for joint in chain[rng.integers(0, 3) :]]))
+        markers[lost, columns] = np.nan
+        is_contact[first - 15 : first + length + 15, 2 * foot : 2 * foot + 2] = True
+        is_known[lost, 2 * foot : 2 * foot + 2] = False
+    contacts = BodyContacts(CONTACT_JOINTS, is_contact, is_known, NO_FLOOR, RATE)
+    columns = np.arange(len(TAKE.subject.joints))
+    body_markers = TAKE.marker_positions
+    body = BodyFit(TAKE.subject, TAKE.subject, TAKE.motion, columns, TAKE.joint_positions, body_markers)
+    body = move_body(body, TAKE.motion)
+    held = hold_measured_feet(body, markers, contacts, is_locked=is_locked).body
+    displacement = compute_held_displacements(TAKE.subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)
+    in_full = move_body(body, displace_feet(TAKE.subject.skeleton, body.motion, body.joint_positions, displacement))
+    assert np.linalg.norm(in_full.joint_positions - body.joint_positions, axis=-1).max() > 0.001
+    growth = measure_residual_growth(TAKE.subject.joints, markers, body.marker_positions, held.marker_positions, RATE)
+    locked = {joint for chain in LEGS for joint in chain[1:]} if is_locked else set[str]()
+    for joint, windows in growth.items():
+        if NAMES[joint] not in locked:
+            assert windows.max() <= MAX_RESIDUAL_GROWTH_M, NAMES[joint]
