@@ -21,7 +21,7 @@ class OutputOptions(StageOptions):
     )  # fmt: skip
     output_rate_hz: float | None = define_option(
         None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
-        default_text="that of the take", above=0.0, at_most=1000.0,
+        default_text="that of the take", at_least=5.0, at_most=1000.0,
     )  # fmt: skip
     floor_height_m: float = define_option(
         0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",

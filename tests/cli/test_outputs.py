@@ -39,7 +39,7 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
         (("--key-reduce", "0"), "--key-reduce must be greater than 0 degrees"),
         (("--bvh-for", "maya"), "There is no rig 'maya'; choose one of 3dsmax, blender, cmu, motionbuilder"),
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
-        (("--fps", "0"), "--fps must be greater than 0 Hz and at most 1000 Hz, not 0"),
+        (("--fps", "1"), "--fps must be at least 5 Hz and at most 1000 Hz, not 1"),
     ],
 )
 def test_unknown_output_is_wrong_usage(mocapfix, brief, tmp_path, requested, message):
