@@ -58,8 +58,9 @@ MAX_STRIKE_SPEED_SHARE = 0.2
 """Speed of a point at its strike: at most the first, or this share of its swing. The toes of a sprinter land at 3 of 20 m/s."""
 MIN_STRIKE_ACCELERATION_M_S2 = 3.0
 """Vertical acceleration below which there was no impact, or smoothing of the markers has removed it."""
-STRIKE_PEAK_SHARE, OFF_PEAK_SHARE = 0.95, 0.9
-"""Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak."""
+PEAK_SHARE = 0.93
+"""Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak. Against 21 strikes
+and 20 offs on plates the medians are -3 and +2 ms; from 0.9 to 0.98 they grow by 6 and 8 ms, standard deviations of 9 ms by 1."""
 MIN_FRAMES = 30
 """Frames below which no acceleration is computed."""
 
@@ -201,7 +202,7 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
     peaks = start + find_peaks(signal[start : stop + 1])[0]
     peaks = peaks[is_down[peaks] & (signal[peaks] >= MIN_STRIKE_ACCELERATION_M_S2)]
     if len(peaks):
-        return find_rise(signal, int(peaks[signal[peaks].argmax()]), STRIKE_PEAK_SHARE) / rate
+        return find_rise(signal, int(peaks[signal[peaks].argmax()])) / rate
     stops = start + np.flatnonzero((is_low & (speed < STANDING_POINT_SPEED_M_S))[start : last + 1])
     if not len(stops):
         return np.nan
@@ -215,12 +216,12 @@ def find_off(toe_acceleration: Float[np.ndarray, "T 3"], last: int, rate: float)
     size = np.linalg.norm(toe_acceleration, axis=1)
     start = max(1, last - round(OFF_WINDOW_S[0] * rate))
     peaks = start + find_peaks(size[start : last + 1 + round(OFF_WINDOW_S[1] * rate)])[0]
-    return find_rise(size, int(peaks[size[peaks].argmax()]), OFF_PEAK_SHARE) / rate if len(peaks) else last / rate
+    return find_rise(size, int(peaks[size[peaks].argmax()])) / rate if len(peaks) else last / rate
 
 
-def find_rise(signal: Float[np.ndarray, " T"], peak: int, share: float) -> float:
-    """Return the frame, with a fraction, at which a signal reaches a share of a peak."""
-    level, frame = share * signal[peak], peak
+def find_rise(signal: Float[np.ndarray, " T"], peak: int) -> float:
+    """Return the frame, with a fraction, at which a signal reaches most of a peak."""
+    level, frame = PEAK_SHARE * signal[peak], peak
     while frame > 1 and level < signal[frame - 1] <= signal[peak]:
         frame -= 1
     before, at = signal[frame - 1], signal[frame]

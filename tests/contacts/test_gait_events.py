@@ -6,9 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
+from mocapfix import synthetic
+from mocapfix.contacts.contacts import CONTACT_JOINTS, ContactPositions
+from mocapfix.contacts.find_contacts import find_foot_contacts
 from mocapfix.contacts.floor import Floor
-from mocapfix.contacts.foot_points import FootPoints
+from mocapfix.contacts.foot_points import FootPoints, build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events, find_foot_near_floor, find_rise, remove_repeated_contacts
+from mocapfix.synthetic.footsteps import STEP_SCHEDULE
 from tests.contacts.walking_feet import find_true_stances, make_path, walk
 
 SECONDS = 5.5
@@ -100,9 +104,9 @@ def test_frames_near_the_floor_are_those_of_stances():
 
 def test_the_rise_of_a_peak_is_between_frames():
     signal = np.array([0.0, 0.0, 0.5, 1.0, 0.0])
-    assert find_rise(signal, 3, 0.9) == pytest.approx(2.8)
-    assert find_rise(np.ones(4), 2, 0.9) == 1.0
-    assert find_rise(np.array([5.0, 1.0, 2.0, 1.0]), 2, 0.9) == pytest.approx(1.8)
+    assert find_rise(signal, 3) == pytest.approx(2.86)
+    assert find_rise(np.ones(4), 2) == 1.0
+    assert find_rise(np.array([5.0, 1.0, 2.0, 1.0]), 2) == pytest.approx(1.86)
 
 
 def test_no_event_is_at_the_end_of_a_take_before_its_contact_is_seen():
@@ -174,6 +178,27 @@ def test_contacts_within_half_a_step_are_one():
     np.testing.assert_equal(remove_repeated_contacts(split), steady)
     split = [*steady[:3], (3.0, 3.5), (3.51, 3.6), *steady[4:]]
     np.testing.assert_equal(remove_repeated_contacts(split), steady)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_steps_of_a_walk_that_turns_and_stops_are_found_once(seed):
+    seconds = 9.9
+    take = synthetic.compose_take(seed=seed, seconds=seconds)
+    joints = [take.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS]
+    position = take.joint_positions[:, joints]
+    floor = find_foot_contacts(ContactPositions(position, np.full(position.shape[:2], 0.001), take.rate)).floor
+    is_known = np.ones(position.shape[:2], bool)
+    feet = build_foot_points(take.subject, take.motion, take.marker_positions, take.marker_positions, is_known)
+    events = detect_gait_events(feet, floor, take.rate)
+    found = dict.fromkeys(("foot strike", "foot off"), 0)
+    for foot, start_s, swing_s, _, _ in STEP_SCHEDULE:
+        for kind, time_s in (("foot strike", start_s + swing_s), ("foot off", start_s)):
+            side = ("left", "right")[foot]
+            near = [e for e in events if (e.side, e.kind) == (side, kind) and abs(e.time_s - time_s) < 0.3]
+            assert len(near) <= 1
+            found[kind] += len(near)
+    assert min(found.values()) >= len(STEP_SCHEDULE) - 2  # the smallest are turns on the spot
+    assert len(events) == sum(found.values())
 
 
 @settings(max_examples=25, deadline=None)
