@@ -5,7 +5,7 @@ that are not the body's (such as a prop) are filled from markers that move with 
 cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -131,25 +131,40 @@ def _select_subject(take: Take, subject_prefix: str) -> Take:
     return replace(part, notes=(*part.notes, note))
 
 
+def list_shared_data(takes: Sequence[Take]) -> list[object]:
+    """Return the takes of several subjects and the arrays in them, which a result may hold as they are."""
+    held = [
+        each for take in takes for each in (take, take.unlabelled, take.computed_points and take.computed_points.take) if each
+    ]
+    return [*held, *(value for each in held for value in vars(each).values() if isinstance(value, np.ndarray | bytes))]
+
+
+def is_same_data(one: Take | None, other: Take | None) -> bool:
+    """Return whether two takes of unlabelled trajectories have the same samples."""
+    if one is None or other is None or one is other:
+        return one is other
+    return one.labels == other.labels and np.array_equal(one.markers, other.markers, equal_nan=True)
+
+
 def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
     """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
 
     The labels that subjects exchanged are changes of the subject of the first marker of each exchange. Where two subjects took
     samples from the same unlabelled trajectory, the first one keeps them.
     """
-    take, cleaned, relabelled = exchanges.original_take, exchanges.take, exchanges.take
+    take = exchanges.original_take
+    parts = [(take.find_marker_indices(each.input_take), each) for each in subject_results]
     residual_m = np.full(take.visible.shape, np.nan)
     faults, unfilled, donors = list(exchanges.faults), [], list[int]()
-    for each in subject_results:
-        markers = take.find_marker_indices(each.input_take)
-        cleaned = _insert_part(cleaned, markers, each.take)
-        relabelled = _insert_part(relabelled, markers, each.relabelled_take)
+    for markers, each in parts:
         trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
         faults += [_map_fault_indices(fault, trajectories) for fault in each.faults.items]
         unfilled += [replace(run, marker=trajectories[run.marker]) for run in each.unfilled_runs]
         donors += [trajectories[donor] for donor in each.fragment_donors]
         if each.residual_m is not None:
             residual_m[:, markers] = each.residual_m
+    cleaned = _insert_parts(exchanges.take, [(markers, each.take) for markers, each in parts])
+    relabelled = _insert_parts(exchanges.take, [(markers, each.relabelled_take) for markers, each in parts])
     changes = exchanges.build_changes(cleaned)
     subject_results = tuple(_add_changes(each, changes.get(each.input_take.subject_name, [])) for each in subject_results)
     return CleaningResult(
@@ -177,22 +192,26 @@ def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResul
     return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
 
 
-def _insert_part(whole: Take, marker_indices: Int[np.ndarray, " M"], part: Take) -> Take:
-    """Return the whole take with some markers, and the unlabelled trajectories, as they are in a part of it."""
+def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " M"], Take]]) -> Take:
+    """Return the whole take with the markers of its parts, at their indices, and with the unlabelled trajectories of the last."""
 
-    def insert(values: np.ndarray, part_values: np.ndarray) -> np.ndarray:
-        merged = values.copy()
-        merged[:, marker_indices] = part_values
+    def insert(get: Callable[[Take], np.ndarray]) -> np.ndarray:
+        merged = get(whole).copy()
+        for marker_indices, part in parts:
+            merged[:, marker_indices] = get(part)
         return merged
 
+    computed_points = whole.computed_points
+    for _, part in parts:
+        computed_points = _merge_computed_points(computed_points, part.computed_points)
     return replace(
         whole,
-        markers=insert(whole.markers, part.markers),
-        relabelled_points=insert(whole.source_points, part.source_points),
-        sample_sd=insert(_get_sample_sd(whole), _get_sample_sd(part)),
-        computed=insert(whole.visible & ~whole.measured, part.visible & ~part.measured),
-        unlabelled=part.unlabelled,
-        computed_points=_merge_computed_points(whole.computed_points, part.computed_points),
+        markers=insert(lambda take: take.markers),
+        relabelled_points=insert(lambda take: take.source_points),
+        sample_sd=insert(_get_sample_sd),
+        computed=insert(lambda take: take.visible & ~take.measured),
+        unlabelled=parts[-1][1].unlabelled,
+        computed_points=computed_points,
     )
 
 

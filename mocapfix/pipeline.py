@@ -4,7 +4,8 @@
 stage takes a `CleaningState` and the `CleanOptions` and returns it with more fields filled. Animations: `mocapfix.animations`.
 """
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from mocapfix.multi_subject import choose_subject, split_corrected_subjects, spl
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.repair.computed_points import update_computed_points
@@ -40,6 +42,7 @@ from mocapfix.result import CleaningResult
 from mocapfix.review.changes_file import NO_REVIEW, Review, build_review_filter
 from mocapfix.skeleton import load_cmu31_body, restrict_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
+from mocapfix.solve.parallel import map_in_processes
 from mocapfix.solve.prior_conditioner import build_prior_conditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
@@ -85,14 +88,7 @@ def clean(
         capture, options = label_capture(capture, options, calibrate_takes)
     check_fill_options(capture, options.fill)
     takes, reviews, exchanges = split_corrected_subjects(capture, options)
-    results: list[CleaningResult] = []
-    for take, review in zip(takes, reviews, strict=True):
-        if results:  # an unlabelled trajectory assigned to one subject is not available to the next
-            take = replace(take, unlabelled=results[-1].take.unlabelled)
-        subject_timer = StageTimer(dict(timer.stage_seconds), progress)
-        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        state = replace(start_cleaning(take, options.subject, review), prior_conditioner=conditioner)
-        results.append(clean_subject(state, options, subject_timer))
+    results = clean_subjects(takes, reviews, options, load_pose_model, timer)
     result = results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
     return replace(result, requested=requested)
 
@@ -130,6 +126,49 @@ def start_cleaning(take: Take, options: SubjectOptions, review: Review = NO_REVI
         choice = find_own_marker_set(take, choice)
     known = choice.marker_set, choice.is_learned, choice.subject
     return CleaningState(take, DetectionState(take), *known, None, review, build_review_filter(take, review), choice.notes)
+
+
+def clean_subjects(
+    takes: Sequence[Take],
+    reviews: Sequence[Review],
+    options: CleanOptions,
+    load_pose_model: Callable[[], PoseModel] | None,
+    timer: StageTimer,
+) -> list[CleaningResult]:
+    """Run all stages on the takes of several subjects, side by side.
+
+    An unlabelled trajectory assigned to one subject is not available to the next: those after it are then cleaned again. So the
+    results are those of cleaning one after the other.
+    """
+    results: list[CleaningResult] = []
+    unlabelled, report_progress = takes[0].unlabelled, report_in_this_process(timer.report_progress)
+
+    def clean_one(index: int) -> CleaningResult:
+        take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
+        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
+        state = replace(start_cleaning(take, options.subject, reviews[index]), prior_conditioner=conditioner)
+        return clean_subject(state, options, StageTimer(dict(timer.stage_seconds), report_progress))
+
+    while len(results) < len(takes):
+        for result in map_in_processes(clean_one, range(len(results), len(takes)), multi_subject.list_shared_data(takes)):
+            results.append(result)
+            if len(takes) > 1:
+                report_progress(f"{len(results)} of {len(takes)} subjects")
+            if not multi_subject.is_same_data(result.take.unlabelled, unlabelled):
+                unlabelled = result.take.unlabelled
+                break
+    return results
+
+
+def report_in_this_process(progress: ProgressCallback | None) -> ProgressCallback:
+    """Return a progress callback that does nothing in copies of this process: a terminal shows the stages of one of them."""
+    process = os.getpid()
+
+    def report_stage(stage: str) -> None:
+        if progress and os.getpid() == process:
+            progress(stage)
+
+    return report_stage
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
@@ -215,23 +254,24 @@ def inspect(
     **changed_options: object,
 ) -> list[InspectionReport]:
     """Return what `clean` would detect, one report for each subject in the file. Nothing is written. Raises as `clean`."""
-    options, timer = options.change(**changed_options), StageTimer(report_progress=progress)
+    options, timer = options.change(**changed_options), StageTimer(report_progress=report_in_this_process(progress))
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]
     reject_hierarchy(capture, options.subject)
     capture, options = label_capture(capture, options, calibrate_takes)
-    reports: list[InspectionReport] = []
-    for take in split_corrected_subjects(capture, options)[0]:
+
+    def inspect_one(take: Take) -> InspectionReport:
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
         faults = detect_and_fit(state, options, timer).detection.faults
         marker_set = state.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
         notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
-        reports.append(build_inspection_report(take, marker_set and marker_set.name, take, faults, notes))
-    return reports
+        return build_inspection_report(take, marker_set and marker_set.name, take, faults, notes)
+
+    return list(map_in_processes(inspect_one, split_corrected_subjects(capture, options)[0]))
 
 
 @limit_blas_threads

@@ -1,7 +1,9 @@
 """Takes of several subjects: whole bodies are found, each is cleaned as if it were alone, and one file contains all of them."""
 
 import json
-from dataclasses import replace
+import os
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +19,9 @@ from mocapfix.marker_sets.library import SubjectChoice, find_subject_prefixes, l
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.read.capture import read_take
 from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
+from mocapfix.report.stage_timer import StageTimer, omit_stage_times
 from mocapfix.result import CleaningResult
-from mocapfix.review.changes_file import read_changes_files
+from mocapfix.review.changes_file import NO_REVIEW, read_changes_files
 from mocapfix.take import Take
 from tests.conftest import build_c3d
 
@@ -265,6 +268,53 @@ def test_one_file_contains_the_changes_of_all_subjects_and_no_others(files, two)
     old, new = (layout.view_words(path.read_bytes()) for path in (files / "two.c3d", outputs["c3d"]))
     np.testing.assert_array_equal((old != new).any(-1), ~before.visible)
     np.testing.assert_allclose(after.markers, result.take.markers, atol=1e-6)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_results_do_not_depend_on_the_number_of_cores(files, two, cores, monkeypatch, tmp_path):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    stages: list[str] = []
+    with omit_stage_times():
+        result = pipeline.clean(files / "two.c3d", progress=stages.append)
+    for each, known in zip(result.subject_results, two[0].subject_results, strict=True):
+        assert each.changes == known.changes
+        assert {**each.report, "seconds": 0} == {**known.report, "seconds": 0}
+        np.testing.assert_array_equal(each.take.markers, known.take.markers)
+        if each.motion is not None and known.motion is not None:
+            np.testing.assert_array_equal(each.motion.local_rotations, known.motion.local_rotations)
+            np.testing.assert_array_equal(each.take.sample_sd, known.take.sample_sd)
+    outputs = result.write(tmp_path)
+    for suffix in ("c3d", "Jim.bvh", "Ann.bvh"):
+        assert outputs[suffix].read_bytes() == two[1][suffix].read_bytes()
+    assert stages[-1] == "3 of 3 subjects"
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize("assigned", [(), (1,), (0, 1, 3)])
+def test_what_one_subject_takes_is_not_available_to_the_next(assigned, cores, monkeypatch):
+    """Each subject takes the first of the trajectories that are left if it is one of `assigned`."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    loose = Take(np.arange(60.0).reshape(4, 5, 3), tuple(f"*{n}" for n in range(5)), 120.0)
+    takes = [replace(build_take((f"S{n}:LFHD",)), unlabelled=loose) for n in range(5)]
+
+    def clean_one(state, options, timer):
+        left = state.take.unlabelled
+        if int(state.take.labels[0][1]) in assigned:
+            left = replace(left, markers=left.markers[:, 1:], labels=left.labels[1:])
+        return SimpleNamespace(take=replace(state.take, unlabelled=left), input_take=state.take)
+
+    monkeypatch.setattr(pipeline, "start_cleaning", lambda take, options, review: FakeState(take))
+    monkeypatch.setattr(pipeline, "clean_subject", clean_one)
+    results = pipeline.clean_subjects(takes, [NO_REVIEW] * 5, CleanOptions(), None, StageTimer())
+    counts = [sum(each < n for each in assigned) for n in range(5)]
+    given = [each.input_take.unlabelled for each in results]
+    assert [each and each.labels for each in given] == [loose.labels[count:] for count in counts]
+
+
+@dataclass(frozen=True)
+class FakeState:
+    take: Take
+    prior_conditioner: object = None
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +14,7 @@ from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT
 from mocapfix.options import CleanOptions
 from mocapfix.review.changes_file import Review
+from mocapfix.solve.parallel import map_in_processes
 from mocapfix.take import Take
 
 
@@ -61,17 +63,27 @@ def correct_subject_labels(
     is_declined = _build_declined_filter(take, reviews)
     faults: list[Fault] = []
     corrected = take
-    for first, second in combinations(names, 2):
-        found = [
-            fault
-            for fault in detect_subject_exchanges(corrected, first, second)
-            if fault.confidence >= MIN_LABEL_CONFIDENCE
-            and is_editable[fault.frame_slice][:, list(fault.markers)].all()
-            and not is_declined(fault)
-        ]
-        corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])
-        faults += found
+    pairs, done = list(combinations(names, 2)), 0
+    while done < len(pairs):
+        detect = partial(_detect_in_pair, corrected)
+        for detected in map_in_processes(detect, pairs[done:]):
+            done += 1
+            found = [
+                fault
+                for fault in detected
+                if fault.confidence >= MIN_LABEL_CONFIDENCE
+                and is_editable[fault.frame_slice][:, list(fault.markers)].all()
+                and not is_declined(fault)
+            ]
+            if found:  # the pairs that follow are compared with these labels corrected
+                corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])
+                faults += found
+                break
     return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
+
+
+def _detect_in_pair(take: Take, pair: tuple[str, str]) -> list[Fault]:
+    return detect_subject_exchanges(take, *pair)
 
 
 def _build_declined_filter(take: Take, reviews: Sequence[Review]) -> Callable[[Fault], bool]:
