@@ -11,6 +11,7 @@ from mocapfix.labelling.linking import are_points_unordered, find_tracklets
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.read.c3d_parameters import read_c3d_parameters
 from mocapfix.read.capture import read_capture_bytes
+from mocapfix.read.conventions import change_convention
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.point_types import NUMBERED_POINT_NAME
 from mocapfix.take import Take
@@ -70,11 +71,13 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
     else:
         data = build_labelled_table(take, gather_positions(take, columns), columns.labels)
     assert take.path is not None
-    known = replace(take.read_options or DEFAULT_READ_OPTIONS, up_axis=take.up_axis.letter if take.up_axis else None)
+    known = replace(take.read_options or DEFAULT_READ_OPTIONS, accept_contradictions=True)
     labelled = read_capture_bytes(take.path, data, known)
     assert isinstance(labelled, Take)
+    assert take.layout is not None
+    labelled = change_convention(labelled, take.layout.unit_m, take.layout.rotation_y_up_file, take.up_axis)
     confidence = gather_confidence(points, point_labels, columns)[:, labelled.point_indices]
-    return replace(labelled, labelled_file=data, label_confidence=confidence, up_axis=take.up_axis)
+    return replace(labelled, labelled_file=data, label_confidence=confidence, read_options=take.read_options)
 
 
 def list_point_names(take: Take) -> list[str]:

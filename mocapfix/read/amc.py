@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
-from mocapfix.read.animation_inference import infer_unit, infer_up_axis
+from mocapfix.read.animation_inference import infer_conventions
 from mocapfix.read.asf import AsfSkeleton, parse_asf
 from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, decode_text, read_file_bytes
 from mocapfix.read.frame_rate import FileFrames, choose_rate, count_frame_steps, describe_missing_frames
@@ -86,7 +86,7 @@ def read_amc(
     path = Path(path)
     data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
     if BONE_SECTION_KEYWORD in data.lower():
-        return _build_rest_animation(path, data)
+        return infer_conventions(_build_rest_animation(path, data), options)
     skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
     skeleton = parse_asf(skeleton_path, decode_text(read_file_bytes(skeleton_path))[0])
     start = FIRST_FRAME_PATTERN.search(data)
@@ -108,11 +108,10 @@ def read_amc(
     animation = _build_animation(path, skeleton, values, frames.rate, frames.notes, first_frame)
     value_byte_offsets = frames.spread_rows(tokens.start_bytes[value_tokens], -1)
     animation = replace(animation, value_byte_offsets=value_byte_offsets, skeleton_path=skeleton_path, uses_radians=uses_radians)
-    if not uses_radians:
-        return animation
-    rotation_columns = np.concatenate([animation.get_rotation_channels(joint)[0] for joint in range(len(animation.names))])
-    values[:, rotation_columns] = np.degrees(values[:, rotation_columns])
-    return animation
+    if uses_radians:
+        rotation_columns = np.concatenate([animation.get_rotation_channels(joint)[0] for joint in range(len(animation.names))])
+        values[:, rotation_columns] = np.degrees(values[:, rotation_columns])
+    return infer_conventions(animation, options)
 
 
 def _find_rate(path: Path, header: bytes, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
@@ -163,7 +162,7 @@ def _build_animation(
     parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in skeleton.bones])
     tips = np.array([bone.tip_offset for bone in skeleton.bones])
     is_leaf = [joint not in parents for joint in range(len(names))]
-    animation = Animation(
+    return Animation(
         names=names,
         parents=parents,
         offsets=np.vstack([skeleton.root_position, tips[parents[1:]]]),
@@ -178,7 +177,6 @@ def _build_animation(
         is_position_added=np.ones(len(names), bool),
         notes=notes,
     )
-    return infer_unit(infer_up_axis(animation))
 
 
 def _locate_values(

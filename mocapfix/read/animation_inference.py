@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix.animation import FOOT_JOINT_PATTERN, HEAD_JOINT_PATTERN, Animation
-from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
+from mocapfix.errors import ReadError
+from mocapfix.files.read_options import ReadOptions
+from mocapfix.read.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP
 
 PERSON_HEIGHT_RANGE_M = (1.2, 2.2)
+FIGURE_HEIGHT_RANGE_M = (0.3, 4.0)  # of figures in no known unit: children, animals and giants
 REACH_TO_HEIGHT_RATIO = 1.42  # longest path along a person's bones, from finger tips to toes, divided by the height
 # Metres per unit, in the order in which units are tried.
 CANDIDATE_UNITS_M = {
@@ -20,6 +23,30 @@ CANDIDATE_UNITS_M = {
 }
 MIN_UP_AXIS_COSINE = 0.8  # of the angle between an axis and the vector from feet to head of a standing figure
 MAX_INSPECTED_POSES = 200  # poses from which the up axis is inferred
+
+
+def infer_conventions(animation: Animation, options: ReadOptions) -> Animation:
+    """Return the animation with its unit and its up axis: those of the options, or else as its figure shows them.
+
+    Raises:
+        ReadError: If the figure is not as tall as any person in any unit, or is to be mirrored, which only markers can be.
+    """
+    if options.mirror:
+        raise ReadError(f"{animation.path}: --mirror is for markers; an animation has rotations, which cannot be mirrored.")
+    if options.up_axis is not None:
+        animation = replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP[options.up_axis])
+    else:
+        animation = infer_up_axis(animation)
+    if options.unit is not None:
+        return replace(animation, unit_m=METRES_PER_UNIT[options.unit])
+    animation = infer_unit(animation)
+    height_m = compute_reach(animation) * animation.unit_m / REACH_TO_HEIGHT_RATIO
+    if options.accept_contradictions or not height_m or FIGURE_HEIGHT_RANGE_M[0] <= height_m <= FIGURE_HEIGHT_RANGE_M[1]:
+        return animation
+    raise ReadError(
+        f"{animation.path}: its figure is {height_m:.2g} m tall, and no usual unit makes it as tall as a person; give the unit "
+        f"with --unit, one of {', '.join(METRES_PER_UNIT)}, or add --accept-contradictions."
+    )
 
 
 def infer_unit(animation: Animation) -> Animation:
@@ -60,23 +87,27 @@ def compute_reach(animation: Animation) -> float:
 
 
 def infer_up_axis(animation: Animation) -> Animation:
-    """Return the animation with its up axis, and a note if that is Z.
+    """Return the animation with its up axis, and a note if that is not Y.
 
-    Y is up in most files. Z is up if the head is above the feet along Z: in most of the motion or, if the figure does not stand
-    for most of it, in the rest pose.
+    Y is up in most files. Z, or an axis that points down, is up if the head is above the feet along it in most of the motion; Z
+    also if the figure does not stand for most of the motion, but does along Z in the rest pose.
     """
     head = [j for j, name in enumerate(animation.names) if HEAD_JOINT_PATTERN.search(name)][:1]
     feet = [j for j, name in enumerate(animation.names) if FOOT_JOINT_PATTERN.search(name)]
     if not head or not feet:
         return animation
     inspected = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_INSPECTED_POSES)])
-    for positions in (inspected.compute_world_poses()[0], animation.compute_rest_positions()[None]):
+    for positions, letters in (
+        (inspected.compute_world_poses()[0], ("Y", "Z", "-Y", "-Z")),
+        (animation.compute_rest_positions()[None], ("Y", "Z")),
+    ):
         head_above_feet = positions[:, head[0]] - positions[:, feet].mean(1)
         total = head_above_feet[np.isfinite(head_above_feet).all(1)].sum(0)
         direction = total / max(np.linalg.norm(total), 1e-9)
-        if direction[1] > MIN_UP_AXIS_COSINE:
-            return animation
-        if direction[2] > MIN_UP_AXIS_COSINE:
-            note = "The Z axis points up, because the head is above the feet along it."
-            return replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP["Z"], notes=(*animation.notes, note))
+        upright = [letter for letter in letters if (ROTATIONS_TO_Y_UP[letter] @ direction)[1] > MIN_UP_AXIS_COSINE]
+        if upright:
+            if upright == ["Y"]:
+                return animation
+            note = f"The {upright[0]} axis points up, because the head is above the feet along it."
+            return replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP[upright[0]], notes=(*animation.notes, note))
     return animation

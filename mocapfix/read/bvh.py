@@ -15,7 +15,7 @@ from jaxtyping import Bool, Int
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
-from mocapfix.read.animation_inference import infer_unit, infer_up_axis
+from mocapfix.read.animation_inference import infer_conventions
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
 from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, read_file_bytes
 from mocapfix.read.frame_rate import choose_rate, read_frame_time
@@ -93,7 +93,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     )
     is_added, displacement_notes = _find_displacements(animation)
     animation = replace(animation, is_position_added=is_added, notes=(*notes, *displacement_notes))
-    animation = infer_unit(infer_up_axis(animation))
+    animation = infer_conventions(animation, options)
     return replace(animation, notes=(*animation.notes, *_describe_stretch(animation)))
 
 

@@ -10,8 +10,10 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout
 from mocapfix.files.read_options import ReadOptions
+from mocapfix.read.body_evidence import inspect_points
 from mocapfix.read.c3d_blocks import locate_samples
 from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
+from mocapfix.read.conventions import DeclaredConvention, decide_convention
 from mocapfix.read.coordinates import (
     METRES_PER_UNIT,
     ROTATIONS_TO_Y_UP,
@@ -27,8 +29,7 @@ from mocapfix.read.point_types import (
     detect_computed_samples,
     detect_uncaptured_samples,
 )
-from mocapfix.read.up_axis import estimate_up_axis
-from mocapfix.take import Take, UpAxis
+from mocapfix.take import Take
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 MAX_BLOCK_SAMPLES = 1 << 17  # that are converted at once
@@ -56,21 +57,18 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         parameters = read_c3d_parameters(data)
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy or export it again.") from error
-    layout, notes = _build_layout(path, parameters, data)
+    layout, notes = _build_layout(path, parameters, data, options)
     stated_rate, stated_notes = _find_stated_rate(parameters, layout)
     rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: POINT:RATE: {sentence}"), stated_rate, options)
     visible, residual_words = _find_valid_samples(layout, data)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
-    declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
-    types = classify_points(declared, visible, residual_words)
+    stated = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
+    types = classify_points(stated, visible, residual_words)
     check_point_types(path, types)
-    up_axis = get_screen_up_axis(parameters.screen_axis)
-    if up_axis is None:
-        inspected = types.markers if len(types.markers) else types.unlabelled
-        in_file = _convert_to_metres(layout, data, visible, inspected)
-        up_axis = estimate_up_axis([types.labels[i] for i in inspected], in_file, rate)
-        del in_file
-    layout = replace(layout, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis.letter])
+    inspected = inspect_points(types, layout.frame_count, rate, partial(_convert_to_metres, layout, data, visible))
+    declared = DeclaredConvention(layout.unit_m, up_axis=get_screen_axis(parameters.screen_axis), up_basis="POINT:Y_SCREEN")
+    convention = decide_convention(path, inspected, declared, options)
+    layout = replace(layout, unit_m=convention.unit_m, rotation_y_up_file=convention.rotation_y_up_file)
     convert = partial(_convert_to_metres, layout, data, visible)
     functions = find_computed_markers(types, visible, convert)
     columns = np.setdiff1d(types.markers, list(functions))
@@ -85,8 +83,8 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         computed=detect_computed_samples(residual_words[:, columns], visible[:, columns]),
         uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
-        up_axis=up_axis,
-        notes=(*notes, *(() if options.rate_hz else stated_notes), *rate_notes),
+        up_axis=convention.up_axis,
+        notes=(*notes, *(() if options.rate_hz else stated_notes), *rate_notes, *convention.notes),
     )
     return add_other_points(take, types, functions, convert)
 
@@ -107,13 +105,13 @@ def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
     return fill_sd
 
 
-def get_screen_up_axis(screen_axis: str) -> UpAxis | None:
-    """Return the up axis by POINT:Y_SCREEN, such as "+Z"; None if it names no axis.
+def get_screen_axis(screen_axis: str) -> str:
+    """Return the letter of the axis that POINT:Y_SCREEN, such as "+Z", declares to be vertical; "" if it names no axis.
 
-    Only its letter is used: the sign gives the viewer's side rather than the up direction, and Qualisys writes -Z on Z-up data.
+    Its sign is no evidence: it gives the viewer's side rather than the up direction, and Qualisys writes -Z on Z-up data.
     """
     letter = screen_axis[-1:]
-    return UpAxis(letter, "POINT:Y_SCREEN of the file") if letter in ROTATIONS_TO_Y_UP else None
+    return letter if letter in ROTATIONS_TO_Y_UP else ""
 
 
 def _convert_to_metres(
@@ -159,14 +157,14 @@ def _list_frame_blocks(layout: C3dLayout, frame_count: int) -> list[slice]:
     return [slice(first, first + length) for first in range(0, frame_count, length)]
 
 
-def _build_layout(path: Path, parameters: C3dParameters, data: bytes) -> tuple[C3dLayout, tuple[str, ...]]:
+def _build_layout(path: Path, parameters: C3dParameters, data: bytes, options: ReadOptions) -> tuple[C3dLayout, tuple[str, ...]]:
     """Return the layout without its rotation, and notes on words of the header and parameters that are wrong."""
-    unit_m = get_metres_per_unit(parameters.unit_name or DEFAULT_C3D_UNIT)
+    unit_m = get_metres_per_unit(options.unit or parameters.unit_name or DEFAULT_C3D_UNIT)
     if parameters.point_count == 0:
         raise ReadError(f"{path}: has no points; export the marker trajectories as well.")
     if unit_m is None:
         choices = ", ".join(METRES_PER_UNIT)
-        raise ReadError(f"{path}: POINT:UNITS is {parameters.unit_name!r}; set it to one of {choices}.")
+        raise ReadError(f"{path}: POINT:UNITS is {parameters.unit_name!r}; give the unit with --unit, one of {choices}.")
     if not np.isfinite(parameters.scale_factor) or parameters.scale_factor == 0:
         raise ReadError(f"{path}: POINT:SCALE is {parameters.scale_factor:g}, which gives no coordinates; export it again.")
     blocks, notes = locate_samples(path, parameters, data)

@@ -1,4 +1,4 @@
-"""Read captures. This is the one place where files become metres with Y up.
+"""Read captures as metres with Y up (see `mocapfix.read.conventions`).
 
 The format is detected from the content of a file, not from its extension.
 """
@@ -13,7 +13,6 @@ from mocapfix.animation import Animation
 from mocapfix.errors import ReadError, TakeError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read import amc, bvh, c3d, keypoint_json, motive, nexus, plain_csv, qualisys, trc
-from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, rotate_to_up_axis
 from mocapfix.read.file_content import BYTE_ORDER_MARK, LEADING_COMMENTS_PATTERN, decode_text, read_file_bytes
 from mocapfix.take import Take
 
@@ -73,7 +72,6 @@ def read_capture_bytes(path: Path, data: bytes, options: ReadOptions = DEFAULT_R
     for file_format in FILE_FORMATS:
         if file_format.matches(head):
             capture = file_format.read(path, data, options)
-            capture = _set_up_axis(capture, options.up_axis) if options.up_axis else capture
             return replace(capture, read_options=options) if isinstance(capture, Take) else capture
     names = ", ".join(file_format.name for file_format in FILE_FORMATS)
     raise ReadError(f"{path}: has no format that mocapfix reads; export the capture as one of: {names}.")
@@ -101,9 +99,3 @@ def extract_head(data: bytes) -> bytes:
         head = text.removeprefix(BYTE_ORDER_MARK).encode("utf-8", "replace")
     comments = None if b"\0" in head else LEADING_COMMENTS_PATTERN.match(head)
     return head[comments.end() :] if comments else head
-
-
-def _set_up_axis(capture: Take | Animation, up_axis: str) -> Take | Animation:
-    if isinstance(capture, Animation):
-        return replace(capture, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis])
-    return rotate_to_up_axis(capture, up_axis)

@@ -1,26 +1,23 @@
 """Coordinates in files: units of length, codes for missing points, and the up axis."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.take import Take, UpAxis
-
 METRES_PER_UNIT = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-# Abbreviations of unit names without the plural s: "Millimetres", "Meters", "Inches".
-UNIT_ABBREVIATIONS = {
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "centimeter": "cm",
-    "centimetre": "cm",
-    "meter": "m",
-    "metre": "m",
-    "inche": "in",
-    "inch": "in",
+# Names of units, of which a file may have the first letters only: the field for POINT:UNITS often has four characters.
+UNIT_NAMES = {
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "meters": "m",
+    "metres": "m",
+    "mtrs": "m",
+    "inches": "in",
     "foot": "ft",
     "feet": "ft",
 }
+MIN_UNIT_LETTERS = 3  # of a name that was cut off
 
 INVALID_COORDINATE_LIMIT = 9_000_000  # file units; a coordinate from here on is missing: Cortex writes 9999999
 MISSING_CODE_LIMIT = 9999  # file units; three equal coordinates from here on are missing, such as -9999.99
@@ -38,9 +35,10 @@ ROTATIONS_TO_Y_UP = {
 
 
 def get_metres_per_unit(name: str) -> float | None:
-    """Return the metres in a unit, given by its name or abbreviation in any case; None if the unit is unknown."""
-    singular = name.strip().lower()
-    return METRES_PER_UNIT.get(UNIT_ABBREVIATIONS.get(singular.removesuffix("s"), singular))
+    """Return the metres in a unit, given by its abbreviation or its name, which may be cut off, in any case; None if unknown."""
+    text = name.strip().lower().rstrip(".")
+    found = {unit for full, unit in UNIT_NAMES.items() if len(text) >= MIN_UNIT_LETTERS and full.startswith(text)}
+    return METRES_PER_UNIT.get(found.pop() if len(found) == 1 else text)
 
 
 def find_valid_points(points_file: Float[np.ndarray, "T P 3"]) -> Bool[np.ndarray, "T P"]:
@@ -51,20 +49,3 @@ def find_valid_points(points_file: Float[np.ndarray, "T P 3"]) -> Bool[np.ndarra
         (np.abs(x) < INVALID_COORDINATE_LIMIT) & (np.abs(y) < INVALID_COORDINATE_LIMIT) & (np.abs(z) < INVALID_COORDINATE_LIMIT)
     )
     return in_range & ~(equal & ((x == 0) | (np.abs(x) >= MISSING_CODE_LIMIT)))
-
-
-def rotate_to_up_axis(take: Take, up_axis: str) -> Take:
-    """Return the take as it reads if the file's axis `up_axis` ("X", "-X", "Y", ...) points up."""
-    rotation_y_up_file = ROTATIONS_TO_Y_UP[up_axis]
-    # Without a layout the file axes are Y up.
-    rotation = rotation_y_up_file if take.layout is None else rotation_y_up_file @ take.layout.rotation_y_up_file.T
-    unlabelled, computed = take.unlabelled, take.computed_points
-    rotated = computed and replace(computed.take, markers=computed.take.markers @ rotation.T)
-    return replace(
-        take,
-        up_axis=UpAxis(up_axis, "the option --up"),
-        markers=take.markers @ rotation.T,
-        layout=take.layout and replace(take.layout, rotation_y_up_file=rotation_y_up_file),
-        unlabelled=unlabelled and replace(unlabelled, markers=unlabelled.markers @ rotation.T),
-        computed_points=computed and rotated and replace(computed, take=rotated),
-    )

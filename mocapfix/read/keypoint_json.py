@@ -22,7 +22,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.files.shipped import read_shipped_yaml
-from mocapfix.read.coordinates import METRES_PER_UNIT
+from mocapfix.read.coordinates import METRES_PER_UNIT, get_metres_per_unit
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text
 from mocapfix.read.frame_rate import choose_rate
 from mocapfix.read.marker_table import build_take
@@ -59,7 +59,7 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     mapping = cast("dict[str, Any]", content)
     rate, rate_notes = _read_rate(path, mapping.get("rate"), options)
     labels, points = _parse_frames(path, mapping, cast("list[Any]", frames))
-    unit, notes = mapping.get("unit"), rate_notes
+    unit, notes = options.unit or mapping.get("unit"), rate_notes
     if unit is None:
         finite = points[np.isfinite(points)]
         unit = "mm" if len(finite) and np.ptp(finite) > MAX_FILM_SPAN_M else "m"
@@ -67,16 +67,17 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
             *rate_notes,
             f"The file names no unit; {unit} is assumed, from the span of its coordinates.",
         )
-    if not isinstance(unit, str) or unit not in METRES_PER_UNIT:
-        raise ReadError(f"{path}: unit: must be one of {', '.join(METRES_PER_UNIT)}, not {unit!r}.")
+    unit_m = get_metres_per_unit(unit) if isinstance(unit, str) else None
+    if unit_m is None:
+        raise ReadError(f"{path}: unit: is {unit!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
     return build_take(
         path,
         points,
         labels,
-        unit_m=METRES_PER_UNIT[unit],
+        unit_m=unit_m,
         rate=rate,
         first_frame=1,
-        layout=TableLayout(encoding, "\n", ",", ".", unit_m=METRES_PER_UNIT[unit]),
+        layout=TableLayout(encoding, "\n", ",", ".", unit_m=unit_m),
         default_up_axis="Y",
         options=options,
         notes=notes,

@@ -5,6 +5,7 @@ The module of each format finds the table and its columns; this module reads it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
-from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
+from mocapfix.read.body_evidence import inspect_points
+from mocapfix.read.conventions import Convention, DeclaredConvention, decide_convention
+from mocapfix.read.coordinates import find_valid_points
 from mocapfix.read.file_content import TextDocument
 from mocapfix.read.frame_rate import FrameTimes, find_frames
 from mocapfix.read.point_takes import add_other_points, find_computed_markers
@@ -29,8 +32,7 @@ from mocapfix.read.table_cells import (
     parse_whole_number,
     split_fields,
 )
-from mocapfix.read.up_axis import estimate_up_axis
-from mocapfix.take import Take
+from mocapfix.take import Take, UpAxis
 
 MAX_HEADER_LINES = 15  # lines within which the column names must begin
 
@@ -177,15 +179,17 @@ def build_take(
     visible = find_valid_points(points_file)
     types = classify_points(DeclaredPoints(labels), visible, np.zeros(visible.shape))
     check_point_types(path, types)
-    positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
-    inspected = types.markers if len(types.markers) else types.unlabelled
-    up_axis = estimate_up_axis([types.labels[i] for i in inspected], positions_file[:, inspected], rate, default_up_axis)
-    rotation = ROTATIONS_TO_Y_UP[up_axis.letter]
+    points_file = np.where(visible[..., None], points_file, np.nan)
 
-    def convert(
-        columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
+    def convert_from(
+        convention: Convention, columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
     ) -> Float[np.ndarray, "F K 3"]:
-        return positions_file[frames][:, columns] @ rotation.T
+        return convention.apply(points_file[frames][:, columns])
+
+    declared = DeclaredConvention(unit_m, default_up_axis)
+    in_file = partial(convert_from, Convention(unit_m, np.eye(3), UpAxis("Y", "")))
+    convention = decide_convention(path, inspect_points(types, len(points_file), rate, in_file), declared, options)
+    convert = partial(convert_from, convention)
 
     functions = find_computed_markers(types, visible, convert)
     columns = np.setdiff1d(types.markers, list(functions))
@@ -195,10 +199,10 @@ def build_take(
         rate,
         first_frame,
         path,
-        layout=replace(layout, rotation_y_up_file=rotation),
+        layout=replace(layout, unit_m=convention.unit_m, rotation_y_up_file=convention.rotation_y_up_file),
         point_columns=columns,
-        up_axis=up_axis,
-        notes=notes,
+        up_axis=convention.up_axis,
+        notes=(*notes, *convention.notes),
     )
     return add_other_points(take, types, functions, convert)
 

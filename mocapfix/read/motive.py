@@ -88,7 +88,7 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     columns = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
     line_indices = list(find_nonblank_lines(document, axes_index + 1, delimiter))
     check_decimal_commas(document, line_indices, delimiter, len(document.split_cells(axes_index, delimiter)))
-    unit_m, unit_notes = parse_unit_or_default(document, header_index, header.get("length units", ""), "m")
+    unit_m, unit_notes = parse_unit_or_default(document, header_index, options.unit or header.get("length units", ""), "m")
     rate = header.get("export frame rate") or header.get("capture frame rate", "")
     return read_marker_table(
         MarkerTable(

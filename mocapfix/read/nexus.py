@@ -72,7 +72,7 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             frame_field=0,
             field_indices=np.array(first_fields)[:, None] + np.arange(3),
             labels=[names[i] for i in first_fields],
-            unit_m=parse_unit(document, axes_index + 1, unit),
+            unit_m=parse_unit(document, axes_index + 1, options.unit or unit),
             rate_text=rate,
             rate_line=start + 1,
         ),

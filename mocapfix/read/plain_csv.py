@@ -75,7 +75,7 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         remedy = "give it with --rate HZ, or add a column Time in seconds"
         raise document.build_error(names_index, f"there is no column for the time, so the rate is unknown; {remedy}.")
     field_indices = np.array([point.first_field for point in points])[:, None] + np.arange(3)
-    unit, notes = next((point.unit for point in points if point.unit), ""), ()
+    unit, notes = options.unit or next((point.unit for point in points if point.unit), ""), ()
     if not unit:
         unit = _infer_unit(document, line_indices, delimiter, field_indices)
         notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)

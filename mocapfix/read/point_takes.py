@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from mocapfix.read.point_types import MIN_LABELLED_POINTS, PointTypes
+from mocapfix.read.point_types import MIN_LABELLED_POINTS, PointConverter, PointTypes
 from mocapfix.stats.exact_distances import MAX_FUNCTION_FRAMES
 from mocapfix.stats.point_function_search import find_point_functions
 from mocapfix.stats.point_functions import PointFunction
@@ -16,16 +15,6 @@ from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import ComputedEvidence, ComputedPoints, Take
 
 MAX_RESOLUTION_FRAMES = 2000  # from which the resolution of the coordinates is estimated
-
-
-class PointConverter(Protocol):
-    """Returns the positions (m) of points of a file, given by their columns, in some frames; NaN where missing."""
-
-    def __call__(
-        self, columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
-    ) -> Float[np.ndarray, "F K 3"]:
-        """Return the positions."""
-        ...
 
 
 def find_computed_markers(

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,6 +27,16 @@ MIN_RESIDUAL_MARKERS = 3  # number of such markers: a single one may have been f
 
 
 MIN_LABELLED_POINTS = 3  # with fewer points left, points with the names of computed ones or with numbers for names are markers
+
+
+class PointConverter(Protocol):
+    """Returns the positions (m) of points of a file, given by their columns, in some frames; NaN where missing."""
+
+    def __call__(
+        self, columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
+    ) -> Float[np.ndarray, "F K 3"]:
+        """Return the positions."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ the file needs.
 
 import re
 from collections.abc import Iterator, Sequence
+from math import ceil, log10
 from operator import itemgetter
 
 import numpy as np
@@ -20,8 +21,7 @@ MISSING_TEXTS = {"", "n/a", "na", "null", "none", "-", "--"}  # in lower case
 DECIMAL_COMMA_PATTERN = re.compile(r"\d,\d")
 CELL_PADDING = ' \t"'  # characters around the text of a cell
 MAX_INSPECTED_LINES = 200  # lines from which number formats are inferred
-# Fewest decimals of a written coordinate, by metres per unit: enough for 0.01 mm.
-MIN_DECIMALS_BY_UNIT = {0.001: 2, 0.01: 3, 1.0: 5, 0.0254: 4, 0.3048: 5}
+WRITTEN_RESOLUTION_M = 1e-5  # least resolution of a written coordinate
 MIN_SPLIT_NUMBER_RATIO = 1.5  # of fields to columns, if decimal commas split numbers in two
 MAX_TABLE_DECIMALS = 9  # of a written coordinate
 MIN_EXPONENT_DECIMALS = 6  # of a coordinate written with an exponent
@@ -101,7 +101,7 @@ def parse_unit(document: TextDocument, index: int, name: str) -> float:
         ReadError: If the unit is unknown. The message lists the known units.
     """
     if (unit_m := get_metres_per_unit(name)) is None:
-        raise document.build_error(index, f"the unit is {name!r}; set it to one of {', '.join(METRES_PER_UNIT)}.")
+        raise document.build_error(index, f"the unit is {name!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
     return unit_m
 
 
@@ -152,4 +152,5 @@ def infer_number_format(present: Sequence[str], missing: Sequence[str], unit_m: 
     decimals = max((len(mantissa.partition(".")[2]) for mantissa in mantissas), default=0)
     if 2 * sum("e" in cell.lower() for cell in present) > len(present):
         return f".{max(decimals, MIN_EXPONENT_DECIMALS)}e", missing_text
-    return f".{min(max(decimals, MIN_DECIMALS_BY_UNIT[unit_m]), MAX_TABLE_DECIMALS)}f", missing_text
+    needed = ceil(log10(unit_m / WRITTEN_RESOLUTION_M) - 1e-9)
+    return f".{min(max(decimals, needed), MAX_TABLE_DECIMALS)}f", missing_text

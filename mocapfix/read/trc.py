@@ -50,7 +50,7 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
     check_decimal_commas(document, line_indices, delimiter, FIRST_MARKER_FIELD + 3 * len(names))
     widest = max((document.get_line(i).rstrip(delimiter + " ").count(delimiter) + 1 for i in line_indices), default=0)
     point_count = max(len(names), -(-(widest - FIRST_MARKER_FIELD) // 3))
-    unit_m, unit_notes = parse_unit_or_default(document, keys_index + 1, header.get("units", ""), "mm")
+    unit_m, unit_notes = parse_unit_or_default(document, keys_index + 1, options.unit or header.get("units", ""), "mm")
     return read_marker_table(
         MarkerTable(
             document=document,

@@ -16,6 +16,7 @@ from mocapfix.files.free_memory import return_free_memory
 from mocapfix.options import ReadOptions
 from mocapfix.read.c3d import read_fill_sd
 from mocapfix.read.capture import read_capture
+from mocapfix.read.conventions import change_convention
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.review.clean_arguments import find_argument, parse_read_options
 from mocapfix.review.file_models import ChangeModel
@@ -86,11 +87,12 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
     Raises ReadError if its files are damaged or do not belong together.
     """
     options = parse_read_options(take.arguments)
-    after, fill_sd, animation = _read_points(take.cleaned_path, options)
+    captured = _read_file(take.input_path, options) if take.input_path else None
+    after, fill_sd, animation = _select_points(_read_file(take.cleaned_path, options), captured)
     notes: list[str] = []
     before: Take | None = None
-    if take.input_path:
-        before, _, _ = _read_points(take.input_path, options)
+    if captured is not None:
+        before, _, _ = _select_points(captured, None)
         if before.frame_count != after.frame_count:
             raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
     else:
@@ -173,16 +175,26 @@ def _find_positions(
     return found
 
 
-def _read_points(path: Path, options: ReadOptions) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
-    """Return the points of a file, the standard deviations that it stores for fills, and its animation if it is one."""
+def _read_file(path: Path, options: ReadOptions) -> Take | Animation:
     try:
-        capture = read_capture(path, options)
+        return read_capture(path, options)
     except MocapfixError as error:
         raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
+
+
+def _select_points(
+    capture: Take | Animation, like: Take | Animation | None
+) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
+    """Return the points of a file, the standard deviations that it stores for fills, and its animation if it is one.
+
+    The unit and the axes are those of the input, which may be decided otherwise from the cleaned markers.
+    """
     if isinstance(capture, Animation):
         take = _drop_precision(build_tip_take(capture))
         return take, np.full(take.visible.shape, np.nan, np.float32), capture
     fill_sd = read_fill_sd(capture).astype(np.float32)
+    if isinstance(like, Take) and like.layout is not None:
+        capture = change_convention(capture, like.layout.unit_m, like.layout.rotation_y_up_file, like.up_axis)
     return _drop_precision(capture), fill_sd, None
 
 

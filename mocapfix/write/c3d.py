@@ -26,7 +26,6 @@ MAX_LABEL_BYTES = 255
 MAX_LABELS_PER_PARAMETER = 255
 MAX_PARAMETER_BYTES = 32_000
 MAX_PARAMETER_BLOCKS = 255
-UP_AXIS_NAMES = {0: "+X", 1: "+Y", 2: "+Z"}
 RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # axis that points right, by the index of the up axis
 
 
@@ -72,6 +71,7 @@ def write_c3d(target: str | Path, take: Take) -> None:
 def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], first: int, data_block: int) -> bytes:
     """Return the groups POINT and TRIAL in complete blocks. `data_block` is the number of the first block of samples."""
     last, up = first + take.frame_count - 1, int(np.abs(frame.rotation_y_up_file[1]).argmax())
+    up_axis = f"{'+' if frame.rotation_y_up_file[1, up] > 0 else '-'}{'XYZ'[up]}"
     point = [
         _encode_number("USED", "H", len(labels)),
         _encode_number("FRAMES", "H", min(take.frame_count, MAX_C3D_WORD)),
@@ -81,7 +81,7 @@ def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], fi
         _encode_number("RATE", "f", take.rate),
         _encode_texts("UNITS", [frame.unit_name.encode()]),
         _encode_texts("X_SCREEN", [RIGHT_AXIS_NAMES[up].encode()]),
-        _encode_texts("Y_SCREEN", [UP_AXIS_NAMES[up].encode()]),
+        _encode_texts("Y_SCREEN", [up_axis.encode()]),
         *_encode_text_series("LABELS", labels),
         *_encode_text_series("DESCRIPTIONS", [b" "] * len(labels)),
     ]

@@ -7,7 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
+from mocapfix.options import ReadOptions
 from mocapfix.read import bvh, capture
+from mocapfix.read.animation_inference import infer_up_axis
+from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
 from tests.bvh_files import HIERARCHY, ROWS, TEXT
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -139,13 +142,34 @@ def scale_lengths(text: str, factor: float) -> str:
 
 @pytest.mark.parametrize(
     ("factor", "unit"),
-    [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1 / 30.48, 0.3048), (1000, 0.01)],
+    [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1 / 30.48, 0.3048)],
 )
 def test_the_unit_is_inferred_from_the_height_of_the_figure(tmp_path, factor, unit):
     scaled = scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), factor)
     found = read(tmp_path, scaled)
     assert found.unit_m == pytest.approx(unit)
     assert bool(found.notes) == (factor != 1)
+
+
+def test_a_figure_in_no_known_unit_is_refused_and_read_in_the_unit_of_the_option(tmp_path):
+    (tmp_path / "a.bvh").write_text(scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), 1000))
+    with pytest.raises(ReadError, match=r"figure is 1.8e\+03 m tall.*--unit, one of mm"):
+        bvh.read_bvh(tmp_path / "a.bvh")
+    assert bvh.read_bvh(tmp_path / "a.bvh", options=ReadOptions(unit="mm")).unit_m == 0.001
+    assert bvh.read_bvh(tmp_path / "a.bvh", options=ReadOptions(accept_contradictions=True)).unit_m == 0.01
+
+
+@pytest.mark.parametrize("axis", ["-Y", "-Z"])
+def test_an_animation_with_a_downward_axis_is_upright(tmp_path, axis):
+    (tmp_path / "a.bvh").write_text(TEXT)
+    upright = bvh.read_bvh(tmp_path / "a.bvh")
+    turn = ROTATIONS_TO_Y_UP[axis].T
+    root, frames = np.array([0]), np.arange(upright.frame_count)
+    turned = upright.replace_rotations(root, frames, turn @ upright.compute_local_rotations()[:, :1])
+    turned = turned.replace_positions(root, frames, upright.compute_local_positions()[:, :1] @ turn.T)
+    found = infer_up_axis(turned)
+    assert any(f"{axis} axis points up" in note for note in found.notes)
+    np.testing.assert_allclose(found.compute_world_poses()[0], upright.compute_world_poses()[0], atol=1e-9)
 
 
 def test_the_up_axis_is_inferred_from_head_and_feet(tmp_path):

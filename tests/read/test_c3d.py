@@ -268,7 +268,10 @@ BAD = {
     "noise with the magic byte": (b"\x02\x50" + np.random.default_rng(1).bytes(5000), "damaged"),
     "no points": (c3d_bytes(np.zeros((4, 0, 3)), ["x"]), "no points"),
     "no frames": (c3d_bytes(np.zeros((0, 3, 3)), LABELS), "no frames"),
-    "strange units": (c3d_bytes(STANDING, LABELS, extra={"POINT:UNITS": "furlong"}), "'furlong'; set it to one of mm, cm, m"),
+    "strange units": (
+        c3d_bytes(STANDING, LABELS, extra={"POINT:UNITS": "furlong"}),
+        "'furlong'; give the unit with --unit",
+    ),
     "no rate": (
         c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}),
         "POINT:RATE: a frame rate of 0 Hz is not possible (5 to 2000); give it with --rate HZ",

@@ -1,17 +1,26 @@
-import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from mocapfix.files.layouts import C3dLayout
-from mocapfix.options import ReadOptions
-from mocapfix.read import capture
+from mocapfix.read.coordinates import METRES_PER_UNIT, get_metres_per_unit
 
 
-@pytest.mark.parametrize("up", "XYZ")
-def test_a_given_up_axis_overrules_that_of_the_file(cleaned, up):
-    default, rotated = capture.read_take(cleaned.path), capture.read_take(cleaned.path, ReadOptions(up_axis=up))
-    assert isinstance(default.layout, C3dLayout)
-    assert isinstance(rotated.layout, C3dLayout)
-    in_file = default.markers @ default.layout.rotation_y_up_file
-    np.testing.assert_array_equal(np.nan_to_num(rotated.markers[..., 1]), np.nan_to_num(in_file[..., "XYZ".index(up)]))
-    np.testing.assert_array_equal(rotated.markers @ rotated.layout.rotation_y_up_file, in_file)
-    assert np.linalg.det(rotated.layout.rotation_y_up_file) == 1
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("mete", "m"), ("mill", "mm"), ("milli", "mm"), ("Centim", "cm"), ("inch", "in"), ("Inches", "in"), ("foot", "ft"),
+     ("METRES ", "m"), ("mm", "mm"), ("MM.", "mm")],
+)  # fmt: skip
+def test_a_name_of_a_unit_may_be_cut_off(name, unit):
+    assert get_metres_per_unit(name) == METRES_PER_UNIT[unit]
+
+
+@given(st.text(max_size=12))
+def test_other_texts_are_no_unit(text):
+    known = ("mm", "cm", "m", "in", "ft", "mil", "cen", "met", "mtr", "inc", "foo", "fee")
+    if not text.strip().lower().startswith(known):
+        assert get_metres_per_unit(text) is None
+
+
+@pytest.mark.parametrize("name", ["me", "mi", "furlong", "metric", "inchworm", ""])
+def test_a_name_that_is_too_short_or_goes_on_otherwise_is_no_unit(name):
+    assert get_metres_per_unit(name) is None

@@ -37,7 +37,7 @@ def test_units(tmp_path, name, metres):
 
 
 def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path):
-    with pytest.raises(ReadError, match="line 1: the unit is 'deg'; set it to one of mm, cm, m, in, ft"):
+    with pytest.raises(ReadError, match="line 1: the unit is 'deg'; give it with --unit, one of mm, cm, m, in, ft"):
         parse_unit(parse_document(tmp_path / "walk.trc", b"units"), 0, "deg")
 
 

@@ -110,7 +110,7 @@ INVALID_FILES = {
     "no frames": ("\r\n".join(LINES[:6]), "has no frames"),
     "empty names": (trc(labels=("", "", "")), "line 4: names no markers"),
     "a word": (trc().replace("1701.000", "moved"), "line 8: field 5 is 'moved' and not a number"),
-    "a unit": (trc(units="furlong"), "line 3: the unit is 'furlong'; set it to one of mm, cm, m"),
+    "a unit": (trc(units="furlong"), "line 3: the unit is 'furlong'; give it with --unit, one of mm, cm, m"),
     "no rate": (trc(STANDING[:1], DataRate="?"), "line 3: the frame rate is '?'"),
     "a frame twice": ("\r\n".join([*LINES[:8], LINES[7], *LINES[8:]]), "line 9: frame 2 follows frame 2"),
     "no frame numbers": (trc().replace("2\t0.01000", "\t0.01000"), "line 8: does not begin with a frame number"),
