@@ -88,7 +88,8 @@ class _Clock(NamedTuple):
     Attributes:
         frame_s: Seconds from one frame to the next.
         omitted: Frames omitted at each of the R - 1 steps, beyond those that frame numbers omit.
-        uncertainty: Relative uncertainty of `frame_s`.
+        uncertainty: Relative uncertainty of `frame_s` by the last decimal of the times and their irregularity.
+        is_exact: Whether the steps show no rounding: they are equal, or multiples of one.
         irregularity_s: Median deviation of the steps if they are irregular, else 0.
         unit_name: The unit of the times if it is not the one expected, else "".
     """
@@ -96,6 +97,7 @@ class _Clock(NamedTuple):
     frame_s: float
     omitted: Int[np.ndarray, " n"]
     uncertainty: float
+    is_exact: bool
     irregularity_s: float
     unit_name: str
 
@@ -342,7 +344,8 @@ def _read_clock(times: FrameTimes, steps: Int[np.ndarray, " n"], stated: float |
     return _Clock(
         frame * unit_s,
         omitted,
-        (noise + 2 * deviation * is_irregular) / (values[-1] - values[0]),
+        (resolution + 2 * deviation * is_irregular) / (values[-1] - values[0]),
+        noise == 0,
         deviation * unit_s if is_irregular else 0.0,
         "" if unit_s == (times.unit_s or 1.0) else unit,
     )
@@ -400,7 +403,7 @@ def _combine_rates(
     if clock is None or not MIN_RATE_HZ <= 1 / clock.frame_s <= MAX_RATE_HZ:
         rate, rate_notes = choose_rate(build_error, stated, options, stated_text)
         return rate, list(rate_notes)
-    measured, notes = _round_rate(1 / clock.frame_s, clock.uncertainty), list[str]()
+    measured, notes = _round_rate(1 / clock.frame_s, 0.0 if clock.is_exact else clock.uncertainty), list[str]()
     if options.rate_hz is not None:
         return options.rate_hz, list(_describe_contradiction(measured, options.rate_hz))
     if stated is not None and abs(measured / stated - 1) <= max(MAX_RATE_CONTRADICTION, clock.uncertainty):

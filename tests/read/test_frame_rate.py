@@ -101,6 +101,7 @@ def test_the_time_column_wins_over_the_header():
     assert find(np.arange(100) / 60, stated="59.94").rate == 59.94  # programs write times of the nominal rate
     assert find(1e3 * times, stated="120", unit_s=1.0).rate == 120
     assert find(times, stated="0.12").rate == 120
+    assert find([0.0, 0.01, 0.02], stated="120").rate == 120  # 0.0167 s, rounded
 
 
 @pytest.mark.parametrize("times", [np.zeros(50), np.full(50, np.nan), np.arange(50.0), np.arange(50.0)[::-1]])
