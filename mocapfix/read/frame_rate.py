@@ -33,7 +33,8 @@ MIN_GAP_EXCESS = 0.5  # of a frame: a time step that is longer by this, beyond t
 MAX_REGULAR_DEVIATION = 0.05  # of a frame: the median deviation of time steps, beyond their resolution, of a steady clock
 COMPARED_TIMES = 5  # on either side of a long step, by whose mean lateness omitted frames are counted
 MIN_ROUNDED_LONG_STEPS = 3  # long steps without which they omit frames rather than come from rounding
-MAX_ROUNDED_RESIDUAL = 1.05  # range of the residuals of a rounded clock, in units of the last decimal
+MAX_ROUNDING_RANGE = 0.999  # of rounding errors, in units of the last decimal; a frame as long as one has 1
+ROUNDING_SLACK = 1.05  # by which the effects of rounding may exceed those of the last decimal
 MAX_TIME_DECIMALS = 9
 MAX_FRAME_NUMBER = 2**53  # larger whole numbers are not exact as floats
 MAX_INSPECTED_TIMES = 1000  # from which their resolution is estimated
@@ -324,6 +325,8 @@ def _read_clock(times: FrameTimes, steps: Int[np.ndarray, " n"], stated: float |
     if (differences < 0).any() or not values[-1] > values[0]:
         return None
     usual, resolution = float(np.median(differences / steps)), _estimate_resolution(values)
+    if stated and _agrees_with_rate(values, steps, resolution, times.unit_s or 1.0, stated):
+        return None
     is_rounded = usual == 0 or (differences / steps).min() < usual - resolution / 4  # omitted frames make no step shorter
     noise = resolution if is_rounded else 0.0
     is_usual = (differences / steps <= (1 + MIN_GAP_EXCESS) * usual + noise) | (usual == 0)
@@ -370,11 +373,19 @@ def _count_omitted_frames(excess: Float[np.ndarray, " n"], noise: float) -> Int[
     return omitted
 
 
+def _agrees_with_rate(
+    values: Float[np.ndarray, " R"], steps: Int[np.ndarray, " n"], resolution: float, unit_s: float, rate: float
+) -> bool:
+    """Return whether times are those of a clock of this rate without omitted frames, rounded to their last decimal."""
+    lateness_s = values * unit_s - np.concatenate([[0], np.cumsum(steps)]) / rate
+    return bool(np.ptp(lateness_s) < MAX_ROUNDING_RANGE * resolution * unit_s)
+
+
 def _is_rounded_clock(values: Float[np.ndarray, " R"], steps: Int[np.ndarray, " n"], resolution: float) -> bool:
     """Return whether times are those of a steady clock without omitted frames, rounded to their last decimal."""
     frames = np.concatenate([[0], np.cumsum(steps)])
     residual = values - np.polyval(np.polyfit(frames, values - values[0], 1), frames)
-    return bool(np.ptp(residual) <= MAX_ROUNDED_RESIDUAL * resolution)
+    return bool(np.ptp(residual) <= ROUNDING_SLACK * resolution)
 
 
 def _estimate_resolution(values: Float[np.ndarray, " R"]) -> float:
@@ -406,7 +417,9 @@ def _combine_rates(
     measured, notes = _round_rate(1 / clock.frame_s, 0.0 if clock.is_exact else clock.uncertainty), list[str]()
     if options.rate_hz is not None:
         return options.rate_hz, list(_describe_contradiction(measured, options.rate_hz))
-    if stated is not None and abs(measured / stated - 1) <= max(MAX_RATE_CONTRADICTION, clock.uncertainty):
+    if stated is not None and abs(1 / (stated * clock.frame_s) - 1) <= max(
+        MAX_RATE_CONTRADICTION, ROUNDING_SLACK * clock.uncertainty
+    ):
         return stated, []
     if stated is not None:
         notes.append(f"The header says {stated:g} Hz and the time column {measured:g} Hz; the time column is used.")

@@ -93,6 +93,22 @@ def test_times_with_two_decimals_omit_no_frames(rate):
     assert found.frame_count == 300
 
 
+@settings(max_examples=200)
+@given(
+    st.sampled_from([24, 25, 29.97, 30, 50, 59.94, 60, 75, 100, 120, 150, 200, 240, 250, 300, 500, 1000]),
+    st.integers(1, 400),
+    st.integers(1, 6),
+    st.sampled_from([0.0, 0.37, 12.3456]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_rounded_or_cut_off_times_agree_with_their_header(rate, count, decimals, start, is_cut_off, has_numbers):
+    times = (start + np.arange(count) / rate) * 10**decimals
+    times = np.floor(times + 1e-9 if is_cut_off else times + 0.5) / 10**decimals
+    found = find(times, np.arange(count) + 3 if has_numbers else None, stated=str(rate), unit_s=1.0)
+    assert (found.rate, found.frame_count, found.notes) == (rate, count, ())
+
+
 def test_the_time_column_wins_over_the_header():
     times = np.arange(100) / 120
     assert find(times, stated="59.94").notes == ("The header says 59.94 Hz and the time column 120 Hz; the time column is used.",)
