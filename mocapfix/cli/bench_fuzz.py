@@ -11,16 +11,17 @@ from rich.markup import escape
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_line, print_usage_error, show_progress
 
-QUICK_CASE_COUNTS = {"readers": 1000, "characters": 200, "cleans": 10, "kills": 10}
-CASE_COUNTS = {"readers": 10_000, "characters": 5000, "cleans": 200, "kills": 200}
+QUICK_CASE_COUNTS = {"readers": 1000, "c3d": 1000, "characters": 200, "cleans": 10, "kills": 10}
+CASE_COUNTS = {"readers": 10_000, "c3d": 100_000, "characters": 5000, "cleans": 200, "kills": 200}
 
 
 def run_bench_fuzz(
     what: Annotated[
-        Literal["readers", "characters", "cleans", "kills"],
+        Literal["readers", "c3d", "characters", "cleans", "kills"],
         tyro.conf.Positional,
         tyro.conf.arg(
-            help="readers: damaged files; characters: damaged characters; cleans: strange takes; "
+            help="readers: damaged files; c3d: generated C3D files, compared with ezc3d; characters: damaged characters; "
+            "cleans: strange takes; "
             "kills: clean --overwrite, killed at random moments"
         ),
     ],
@@ -55,6 +56,9 @@ def run_bench_fuzz(
                 from mocapfix.bench.fuzz_readers import build_folder_builder, build_reader_case
 
                 build_case = build_folder_builder(files) if files else build_reader_case
+            elif what == "c3d":
+                from mocapfix.bench.fuzz_c3d import C3D_FUZZ_LIMITS as limits
+                from mocapfix.bench.fuzz_c3d import build_c3d_case as build_case
             elif what == "characters":
                 from mocapfix.bench.fuzz_characters import build_character_case as build_case
                 from mocapfix.bench.fuzz_readers import READER_FUZZ_LIMITS as limits

@@ -82,6 +82,11 @@ class _Source(NamedTuple):
     field: str
     value: int
 
+    @property
+    def place(self) -> tuple[str, str]:
+        """The word or parameter without that with which it is multiplied: two products of one word are one source."""
+        return self.name.split(" with ")[0], self.field
+
 
 class _Evidence(NamedTuple):
     """How the values look in a reading.
@@ -97,12 +102,16 @@ class _Evidence(NamedTuple):
     whole_share: float
 
     @property
+    def is_absurd(self) -> bool:
+        return self.sane_share < MIN_SANE_SHARE
+
+    @property
     def is_unknown(self) -> bool:
-        return bool(np.isnan(self.roughness))
+        return bool(np.isnan(self.roughness)) and not self.is_absurd
 
     @property
     def is_plausible(self) -> bool:
-        return self.roughness <= MAX_ROUGHNESS and self.sane_share >= MIN_SANE_SHARE
+        return self.roughness <= MAX_ROUGHNESS and not self.is_absurd
 
     def is_better(self, other: "_Evidence") -> bool:
         """Return whether these values look better than others by their steps or residual words, and as good by the other."""
@@ -123,7 +132,9 @@ def locate_samples(path: Path, parameters: C3dParameters, data: bytes) -> tuple[
     do_agree = len({each.field for each in sources}) == len({(each.field, each.value) for each in sources})
     do_agree &= declared.start_byte >= parameters.section_end_byte
     is_filled = 0 <= stored.count_rest_bytes(len(data)) < max(C3D_BLOCK_BYTES, stored.frame_bytes)
-    if not (do_agree and is_filled and (stored.frame_count in parameters.frame_counts or parameters.is_count_saturated)):
+    is_filled &= not stored._replace(is_float=not stored.is_float).is_exact(len(data))  # within a block both types may fit
+    is_counted = stored.frame_count in parameters.frame_counts or stored.frame_count > max(parameters.frame_counts)
+    if not (do_agree and is_filled and is_counted):
         stored = _choose(path, parameters, data, stored, sources, do_agree)
     if not stored.frame_count:
         _refuse_frames(path, parameters, len(data), declared)
@@ -214,7 +225,9 @@ def _choose(
         if possible := [each for each in longest if looks[each].is_plausible]:
             break
     is_proved = bool(possible)
-    if not is_proved and (do_agree or not is_readable):
+    is_doubtful = not declared.is_exact(size) or own.roughness > MAX_ROUGHNESS
+    is_refuted = own.is_absurd or (is_doubtful and any(looks[each].is_unknown for each in exact if each in looks))
+    if not is_proved and (not is_readable or (do_agree and not is_refuted)):
         return declared
     if not is_proved:
         possible = _list_unproved(parameters, size, sources, looks, declared)
@@ -224,7 +237,7 @@ def _choose(
         possible = after
     best = [each for each in possible if not any(looks[other].is_better(looks[each]) for other in possible)]
     if len(best) > 1 and not is_proved:
-        support = {each: sum(getattr(each, source.field) == source.value for source in sources) for each in best}
+        support = {each: len({s.place for s in sources if getattr(each, s.field) == s.value}) for each in best}
         best = [each for each in best if support[each] == max(support.values())]
     if len(best) != 1:
         raise ReadError(f"{path}: its header and parameters contradict one another, {_describe_choice(sources, best)}.")
@@ -239,7 +252,11 @@ def _list_unproved(
     If they speak against a reading, it is one of them only if header and parameters agree on the content of a frame.
     """
     declared_values = {(each.field, each.value) for each in sources} | {("frame_count", each) for each in parameters.frame_counts}
-    unproved = [each for each in looks if each.is_exact(size) and declared_values.issuperset(each._asdict().items())]
+    unproved = [
+        each
+        for each in looks
+        if not looks[each].is_absurd and each.is_exact(size) and declared_values.issuperset(each._asdict().items())
+    ]
     is_frame_known = all(each.value == getattr(declared, each.field) for each in sources if each.field != "start_byte")
     return [each for each in unproved if looks[each].is_unknown] or unproved * is_frame_known
 
@@ -279,9 +296,8 @@ def _derive_frame_count(blocks: SampleBlocks, file_bytes: int, parameters: C3dPa
 
 def _inspect_values(parameters: C3dParameters, data: bytes, blocks: SampleBlocks) -> _Evidence:
     """Return how the values look in a reading."""
-    unknown = _Evidence(np.nan, 0.0, 0.0)
     if blocks.frame_count < 2 or blocks.count_rest_bytes(len(data)) < 0:
-        return unknown
+        return _Evidence(np.nan, 1.0, 0.0)
     layout = blocks.build_layout(parameters.processor_type)
     words = layout.view_words(data)
     first = np.unique(np.linspace(0, blocks.frame_count - 2, FRAME_PAIRS).astype(int))
@@ -290,10 +306,10 @@ def _inspect_values(parameters: C3dParameters, data: bytes, blocks: SampleBlocks
     residual, size = before[..., 3], np.abs(before[..., :3])
     with np.errstate(invalid="ignore"):
         whole_share = float((residual == np.rint(residual)).mean())
-        sane_share = float(((size == 0) | ((size > SANE_COORDINATES[0]) & (size < SANE_COORDINATES[1]))).mean())
+        sane_share = float((np.isnan(size) | (size == 0) | ((size > SANE_COORDINATES[0]) & (size < SANE_COORDINATES[1]))).mean())
     points = before[both][:, :3]
     if len(points) < MIN_SAMPLES:
-        return unknown
+        return _Evidence(np.nan, sane_share, whole_share)
     steps = np.linalg.norm(after[both][:, :3] - points, axis=1)
     distance = np.median(np.linalg.norm(points - points[np.random.default_rng(0).permutation(len(points))], axis=1))
     return _Evidence(float(np.percentile(steps, 90) / distance) if distance > 0 else np.nan, sane_share, whole_share)
@@ -369,4 +385,4 @@ def _describe_choice(sources: list[_Source], possible: list[SampleBlocks]) -> st
         if len(values) > 1:
             parts.append(" or ".join(_describe_value(field, value) for value in sorted(values)))
     which = "and several readings fit its data" if possible else "and none fits its data"
-    return f"{which} ({'; '.join(parts)}); export it again"
+    return f"{which} ({'; '.join(parts) or 'values that are no positions'}); export it again"

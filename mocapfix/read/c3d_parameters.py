@@ -92,11 +92,7 @@ def _parse_parameters(data: bytes) -> C3dParameters:
     processor_type = data[C3D_BLOCK_BYTES * (data[0] - 1) + 3]
     if processor_type not in PROCESSOR_TYPES:
         raise ValueError(f"unknown processor type {processor_type}")
-    with warnings.catch_warnings(action="ignore"):
-        # Buffered, because a BytesIO reads everything for the negative length in a broken chain of parameters.
-        handle = io.BufferedReader(io.BytesIO(data))
-        reader = LenientReader(handle)
-    section_end_byte = -(-handle.tell() // C3D_BLOCK_BYTES) * C3D_BLOCK_BYTES
+    reader = open_c3d_reader(data)
     header = reader.header
     first = _read_whole_number(reader, "TRIAL:ACTUAL_START_FIELD")
     last = _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
@@ -116,7 +112,7 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         analog_rate=_read_float(reader, "ANALOG:RATE"),
         header_data_block=header.data_block,
         data_start_block=_read_whole_number(reader, "POINT:DATA_START") or 0,
-        section_end_byte=section_end_byte,
+        section_end_byte=-(-reader.stop_byte // C3D_BLOCK_BYTES) * C3D_BLOCK_BYTES,
         scale_factor=float(reader.point_scale),
         header_scale_factor=float(header.scale_factor),
         rate=float(reader.point_rate),
@@ -131,8 +127,15 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         first_frame=header.first_frame if first is None else first,
         header_frame_count=header_frame_count,
         frame_counts=counts,
-        is_count_saturated=header.last_frame == MAX_C3D_WORD and max(counts) <= MAX_C3D_WORD,
+        is_count_saturated=header.last_frame == MAX_C3D_WORD and max(*counts, last or 0) <= MAX_C3D_WORD,
     )
+
+
+def open_c3d_reader(data: bytes) -> "LenientReader":
+    """Return the library's reader of the header and parameters in the bytes of a file. It fails with exceptions of any kind."""
+    with warnings.catch_warnings(action="ignore"):
+        # Buffered, because a BytesIO reads everything for the negative length in a broken chain of parameters.
+        return LenientReader(io.BufferedReader(io.BytesIO(data)))
 
 
 class _LenientGroup(c3d.Group):
@@ -144,7 +147,15 @@ class _LenientGroup(c3d.Group):
 
 
 class LenientReader(c3d.Reader):
-    """The library's reader, without its checks for contradictions that do not matter here."""
+    """The library's reader, without its checks for contradictions that do not matter here.
+
+    Attributes:
+        stop_byte: End of the last parameter.
+    """
+
+    def __init__(self, handle: io.BufferedReader) -> None:
+        super().__init__(handle)
+        self.stop_byte = handle.tell()
 
     def add_group(self, *args: Any, **options: Any) -> c3d.Group:
         group = super().add_group(*args, **options)

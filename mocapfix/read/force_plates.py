@@ -1,7 +1,5 @@
 """Read the vertical forces of the force plates in a C3D file (C3D User Guide, "The FORCE_PLATFORM Group")."""
 
-import io
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.files.layouts import MAX_C3D_WORD, C3dLayout
-from mocapfix.read.c3d_parameters import LenientReader, read_texts
+from mocapfix.read.c3d_parameters import LenientReader, open_c3d_reader, read_texts
 
 VERTICAL_CHANNELS = {1: (2,), 2: (2,), 3: (4, 5, 6, 7), 4: (2,)}
 """the channels of a plate, from 0, whose sum is the vertical force, by the type of the plate; type 4 after calibration"""
@@ -43,9 +41,8 @@ def read_force_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
 
 
 def _read_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
-    with warnings.catch_warnings(action="ignore"):
-        reader = LenientReader(io.BufferedReader(io.BytesIO(data)))
-    analog = _read_analog(data, layout, reader)
+    reader = open_c3d_reader(data)
+    analog = read_analog(data, layout, reader)
     types = np.ravel(_read_values(reader, "FORCE_PLATFORM:TYPE")).astype(int)
     channels = _read_values(reader, "FORCE_PLATFORM:CHANNEL").astype(int)  # (channels, plates) in the file, plates first here
     corners = _read_values(reader, "FORCE_PLATFORM:CORNERS").reshape(-1, 4, 3)
@@ -70,7 +67,7 @@ def _read_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
     return plates
 
 
-def _read_analog(data: bytes, layout: C3dLayout, reader: LenientReader) -> Float[np.ndarray, "T S C"]:
+def read_analog(data: bytes, layout: C3dLayout, reader: LenientReader) -> Float[np.ndarray, "T S C"]:
     """Return the analog channels: frames, samples per frame, channels, in the units of the channels."""
     channel_count = int(np.ravel(_read_values(reader, "ANALOG:USED"))[0])
     is_unsigned = any("UNSIGNED" in text.upper() for text in read_texts(reader, "ANALOG:FORMAT"))

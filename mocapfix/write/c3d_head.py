@@ -7,9 +7,12 @@ from functools import cached_property
 
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, DEC_PROCESSOR, SGI_PROCESSOR
 from mocapfix.write.c3d_parameter_records import (
+    LARGEST_GROUP,
     ParameterRecord,
+    build_group_record,
     build_record,
     build_text_record,
+    find_point_group,
     join_head,
     read_parameter_records,
 )
@@ -19,7 +22,6 @@ TEXT_TYPE, BYTE_TYPE, WORD_TYPE, FLOAT_TYPE = -1, 1, 2, 4
 CODES = {BYTE_TYPE: "b", WORD_TYPE: "h", FLOAT_TYPE: "f"}
 PROCESSOR_BYTE = 3
 """offset of the processor type in the parameter section"""
-LARGEST_GROUP = 127
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,12 @@ class C3dHead:
 
     def replace_parameters(self, group: str, texts: Mapping[str, Sequence[str]], numbers: Mapping[str, NumberParameter]) -> bytes:
         """Return the bytes before the data with these parameters of a group, which is added if it is missing."""
-        number, point_group = self.find_group(group), self.find_group("POINT")
-        assert point_group is not None
-        added: list[ParameterRecord] = []
+        point_group, added = find_point_group(self.records)
+        number = self.find_group(group)
         if number is None:
-            used = {abs(each.group) for each in self.records}
+            used = {abs(each.group) for each in (*self.records, *added)}
             number = next(k for k in range(1, LARGEST_GROUP) if k not in used)
-            added.append(ParameterRecord(group, -number, struct.pack("bb", len(group), -number) + group.encode(), b"\0"))
+            added.append(build_group_record(group, number))
         added += [build_text_record(name, number, [text.encode() for text in each]) for name, each in texts.items()]
         added += [build_record(name, number, self._encode_parameter(each)) for name, each in numbers.items()]
         names = {each.name for each in added}

@@ -8,6 +8,7 @@ from mocapfix.files.layouts import C3D_BLOCK_BYTES, SGI_PROCESSOR
 
 MAX_SERIES_NUMBER = 100  # of a parameter with an entry for each point, such as LABELS, that is continued in LABELS2 and so on
 MAX_TEXTS_PER_PARAMETER = 255  # of a parameter, and the length of a text
+LARGEST_GROUP = 127  # number of a group
 DATA_BLOCK_WORD = 16  # offset in the header of the number of the first block of data
 POINT_COUNT_WORD = 2  # offset in the header of the number of points
 
@@ -33,16 +34,30 @@ def replace_point_parameters(head: bytes, labels: Sequence[str], *, has_same_poi
     """
     order = _find_byte_order(head)
     records = read_parameter_records(head)
-    point_group = next(-each.group for each in records if each.group < 0 and each.name == "POINT")
+    point_group, group_records = find_point_group(records)
     texts = {"LABELS": [label.encode("utf-8") or b" " for label in labels]}
     if not has_same_points:
         texts["DESCRIPTIONS"] = [b" "] * len(labels)
     series = {f"{name}{number or ''}" for name in texts for number in (0, *range(2, MAX_SERIES_NUMBER))}
     kept = [each for each in records if each.group != point_group or each.name not in {*series, "USED", "DATA_START"}]
-    added = [_build_word("USED", point_group, len(labels), order), *_build_text_series(point_group, texts)]
+    added = [*group_records, _build_word("USED", point_group, len(labels), order), *_build_text_series(point_group, texts)]
     start = bytearray(join_head(head, kept, added, point_group))
     struct.pack_into(order + "H", start, POINT_COUNT_WORD, len(labels))
     return bytes(start)
+
+
+def find_point_group(records: Sequence[ParameterRecord]) -> tuple[int, list[ParameterRecord]]:
+    """Return the number of the group POINT and, if a file has none, the record of a new one."""
+    numbers = {each.name: -each.group for each in records if each.group < 0}
+    if "POINT" in numbers:
+        return numbers["POINT"], []
+    number = next(k for k in range(1, LARGEST_GROUP) if k not in {abs(each.group) for each in records})
+    return number, [build_group_record("POINT", number)]
+
+
+def build_group_record(name: str, number: int) -> ParameterRecord:
+    """Return the record of a group without a description."""
+    return ParameterRecord(name, -number, struct.pack("bb", len(name), -number) + name.encode(), b"\0")
 
 
 def join_head(head: bytes, kept: Sequence[ParameterRecord], added: Sequence[ParameterRecord], point_group: int) -> bytes:
