@@ -14,6 +14,7 @@ from mocapfix.contacts.contacts import FILE_SOURCE, PLATE_SOURCE, GaitEvent
 from mocapfix.contacts.plate_contacts import MAX_FILE_EVENT_ERROR_S
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.write.c3d_head import BYTE_TYPE, FLOAT_TYPE, WORD_TYPE, C3dHead, NumberParameter
+from mocapfix.write.verify_output import check_copy_with_events
 
 EVENT_GROUP = "EVENT"
 MAX_EVENTS = 255
@@ -128,6 +129,7 @@ def add_c3d_events(
     if events != known:
         with replace_atomically(target) as part:
             part.write_bytes(_replace_events(head, events[: max(MAX_EVENTS, len(known))]) + data[data_start_byte:])
+            check_copy_with_events(target, part, data, data_start_byte, EVENT_GROUP)
     return min(len(events), max(MAX_EVENTS, len(known))) - len(known)
 
 

@@ -27,6 +27,7 @@ from mocapfix.write.source_file import (
     read_take_bytes,
 )
 from mocapfix.write.text_tables import MAX_WRITTEN_DECIMALS
+from mocapfix.write.verify_output import check_c3d_copy, check_table_copy
 
 DEFAULT_DECIMALS = 6  # of a number in a file that has no number with decimals
 
@@ -97,13 +98,14 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
     A sample that comes from another label, or from an unlabelled point, keeps all of its words, bit for bit. Any other sample
     that differs gets its new coordinates, camera mask 0, and its `sample_sd` as residual, in counts clamped to 1..255 (1 if it
     has none). A missing sample gets coordinates 0 and residual -1, and so does one that an integer file cannot store, because
-    files are never rescaled. All other bytes are unchanged (C3D User Guide, "The 3D Data Section").
+    files are never rescaled. All other bytes are unchanged (C3D User Guide, "The 3D Data Section"), which is verified.
 
     Returns:
         Frame and marker index of the samples that could not be stored.
 
     Raises:
-        WriteError: If `target` is the input or is not writable, or if `before` was not read from a C3D that still exists.
+        WriteError: If `target` is the input or is not writable, if `before` was not read from a C3D that still exists, or if
+            the copy differs where it must not.
     """
     layout = before.layout
     if not isinstance(layout, C3dLayout):
@@ -119,10 +121,12 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
     words[relabelled_frames, before.point_columns[relabelled_markers]] = relabelled_words
     assigned = find_assigned_points(before, after)
     words[assigned] = _encode_samples(layout, np.tile(MISSING_SAMPLE, (len(assigned[0]), 1)))
+    is_lost = ~is_stored & ~np.isnan(after.markers[frames, markers]).any(-1)
+    lost = [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
-    is_lost = ~is_stored & ~np.isnan(after.markers[frames, markers]).any(-1)
-    return [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
+        check_c3d_copy(Path(target), part, before, after, lost)
+    return lost
 
 
 def _build_samples(
@@ -183,6 +187,7 @@ def patch_table(target: str | Path, before: Take, after: Take) -> list[tuple[int
         lines[index] = _replace_fields(lines[index], layout.delimiter, fields)
     with replace_atomically(Path(target)) as part:
         part.write_bytes(layout.newline.join(lines).encode(layout.encoding))
+        check_table_copy(Path(target), part, before, after, lost)
     return lost
 
 

@@ -1,13 +1,15 @@
 """A slice of the fuzzing, and the harness itself."""
 
 import time
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mocapfix.bench import fuzz_process
+from mocapfix.bench.fuzz_c3d import build_c3d_case
 from mocapfix.bench.fuzz_cleans import CLEAN_FUZZ_LIMITS, build_clean_case
 from mocapfix.bench.fuzz_mutations import choose_mutations
 from mocapfix.bench.fuzz_process import FuzzLimits, run_cases, try_case
@@ -17,6 +19,7 @@ from mocapfix.bench.kill_clean import is_whole
 from mocapfix.errors import ReadError
 
 READER_CASES = 400
+C3D_CASES = 300
 FOUND_READER_SEEDS = (7685, 12797, 100060, 105195, 178060)
 """a hang in a regular expression, a crash in libyaml, two of aliases, a name that no file can have"""
 FOUND_CLEAN_SEEDS = (13, 113, 191, 1084)
@@ -109,3 +112,17 @@ def test_incomplete_outputs_are_recognised(tmp_path: Path) -> None:
     assert not is_whole("c3d", path, {"c3d": b"x"})
     path.write_text('{"a": 1}')
     assert is_whole("report.json", path, {})
+
+
+def test_generated_c3d_files_are_read_as_by_ezc3d(tmp_path: Path) -> None:
+    outcomes = Counter(build_c3d_case(seed).run(tmp_path) for seed in range(C3D_CASES))
+    assert outcomes["odd, refused"] < 0.15 * (outcomes["odd, read"] + outcomes["odd, refused"])
+    assert min(outcomes["equal"], outcomes["equal; ezc3d refuses SGI"], outcomes["odd, read"]) > 0.1 * C3D_CASES
+
+
+def test_the_comparison_finds_other_samples_and_analog_values(tmp_path: Path) -> None:
+    case = next(each for each in map(build_c3d_case, range(100)) if each.content.analog_words.size and not each.oddity)
+    for field in ("counts", "residual_words", "analog_words"):
+        content = replace(case.content, **{field: getattr(case.content, field) + 1})
+        with pytest.raises(AssertionError):
+            replace(case, content=content).run(tmp_path)
