@@ -190,7 +190,7 @@ def test_steps_of_a_walk_that_turns_and_stops_are_found_once(seed):
     is_known = np.ones(position.shape[:2], bool)
     feet = build_foot_points(take.subject, take.motion, take.marker_positions, take.marker_positions, is_known)
     events = detect_gait_events(feet, floor, take.rate)
-    found = dict.fromkeys(("foot strike", "foot off"), 0)
+    found: dict[str, int] = {"foot strike": 0, "foot off": 0}
     for foot, start_s, swing_s, _, _ in STEP_SCHEDULE:
         for kind, time_s in (("foot strike", start_s + swing_s), ("foot off", start_s)):
             side = ("left", "right")[foot]
