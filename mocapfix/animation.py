@@ -137,13 +137,16 @@ class Animation:
 
     @cached_property
     def moving_joint(self) -> int:
-        """The joint whose position channels move the figure most: the root, the hips, or a joint between them."""
+        """The joint whose position channels move the figure most: the root, the hips, or a joint between them.
+
+        Percentiles of the positions are compared, so that no fault of a few frames decides.
+        """
         joints = [joint for joint in self.list_path(self.body_root) if self.get_position_channels(joint)[0].size]
         ranges: list[float] = []
         for joint in joints:
             values = self.values[:, self.get_position_channels(joint)[0]]
             values = values[np.isfinite(values).all(1)]
-            ranges.append(float(np.ptp(values, axis=0).sum()) if len(values) else 0.0)
+            ranges.append(float(np.ptp(np.percentile(values, (5, 95), axis=0), axis=0).sum()) if len(values) else 0.0)
         return joints[int(np.argmax(ranges))] if joints else 0
 
     def list_path(self, joint: int) -> list[int]:

@@ -76,3 +76,6 @@ def test_the_position_track_is_that_of_the_hips_below_a_reference_that_does_not_
     tips = joint_points.build_tip_take(figure)
     assert tips.labels[-1] == "Hips position"
     np.testing.assert_allclose(tips.markers[:, -1], [[0.105, 0.9, -0.0325], [0.106, 0.901, -0.0315], [0.107, 0.902, -0.0305]])
+    values = np.tile(figure.values, (40, 1))
+    values[60:62, :3] = 1e6  # a fault of the reference
+    assert joint_points.build_tip_take(figure.replace_values(values)).labels[-1] == "Hips position"
