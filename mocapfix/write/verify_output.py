@@ -188,6 +188,8 @@ def _check_cells(layout: TableLayout, samples: _ChangedSamples, old: Sequence[st
     is_right = np.ones(len(samples.frames), bool)
     for k, (frame, marker) in enumerate(zip(samples.frames.tolist(), samples.markers.tolist(), strict=True)):
         line = int(layout.line_indices[frame])
+        if line < 0:
+            continue  # a frame that has no line has none in the copy either
         if line not in lines:
             lines[line] = old[line].split(layout.delimiter), new[line].split(layout.delimiter)
         old_cells, new_cells = lines[line]
