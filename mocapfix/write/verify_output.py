@@ -6,8 +6,7 @@ written. Both files are read again; which samples differ is asked of the takes.
 
 import io
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
-from itertools import zip_longest
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -153,11 +152,15 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     frames, points = np.concatenate([samples.frames, assigned_frames]), np.concatenate([columns, assigned_points])
     may_change: dict[int, set[int]] = defaultdict(set)
     for line, fields in zip(layout.line_indices[frames].tolist(), layout.field_indices[points].tolist(), strict=True):
-        may_change[line].update(fields)
+        if line >= 0:  # a frame without a line has none in the copy either
+            may_change[line].update(fields)
+    cells = {index: tuple(each[index].removesuffix("\r").split(layout.delimiter) for each in (old, new)) for index in may_change}
     for index, (old_line, new_line) in enumerate(zip(old, new, strict=True)):
         if old_line != new_line:
-            _check_line(layout, index, old_line, new_line, may_change.get(index, set()), refuse)
-    is_right = _check_cells(layout, samples, old, new)
+            is_end_equal = old_line.endswith("\r") == new_line.endswith("\r")
+            if index not in cells or not is_end_equal or _find_other_change(*cells[index], may_change[index]):
+                raise refuse(f"line {index + 1}")
+    is_right = _check_cells(layout, samples, cells)
     if not is_right.all():
         raise refuse(samples.describe(int(np.argmin(is_right))))
 
@@ -168,41 +171,37 @@ def _split_lines(layout: TableLayout, data: bytes) -> list[str]:
     return data.decode(layout.encoding if is_wide else "latin-1").split(layout.newline)
 
 
-def _check_line(
-    layout: TableLayout, index: int, old_line: str, new_line: str, fields: set[int], refuse: Callable[[str], WriteError]
-) -> None:
-    """Raise WriteError if a line differs in a field that is not one of `fields`."""
-    is_end_equal = old_line.endswith("\r") == new_line.endswith("\r")
-    cells = zip_longest(*(each.removesuffix("\r").split(layout.delimiter) for each in (old_line, new_line)), fillvalue="")
-    differing = [number for number, (old_cell, new_cell) in enumerate(cells) if old_cell != new_cell]
-    if not is_end_equal or not fields.issuperset(differing):
-        number = next((number for number in differing if number not in fields), len(differing))
-        raise refuse(f"line {index + 1}, column {number + 1}")
+def _find_other_change(old_cells: list[str], new_cells: list[str], fields: set[int]) -> bool:
+    """Return whether two lines differ in a field that is not one of `fields`. A field after the end of a line is empty."""
+    length = max(len(old_cells), len(new_cells), max(fields) + 1)
+    old_cells, new_cells = ([*each, *[""] * (length - len(each))] for each in (old_cells, new_cells))
+    for field in fields:
+        old_cells[field] = new_cells[field]
+    return old_cells != new_cells
 
 
-def _check_cells(layout: TableLayout, samples: _ChangedSamples, old: Sequence[str], new: Sequence[str]) -> Bool[np.ndarray, " n"]:
-    """Return which changed samples have their new texts."""
-    expected = samples.after.markers[samples.frames, samples.markers] @ layout.rotation_y_up_file / layout.unit_m
+def _check_cells(
+    layout: TableLayout, samples: _ChangedSamples, cells: Mapping[int, tuple[list[str], ...]]
+) -> Bool[np.ndarray, " n"]:
+    """Return which changed samples have their new texts; `cells` are the old and new ones of their lines."""
+    expected = (samples.after.markers[samples.frames, samples.markers] @ layout.rotation_y_up_file / layout.unit_m).tolist()
     rounding = COUNT_ROUNDING * 10.0 ** -int(layout.number_format[1:-1] or 0)
-    lines: dict[int, tuple[list[str], list[str]]] = {}
+    fields = layout.field_indices[samples.before.point_columns[samples.markers]].tolist()
+    missing = [layout.missing_text.strip(CELL_PADDING)] * 3
     is_right = np.ones(len(samples.frames), bool)
-    for k, (frame, marker) in enumerate(zip(samples.frames.tolist(), samples.markers.tolist(), strict=True)):
-        line = int(layout.line_indices[frame])
+    for k, line in enumerate(layout.line_indices[samples.frames].tolist()):
         if line < 0:
-            continue  # a frame that has no line has none in the copy either
-        if line not in lines:
-            lines[line] = old[line].split(layout.delimiter), new[line].split(layout.delimiter)
-        old_cells, new_cells = lines[line]
-        texts = [new_cells[field].strip(CELL_PADDING) for field in layout.field_indices[samples.before.point_columns[marker]]]
+            continue
+        old_cells, new_cells = cells[line]
+        texts = [new_cells[field].strip(CELL_PADDING) for field in fields[k]]
         if samples.is_relabelled[k]:
-            fields = layout.field_indices[samples.source_points[k]]
-            is_right[k] = texts == [old_cells[field].strip(CELL_PADDING) for field in fields]
+            sources = layout.field_indices[samples.source_points[k]]
+            is_right[k] = texts == [old_cells[field].strip(CELL_PADDING) for field in sources]
         elif samples.is_missing[k]:
-            is_right[k] = texts == [layout.missing_text.strip(CELL_PADDING)] * 3
+            is_right[k] = texts == missing
         else:
             is_right[k] = all(
-                _is_number(text, layout.decimal_sign, value, rounding)
-                for text, value in zip(texts, expected[k].tolist(), strict=True)
+                _is_number(text, layout.decimal_sign, value, rounding) for text, value in zip(texts, expected[k], strict=True)
             )
     return is_right
 
