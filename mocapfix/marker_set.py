@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.errors import format_name_list
 from mocapfix.skeleton import BODY_SECTIONS, MIN_WHOLE_BODY_LIMBS, load_cmu31_body
 
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
@@ -28,8 +29,10 @@ MIN_SINGLE_SEGMENT_MARKERS = 2
 SHOULDER_JOINTS = frozenset(("LeftArm", "RightArm"))
 """joints whose centres move with the thorax: both of them locate it"""
 ARMS, LEGS = ("left arm", "right arm"), ("left leg", "right leg")
-MAX_LISTED_NAMES = 12
-"""the number of names that messages list"""
+MAX_LISTED_MISSING = 4
+"""missing markers that a sentence lists after the limbs that cannot be located"""
+MAX_LISTED_PARTS = 3
+"""parts of the body that a sentence lists"""
 LIMB_JOINT_NAMES = {
     "left arm": ("LeftArm", "LeftForeArm", "LeftHand"),
     "right arm": ("RightArm", "RightForeArm", "RightHand"),
@@ -152,12 +155,15 @@ class MarkerSet:
             optional_labels=self.optional_labels.intersection(labels),
         )
 
-    def describe_missing_body(self, found_labels: Collection[str]) -> str:
-        """Return why the markers `found_labels` show neither a whole body nor a part, as part of a sentence; "" if they do."""
-        return "" if self.find_shown_sections(found_labels) else self.describe_incomplete_body(found_labels)
+    def describe_missing_body(self, found_labels: Collection[str], max_listed: int = MAX_LISTED_MISSING) -> str:
+        """Return why the markers `found_labels` show neither a whole body nor a part, as part of a sentence; "" if they do.
 
-    def describe_incomplete_body(self, found_labels: Collection[str]) -> str:
-        """Return why the markers `found_labels` do not show a whole body, as part of a sentence; "" if they do.
+        max_listed  the number of missing markers that it lists; none if it is 0
+        """
+        return "" if self.find_shown_sections(found_labels) else self.describe_incomplete_body(found_labels, max_listed)
+
+    def describe_incomplete_body(self, found_labels: Collection[str], max_listed: int = MAX_LISTED_MISSING) -> str:
+        """Return the same of markers that do not show a whole body.
 
         A whole body has markers on hips and thorax, at least three limbs, and most of the required markers. Keypoints at both
         shoulders locate the thorax.
@@ -172,12 +178,12 @@ class MarkerSet:
         ]
         missing_labels = self.list_missing_labels(found_labels)
         if missing_trunk or len(missing_limbs) > MAX_MISSING_LIMBS:
-            reason = f"the {format_name_list([*missing_trunk, *missing_limbs])} cannot be located"
+            reason = f"the {format_name_list([*missing_trunk, *missing_limbs], MAX_LISTED_PARTS)} cannot be located"
         elif len(missing_labels) > (1 - MIN_REQUIRED_MARKER_FRACTION) * len(self.required_labels):
             reason = f"at least {MIN_REQUIRED_MARKER_FRACTION:.0%} are needed"
         else:
             return ""
-        return f"{reason}; not found: {format_name_list(missing_labels)}"
+        return f"{reason}; not found: {format_name_list(missing_labels, max_listed)}" if max_listed else reason
 
     def _find_joint_centres(self, found_labels: Collection[str]) -> set[str]:
         """Return the joints at whose centres there are keypoints among `found_labels`."""
@@ -236,11 +242,3 @@ def index_labels_by_prefix(labels: Sequence[str]) -> dict[str, dict[str, int]]:
         for prefix, name in iterate_label_readings(label):
             index_of_name.setdefault(prefix, {}).setdefault(name, index)
     return index_of_name
-
-
-def format_name_list(names: Sequence[str], max_count: int = MAX_LISTED_NAMES) -> str:
-    """Return names as a list in a sentence: the first `max_count`, and the number of the others."""
-    if not names:
-        return "(none)"
-    more = f" and {len(names) - max_count} more" if len(names) > max_count else ""
-    return ", ".join(names[:max_count]) + more

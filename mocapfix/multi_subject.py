@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.changes import Change
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list, join_names
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
@@ -107,22 +107,22 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
     unassigned = np.flatnonzero(~np.isin(subject_of_marker, names))
     if take.visible[:, unassigned].sum(1).max(initial=0) >= MIN_UNASSIGNED_MARKERS:
         return (*takes, take.extract_markers(unassigned, UNASSIGNED_SUBJECT))
-    labels = ", ".join(take.labels[m] for m in unassigned)
+    labels = format_name_list([take.labels[m] for m in unassigned])
     note = f"Unassigned markers, never {MIN_UNASSIGNED_MARKERS} of them visible at once: left unchanged: {labels}."
-    return tuple(replace(each, notes=(*each.notes, note)) if labels else each for each in takes)
+    return tuple(replace(each, notes=(*each.notes, note)) if len(unassigned) else each for each in takes)
 
 
 def format_subject_names(takes: Iterable[Take]) -> str:
     """Return the names of the subjects for a sentence: "Jim and Ann"."""
-    return " and ".join(take.subject_name for take in takes if take.subject_name != UNASSIGNED_SUBJECT)
+    return join_names([take.subject_name for take in takes if take.subject_name != UNASSIGNED_SUBJECT])
 
 
 def _select_subject(take: Take, subject_prefix: str) -> Take:
     names = np.array([name.casefold() for name in take.marker_subjects], object)
     selected = np.flatnonzero(names == subject_prefix.casefold())
     if not subject_prefix or not len(selected):
-        known = ", ".join(dict.fromkeys(name for name in take.marker_subjects if name))
-        hint = f"its subjects are {known}" if known else "its labels name no subjects"
+        known = list(dict.fromkeys(name for name in take.marker_subjects if name))
+        hint = f"its subjects are {format_name_list(known)}" if known else "its labels name no subjects"
         raise TakeError(f"{take.name}: has no subject {subject_prefix!r}; {hint}.")
     if len(selected) == len(names):
         return take

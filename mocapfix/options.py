@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from mocapfix.errors import OptionError
+from mocapfix.errors import OptionError, format_name_list
 from mocapfix.files import option_choices as choices
 from mocapfix.files.option_definitions import StageOptions, define_option, list_options
 from mocapfix.files.output_options import OutputOptions
@@ -295,7 +295,7 @@ class CleanOptions:
         stages: dict[str, dict[str, object]] = {"purpose": {"given": tuple(sorted(given))}}
         for name, value in values.items():
             if name not in STAGE_OF_OPTION:
-                raise OptionError(name, name, name, f"is no option; the options are {', '.join(STAGE_OF_OPTION)}")
+                raise OptionError(name, name, name, f"is no option; the options are {format_name_list(list(STAGE_OF_OPTION))}")
             stages.setdefault(STAGE_OF_OPTION[name], {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **changed) for stage, changed in stages.items()})
 

@@ -21,7 +21,7 @@ from mocapfix.calibrate.person_calibration import calibrate_person
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, join_names
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
@@ -304,7 +304,7 @@ def survey_person(paths: Sequence[str | Path], ids: Sequence[str], options: Clea
     for path, take_id in zip(paths, ids, strict=True):
         found = survey_take(path, options, take_id)
         if len(found) > 1:
-            names = " and ".join(frames.subject_name for frames in found)
+            names = join_names([frames.subject_name for frames in found])
             raise TakeError(f"{Path(path).name}: shows {names}; name the subject to calibrate with --subject-prefix.")
         surveys += found
     return surveys

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from pydantic import Field
 
+from mocapfix.errors import format_name_list
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_body_values import JointName
 from mocapfix.files.yaml_models import StrictModel, find_by_name, read_yaml_model
@@ -88,7 +89,9 @@ def map_joints(names: Sequence[str], parents: Int[np.ndarray, " J"], convention:
     best, file_joints = max(matches, key=lambda match: (not _find_missing_joints(match[1]), (match[1] >= 0).sum()))
     count = int((file_joints >= 0).sum())
     if missing := _find_missing_joints(file_joints):
-        nearest = f"the nearest convention, {best.title}, lacks {', '.join(missing)}" if count else "no joint name is known"
+        nearest = (
+            f"the nearest convention, {best.title}, lacks {format_name_list(missing)}" if count else "no joint name is known"
+        )
         return JointMapping(
             None, f"The joint names are not those of a body: {nearest}; give a YAML file of the names (--hierarchy)."
         )

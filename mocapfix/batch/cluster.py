@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, cast
 
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, format_name_list
 from mocapfix.kernels.precompilation import count_cores
 
 if TYPE_CHECKING:
@@ -164,5 +164,6 @@ def describe_start_failure(options: ClusterOptions, error: Exception) -> str:
     if options.use_slurm:
         return f"The Slurm workers could not be started ({reason}); check jobqueue.slurm in ~/.config/dask/jobqueue.yaml."
     if options.ssh_hosts:
-        return f"The workers could not be started on {', '.join(options.ssh_hosts)} ({reason}); check that ssh needs no password."
+        hosts = format_name_list(options.ssh_hosts)
+        return f"The workers could not be started on {hosts} ({reason}); check that ssh needs no password."
     return f"The workers could not be started ({reason})."

@@ -21,9 +21,9 @@ from mocapfix.batch.people_file import PEOPLE_FILE_NAME, PersonEntry, read_peopl
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.summary_tables import CSV_NAME, PARQUET_NAME, list_summary_rows, write_summary_tables
 from mocapfix.batch.take_figures import SubjectFigures
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, join_words
 from mocapfix.report.html_page import write_page
-from mocapfix.report.terms import format_kind_counts, format_number, join_words
+from mocapfix.report.terms import format_kind_counts, format_number
 
 PAGE_NAME = "index.html"
 MAX_OPEN_FAILURES = 50

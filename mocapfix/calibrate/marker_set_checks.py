@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from mocapfix.errors import format_name_list
 from mocapfix.marker_set import MarkerSet
 from mocapfix.pose_prior.mean_pose import JointLimits
 from mocapfix.skeleton import find_common_joint, load_cmu31_body
@@ -126,9 +127,9 @@ def describe_incomplete_location(joints: Int[np.ndarray, " K"], visible_count: i
     if len(joints) < MIN_LOCATED_SHARE * visible_count:
         return f"explains only {len(joints)} of {visible_count} markers"
     if sparse:
-        return f"has too few markers on {', '.join(sparse)}"
+        return f"has too few markers on {format_name_list(sparse)}"
     if sum(count > 1 for count in limbs.values()) < MIN_PAIRED_LIMB_SEGMENTS:
-        return f"has single markers on {', '.join(name for name, count in limbs.items() if count == 1)}"
+        return f"has single markers on {format_name_list([name for name, count in limbs.items() if count == 1])}"
     return ""
 
 

@@ -20,7 +20,7 @@ from mocapfix.calibrate.take_differences import (
     is_confirmed_move,
     number_places,
 )
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body, restrict_body
 from mocapfix.stats.sequences import select_farthest_rows
@@ -66,7 +66,7 @@ class PersonCalibration:
         """Return a sentence for each moved marker."""
         return [
             f"Marker {self.subject.labels[each.marker]} lies {1e3 * each.distance_m:.0f} mm from its usual place in "
-            f"{', '.join(self.takes[take] for take in each.takes)}: it has a place of its own there."
+            f"{format_name_list([self.takes[take] for take in each.takes])}: it has a place of its own there."
             for each in self.moved
         ]
 
@@ -182,7 +182,7 @@ def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFram
     Raises TakeError if the takes have different marker sets.
     """
     if len({take.marker_set for take in takes}) > 1:
-        names = ", ".join(f"{take.take} ({take.marker_set})" for take in takes)
+        names = format_name_list([f"{take.take} ({take.marker_set})" for take in takes])
         raise TakeError(
             f"The takes have different marker sets: {names}; calibrate them separately, or name one with --marker-set."
         )

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeInt
 
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, format_name_list
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.yaml_body_values import JointName, Vector3
 from mocapfix.files.yaml_models import InlineMapping, StrictModel, dump_yaml, read_yaml_model
@@ -114,7 +114,9 @@ def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
     skeleton = load_cmu31_body().skeleton
     for name, bone in bones.items():
         if name not in skeleton.names:
-            raise SceneError(f"{path}: bones.{name}: the skeleton has no such bone; its bones are {', '.join(skeleton.names)}.")
+            raise SceneError(
+                f"{path}: bones.{name}: the skeleton has no such bone; its bones are {format_name_list(skeleton.names)}."
+            )
         joint = skeleton.find_joint(name)
         parent = skeleton.names[skeleton.parents[joint]] if joint else None
         if bone.parent != parent:

@@ -7,7 +7,7 @@ import tyro
 from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption, TakesArgument, build_options_argument, parse_options
-from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, TakeAttempts, print_line, print_usage_error, show_progress
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, TakeAttempts, print_line, print_note, print_usage_error, show_progress
 
 SUBJECT_FILE_SUFFIXES = (".yaml", ".yml")
 
@@ -62,7 +62,7 @@ def run_calibrate(
         size = f"{len(subject.labels)} markers on {len(subject.skeleton.names)} joints, from {subject.frame_count} frames"
         print_line(f"{escape(str(of_person.main))}: {size}.")
         for note in person.describe():
-            print_line(escape(note))
+            print_note(note)
         for take, path in of_person.by_take.items():
             print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
     return EXIT_FAILED if attempts.failed else EXIT_DONE

@@ -26,6 +26,7 @@ from mocapfix.cli.console import (
     TakeAttempts,
     print_json,
     print_line,
+    print_note,
     print_usage_error,
     show_progress,
 )
@@ -35,6 +36,8 @@ from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5
 """runs of unfilled samples, or markers with unfilled samples, that the summary lists"""
+MAX_PRINTED_NOTES = 12
+"""notes that it prints"""
 MAX_LISTED_REASONS = 3
 """reasons of unfilled samples that it lists"""
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")
@@ -184,9 +187,11 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
     for line in describe_left_empty(fill):
-        print_line(f"  {escape(line)}")
-    for note in report["notes"]:
-        print_line(f"  {escape(note)}")
+        print_note(line)
+    for note in report["notes"][:MAX_PRINTED_NOTES]:
+        print_note(note)
+    if len(report["notes"]) > MAX_PRINTED_NOTES:
+        print_line(f"  ... and {len(report['notes']) - MAX_PRINTED_NOTES} more notes, in the report.")
     print_output_files(outputs)
     if changes:
         prefix = ["--subject-prefix", subject_prefix] if subject_prefix else []

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from mocapfix.errors import MocapfixError, describe_error
+from mocapfix.errors import MocapfixError, describe_error, shorten_message
 from mocapfix.files.progress_lines import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
@@ -87,9 +87,14 @@ def print_json(data: object) -> None:
     sys.stdout.write(json.dumps(data, indent=1) + "\n")
 
 
+def print_note(note: str) -> None:
+    """Print a sentence of the report to standard output, indented; the report has the whole of a long one."""
+    print_line(f"  {escape(shorten_message(note))}")
+
+
 def print_error(message: str) -> None:
-    """Print one message to standard error."""
-    stderr_console.print(escape(message), style="red", soft_wrap=True)
+    """Print one message of at most two lines to standard error."""
+    stderr_console.print(escape(shorten_message(message)), style="red", soft_wrap=True)
 
 
 def print_usage_error(message: str) -> int:

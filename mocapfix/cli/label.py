@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption, TakeArgument, build_options_argument, describe_option, parse_options
-from mocapfix.cli.console import EXIT_DONE, print_line, show_progress
+from mocapfix.cli.console import EXIT_DONE, print_line, print_note, show_progress
 from mocapfix.errors import WriteError
 
 if TYPE_CHECKING:
@@ -45,5 +45,5 @@ def run_label(
         part.write_bytes(labelled.labelled_file)
     print_line(f"[bold]{escape(str(target))}[/]")
     for note in labelled.notes:
-        print_line(f"  {escape(note)}")
+        print_note(note)
     return EXIT_DONE

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from mocapfix.cli.arguments import JsonOption, describe_option
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_error, print_json, print_line, stdout_console
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, format_name_list
 
 REVIEW_PACKAGES = ("nicegui", "starlette", "uvicorn")
 
@@ -46,7 +46,7 @@ def run_review(
     if take is not None:
         matching = [each for each in session.ids if take in (each, Path(each).name)]
         if not matching:
-            raise ReadError(f"{folder}: has no take {take!r}; its takes are {', '.join(session.ids[:20])}.")
+            raise ReadError(f"{folder}: has no take {take!r}; its takes are {format_name_list(session.ids)}.")
         start = f"#{matching[0]}"
 
     with ExitStack() as locks:

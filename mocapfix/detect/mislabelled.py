@@ -20,6 +20,7 @@ from mocapfix.detect.body_fitter import (
     compute_rest_markers,
 )
 from mocapfix.detect.label_swaps import find_permutation_cycles
+from mocapfix.errors import format_name_list
 from mocapfix.faults import Fault
 from mocapfix.marker_set import MarkerSet
 from mocapfix.skeleton import load_cmu31_body
@@ -234,7 +235,7 @@ def _build_mislabelled_fault(
     where += f", and {after_m * 1e3:.0f} mm after the exchange is undone."
     labels = [take.bare_labels[columns[k]] for k in cycle]
     if len(cycle) == 2 < len(exchanged):
-        names = ", ".join(take.bare_labels[columns[k]] for k in exchanged if k < order[k])
+        names = format_name_list([take.bare_labels[columns[k]] for k in exchanged if k < order[k]])
         reason = f"Left and right are exchanged over the whole take ({names}): {where}"
     elif len(cycle) == 2:
         reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {where}"

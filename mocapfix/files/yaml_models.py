@@ -8,7 +8,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from yaml.representer import SafeRepresenter
 
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, format_name_list
 from mocapfix.files.shipped import is_existing_file, read_yaml
 
 YamlModel = TypeVar("YamlModel", bound=BaseModel)
@@ -82,7 +82,9 @@ def find_by_name(
     if (item := shipped.get(str(name_or_path))) is not None:
         return item
     if not is_existing_file(name_or_path):
-        raise SceneError(f"{name_or_path}: no such {item_kind}; name one of {', '.join(shipped)}, or give a YAML file.")
+        raise SceneError(
+            f"{name_or_path}: no such {item_kind}; name one of {format_name_list(list(shipped))}, or give a YAML file."
+        )
     return read(Path(name_or_path))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list
 from mocapfix.fill import body_fill
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
 from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
@@ -220,7 +220,8 @@ def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -
     """
     known = set(take.labels) | set(take.bare_labels)
     if unknown := [label for label in options.keep if label not in known]:
-        raise TakeError(f"{take.name}: has no {noun} {', '.join(unknown)} to keep; its {noun}s are {', '.join(take.labels)}.")
+        known_labels = format_name_list(take.labels)
+        raise TakeError(f"{take.name}: has no {noun} {format_name_list(unknown)} to keep; its {noun}s are {known_labels}.")
     if options.frames:
         first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
         start, stop = options.frames

@@ -5,12 +5,12 @@ from typing import TypedDict
 import numpy as np
 from jaxtyping import Bool
 
+from mocapfix.errors import format_name_list
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 CERTAIN_LABEL_CONFIDENCE = 0.95
 """Confidence from which a label is certain."""
-MAX_LISTED_TRAJECTORIES = 8
 """Trajectories without a label that a sentence lists."""
 
 
@@ -64,13 +64,12 @@ def describe_labelling(take: Take, expected_labels: tuple[str, ...] = ()) -> lis
     notes = [f"Labelled by mocapfix: {samples} samples of {len(section['markers'])} markers."]
     found = {label.rpartition(":")[2] for label in section["markers"]}
     if absent := [label for label in expected_labels if label not in found]:
-        notes.append(f"Not found: {', '.join(absent)}.")
+        notes.append(f"Not found: {format_name_list(absent)}.")
     if uncertain := [label for label, entry in section["markers"].items() if entry["uncertain"]]:
-        notes.append(f"Uncertain in a part of the frames, which the report lists: {', '.join(uncertain)}.")
+        notes.append(f"Uncertain in a part of the frames, which the report lists: {format_name_list(uncertain)}.")
     if section["unlabelled"]:
         listed = [f"{each['label']} (frames {each['first']}-{each['last']})" for each in section["unlabelled"]]
-        more = f" and {len(listed) - MAX_LISTED_TRAJECTORIES} more" if len(listed) > MAX_LISTED_TRAJECTORIES else ""
-        notes.append(f"Left without a label: {', '.join(listed[:MAX_LISTED_TRAJECTORIES])}{more}.")
+        notes.append(f"Left without a label: {format_name_list(listed)}.")
     return notes
 
 

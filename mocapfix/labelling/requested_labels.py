@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.animation import Animation
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list
 from mocapfix.labelling.arbitrary_labels import are_labels_arbitrary
 from mocapfix.labelling.fragment_joining import join_trajectories
 from mocapfix.labelling.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
@@ -26,7 +26,7 @@ from mocapfix.labelling.take_labelling import (
     collect_unlabelled_points,
     find_file_tracklets,
 )
-from mocapfix.marker_set import MarkerSet, format_name_list
+from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import (
     SubjectChoice,
     choose_marker_set,

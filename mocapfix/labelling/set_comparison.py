@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
+from mocapfix.errors import format_name_list
 from mocapfix.labelling.optional_markers import add_optional_markers
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.labelling.posed_body import ExtendedBody, PropagatedLabels, scale_nominal_subject
@@ -110,10 +111,12 @@ def assume_marker_set(points: UnlabelledPoints, marker_sets: Sequence[MarkerSet]
         return SetAssumption(None, f"{nearest} the points are too far from its places on the body.")
     others = [(each, compute_agreement(best, each)) for each in near if each is not best]
     if differing := [other.marker_set.name for other, _ in others if compute_place_agreement(best, other) < MIN_AGREEING_SHARE]:
-        return SetAssumption(None, f"Several shipped marker sets fit with different labels: {', '.join([name, *differing])}.")
+        return SetAssumption(
+            None, f"Several shipped marker sets fit with different labels: {format_name_list([name, *differing])}."
+        )
     reason = f"The marker set {name} was assumed: {share} get labels"
     if others:
-        also = ", ".join(f"{other.marker_set.name} (the same labels for {agreement:.0%} of them)" for other, agreement in others)
+        also = format_name_list([f"{other.marker_set.name} ({agreement:.0%} the same labels)" for other, agreement in others])
         return SetAssumption(best.marker_set, f"{reason}. Also possible: {also}; name the right set with --marker-set.")
     second = next((each for each in found if each is not best), None)
     rest = f"; the next, {second.marker_set.name}, fits clearly worse" if second else ""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import PositiveFloat
 
+from mocapfix.errors import format_name_list
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_body_values import JointName, Vector3
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
@@ -45,7 +46,7 @@ def find_landmark(name: str) -> Landmark:
             return landmark
         return Landmark(landmark.joint_name.replace("Left", "Right"), landmark.offset * MIRROR_X, landmark.spread)
     known = [key if _is_median(landmark) else f"left {key}" for key, landmark in landmarks.items()]
-    raise ValueError(f"there is no landmark {name!r}; the landmarks are {', '.join(known)}, and those on the right")
+    raise ValueError(f"there is no landmark {name!r}; the landmarks are {format_name_list(known)}, and those on the right")
 
 
 @cache

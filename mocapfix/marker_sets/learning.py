@@ -23,8 +23,8 @@ from mocapfix.calibrate.marker_set_checks import (
 )
 from mocapfix.calibrate.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.calibrate.unlabelled_markers import guess_from_marker_cloud
-from mocapfix.errors import TakeError
-from mocapfix.marker_set import MarkerSet, format_name_list
+from mocapfix.errors import TakeError, format_name_list
+from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.label_words import guess_marker_set_from_words, names_object
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_marker_set
 from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior

@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from mocapfix.calibrate import subject_file
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_body_values import JointName, Vector3
 from mocapfix.files.yaml_models import InlineMapping, StrictModel, dump_yaml, find_by_name, read_yaml_model
-from mocapfix.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, format_name_list, index_labels_by_prefix
+from mocapfix.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, index_labels_by_prefix
 from mocapfix.marker_sets.landmarks import Landmark, find_landmark
 from mocapfix.options import SubjectOptions
 from mocapfix.skeleton import load_cmu31_body
@@ -27,6 +27,7 @@ from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
+MAX_LISTED_LABELS = 2  # of a take that no set fits, in a sentence that has two more lists
 MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed less accurately than 0.1 mm
 
 
@@ -243,10 +244,10 @@ def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
     nearest, found = ranked[0]
     if found:
         reason = f"the nearest is {nearest.name} with {_format_match_count(nearest, found)}, but "
-        reason += nearest.describe_missing_body(found)
+        reason += nearest.describe_missing_body(found, max_listed=0)
     else:
-        reason = f"none of them is in any set ({', '.join(each.name for each in shipped)})"
-    return MarkerSetMatch(None, f"No marker set fits the labels {format_name_list(labels)}: {reason}.")
+        reason = "none of them is in a shipped set; `mocapfix marker-set list` shows these"
+    return MarkerSetMatch(None, f"No marker set fits the labels {format_name_list(labels, MAX_LISTED_LABELS)}: {reason}.")
 
 
 def describe_marker_set_match(marker_set: MarkerSet, labels: Sequence[str]) -> str:

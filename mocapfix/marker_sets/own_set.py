@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix import multi_subject
-from mocapfix.errors import TakeError
+from mocapfix.errors import TakeError, format_name_list
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
-from mocapfix.marker_set import format_name_list
 from mocapfix.marker_sets.learning import LearnedMarkerSet, learn_from_markers, select_subject_markers
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice, find_subject_prefixes
 from mocapfix.marker_sets.props import find_props
@@ -85,9 +84,9 @@ def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
     marked = {names[joint] for joint in learned.marker_set.joints}
     sections = [section for section, joints in BODY_SECTIONS.items() if marked.intersection(joints)]
     notes = [
-        f"A marker set was learned from this take: {learned.guess_description} {len(labels)} markers are attached to "
-        f"{format_name_list(sections)}, {learned.mean_residual_m * 1e3:.1f} mm from the body on average. "
-        "`mocapfix marker-set learn` writes it."
+        f"A marker set was learned from this take: {learned.guess_description}",
+        f"The {len(labels)} markers of the learned set are on {format_name_list(sections)}, "
+        f"{learned.mean_residual_m * 1e3:.1f} mm from the body on average. `mocapfix marker-set learn` writes the set.",
     ]
     ambiguous = [f"{label} (or on {joint})" for label, joint in learned.ambiguous_markers.items() if label in labels]
     if ambiguous:

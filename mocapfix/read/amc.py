@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.animation import Animation
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, format_name_list
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_conventions
 from mocapfix.read.asf import AsfSkeleton, parse_asf
@@ -137,7 +137,7 @@ def find_asf(path: Path) -> Path:
         return max(matching, key=lambda each: len(each.stem))
     if len(candidates) == 1:
         return candidates[0]
-    present = f"only {', '.join(each.name for each in candidates)}" if candidates else "no ASF"
+    present = f"only {format_name_list([each.name for each in candidates])}" if candidates else "no ASF"
     expected = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
     raise ReadError(f"{path}: its skeleton is not in its folder, {present}; copy it there as {expected}.")
 

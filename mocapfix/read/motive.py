@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, format_name_list
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
@@ -179,7 +179,7 @@ def _find_marker_columns(document: TextDocument, start: int, axes_index: int, de
     expected = [triple for triple in triples if triple[1].endswith(" marker")]
     if not markers and not expected:
         present = sorted({name.lower() for name in types[2:] if name}) or ["nothing"]
-        problem = f"the columns have {', '.join(present)} and no markers"
+        problem = f"the columns have {format_name_list(present)} and no markers"
         raise document.build_error(axes_index, f"{problem}; export it with Markers.")
     notes = ()
     if expected and all(is_unlabelled(name) for _, _, name in markers):

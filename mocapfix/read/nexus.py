@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, format_name_list
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, find_xyz_triples, read_marker_table
@@ -49,7 +49,7 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     sections = _find_sections(document)
     start = next((index for index, name in sections.items() if name == TRAJECTORY_SECTION), None)
     if start is None:
-        present = ", ".join(sorted({*sections.values()}))
+        present = format_name_list(sorted({*sections.values()}))
         raise ReadError(f"{path}: has {present} and no trajectories; export the trajectories as well.")
     axes_index, delimiter = _find_axes_line(document, start)
     names, axes = document.split_cells(axes_index - 1, delimiter), document.split_cells(axes_index, delimiter)

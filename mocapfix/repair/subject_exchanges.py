@@ -9,6 +9,7 @@ import numpy as np
 
 from mocapfix.changes import Change, build_changes
 from mocapfix.detect.subject_exchanges import detect_subject_exchanges
+from mocapfix.errors import format_name_list
 from mocapfix.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT
@@ -106,7 +107,7 @@ def _describe_exchanges(exchanges: SubjectExchanges, subject: str) -> list[str]:
             other = next(name for name in subjects if name != subject)
             labels.setdefault((other, fault.first, fault.last), []).append(take.bare_labels[fault.marker])
     return [
-        f"{subject} and {other} had exchanged the labels {', '.join(names)} in frames {take.get_frame_number(first)} to "
+        f"{subject} and {other} had exchanged the labels {format_name_list(names)} in frames {take.get_frame_number(first)} to "
         f"{take.get_frame_number(last)}; they are exchanged back."
         for (other, first, last), names in labels.items()
     ]

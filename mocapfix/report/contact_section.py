@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.errors import join_words
 from mocapfix.files.option_choices import FEET_OFF
 from mocapfix.report.contact_entries import ContactSection, GaitEntry, GaitEventEntry, JointContactEntry
-from mocapfix.report.terms import PointTerms, join_words
+from mocapfix.report.terms import PointTerms
 from mocapfix.take import Take
 
 STEP_TIME_RANGE_S = (0.2, 1.2)

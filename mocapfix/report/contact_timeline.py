@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
+from mocapfix.errors import join_words
 from mocapfix.files.option_choices import FEET_LOCK, FEET_OFF, FEET_SOFT
 from mocapfix.report.contact_entries import ContactSection
-from mocapfix.report.terms import PointTerms, format_number, join_words
+from mocapfix.report.terms import PointTerms, format_number
 from mocapfix.report.timeline import MAX_TIME_TICKS, TimeTick, compute_round_step
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take

@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.contacts.contacts import PLATE_SOURCE
+from mocapfix.errors import format_name_list, join_names, join_words
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
-from mocapfix.marker_set import ARMS, MarkerSet, format_name_list
+from mocapfix.marker_set import ARMS, MarkerSet
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.report import RigidGroupEntry
-from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, join_words
+from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range
 from mocapfix.skeleton import BODY_SECTIONS
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
 from mocapfix.state import BodyFit, DetectionState
@@ -24,9 +25,11 @@ MIN_STRAY_DURATION_S = 0.05
 MAX_IMPORTED_FILL_DISTANCE_M = 0.02  # from the body; compared with the median over the fill of another program
 MISLABELLED_MARKER_DISTANCE_M = 0.06  # from the body; a marker farther away in most of its frames probably has a wrong label
 MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
-MAX_LISTED_RANGES = 12  # frame ranges in one sentence
-MAX_LISTED_LABELS = 12  # labels in one sentence
-MAX_LISTED_GROUPS = 6  # rigid groups in one sentence
+MAX_LISTED_RANGES = 2  # frame ranges in one sentence
+MAX_GROUPS_LENGTH = 110  # characters of a list of rigid groups
+MAX_LISTED_GROUP_LABELS = 2  # labels of each of them
+MAX_LISTED_PART_LABELS = 3  # labels of a part of the body in one sentence
+MAX_STRAY_NOTES = 4  # notes on single markers that are far from the body; more are one sentence
 NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
 
 
@@ -66,7 +69,7 @@ def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[
     """Return a note on the joints whose markers are never visible; `marker_set_take` has the markers of the subject."""
     observed = set(subject.joints[marker_set_take.visible.any(0)].tolist())
     names = [subject.skeleton.names[j] for j in dict.fromkeys(subject.joints.tolist()) if j not in observed]
-    return [f"No visible marker on {', '.join(names)}: the mean pose is used there."] if names else []
+    return [f"No visible marker on {format_name_list(names)}: the mean pose is used there."] if names else []
 
 
 def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], fragment_donors: Collection[int] = ()) -> list[str]:
@@ -80,8 +83,8 @@ def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], frag
     if not unassigned:
         return []
     prefixes = {take.marker_subjects[m] for m in columns} - {""}
-    solved = f"The solved subject is {', '.join(sorted(prefixes))}. " if prefixes else ""
-    return [f"{solved}Not in its marker set, filled without the skeleton: {', '.join(unassigned)}."]
+    solved = f"The solved subject is {format_name_list(sorted(prefixes))}. " if prefixes else ""
+    return [f"{solved}Not in its marker set, filled without the skeleton: {format_name_list(unassigned)}."]
 
 
 def describe_stray_markers(
@@ -99,12 +102,13 @@ def describe_stray_markers(
     suspected = [fault for fault in faults if fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE]
     suspected_mask = build_fault_mask(suspected, residual_m.shape)
     residual_m = residual_m if described_mask is None else np.where(described_mask, np.nan, residual_m)
-    notes: list[str] = []
+    misplaced: list[str] = []
+    strays: list[str] = []
+    stray_labels: list[str] = []
     for m in np.flatnonzero((residual_m > MISLABELLED_MARKER_DISTANCE_M).any(0)):
         compared = ~np.isnan(residual_m[:, m])
         if (residual_m[:, m] > MISLABELLED_MARKER_DISTANCE_M).sum() > MISLABELLED_MARKER_SHARE * compared.sum():
-            distance = _format_mm(MISLABELLED_MARKER_DISTANCE_M)
-            notes.append(f"{take.labels[m]} is more than {distance} from the body in most of its frames; check its label.")
+            misplaced.append(take.labels[m])
             continue
         for first, last in find_runs(residual_m[:, m] > MIN_STRAY_DISTANCE_M):
             if (last - first + 1) / take.rate >= MIN_STRAY_DURATION_S:
@@ -112,8 +116,31 @@ def describe_stray_markers(
                 distance = _format_mm(float(np.median(residual_m[first : last + 1, m])))
                 is_suspected = suspected_mask[first : last + 1, m].any()
                 assumption = "check the suspected label swap" if is_suspected else "its label was assumed to be right"
-                notes.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; {assumption}.")
-    return notes
+                strays.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; {assumption}.")
+                stray_labels.append(take.labels[m])
+    return [*_describe_misplaced_markers(misplaced, residual_m.shape[1]), *_limit_stray_notes(strays, stray_labels)]
+
+
+def _describe_misplaced_markers(labels: Sequence[str], marker_count: int) -> list[str]:
+    """Return notes on markers that are far from the body in most of their frames: one sentence if the body does not fit."""
+    distance = _format_mm(MISLABELLED_MARKER_DISTANCE_M)
+    if len(labels) <= MAX_STRAY_NOTES:
+        return [f"{label} is more than {distance} from the body in most of its frames; check its label." for label in labels]
+    return [
+        f"{len(labels)} of {marker_count} markers ({format_name_list(labels)}) are more than {distance} from the body in most of "
+        "their frames: the subject file or the marker set is not that of this person."
+    ]
+
+
+def _limit_stray_notes(notes: list[str], labels: Sequence[str]) -> list[str]:
+    """Return notes on intervals in which a marker is far from the body, many of them as one sentence."""
+    if len(notes) <= MAX_STRAY_NOTES:
+        return notes
+    names, distance = format_name_list(list(dict.fromkeys(labels))), _format_mm(MIN_STRAY_DISTANCE_M)
+    return [
+        f"In {len(notes):,} intervals a marker is more than {distance} from the body and left unchanged ({names}); "
+        "check the labels, and the subject file or the marker set if you named one."
+    ]
 
 
 def describe_lost_part(
@@ -131,22 +158,19 @@ def describe_lost_part(
     ranges = [
         format_frame_range(take.get_frame_number(first), take.get_frame_number(last)) for first, last in find_runs(part.frames)
     ]
-    more = f" and {len(ranges) - MAX_LISTED_RANGES} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
+    more = f" and {len(ranges) - MAX_LISTED_RANGES:,} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
     listed = ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
     frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
     lost_samples = merge_lost_samples((part,), columns, epochs)
-    labels = join_words([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))])
+    labels = format_name_list([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))], MAX_LISTED_PART_LABELS)
     distance = _format_mm(float(np.nanmean(part.distance_m)))
     replaced_count = int((lost_samples & ~inlier_mask).sum())
-    assumption = "Its markers were assumed to be right and left unchanged"
+    outcome = "are left unchanged"
     if replaced_count:
-        kept = "its other markers" if (lost_samples & inlier_mask).any() else "none of its markers"
-        were = "sample was" if replaced_count == 1 else "samples were"
-        assumption = f"{replaced_count:,} of their {were} taken for faults; {kept} were assumed to be right"
+        outcome = f"{replaced_count:,} {'sample was' if replaced_count == 1 else 'samples were'} taken for faults"
     return (
-        f"The {part.name} of the solved body lies {distance} from its markers on average in {frames} ({listed}), although "
-        f"{labels} are seen there and keep possible distances from one another. {assumption}; do not use the solved "
-        f"{part.name} in these frames."
+        f"The solved {part.name} is {distance} from its markers ({labels}) in {frames} ({listed}). They are plausible "
+        f"and {outcome}; do not use it there."
     )
 
 
@@ -216,9 +240,7 @@ def describe_computed_points(take: Take) -> list[str]:
     computed = take.computed_points
     if computed is None:
         return []
-    labels, count = computed.take.labels, len(computed.take.labels)
-    more = [f"{count - MAX_LISTED_LABELS} more"] if count > MAX_LISTED_LABELS else []
-    listed = join_words([*labels[:MAX_LISTED_LABELS], *more])
+    count, listed = len(computed.take.labels), join_names(computed.take.labels)
     what = "1 point of the file is" if count == 1 else f"{count} points of the file are"
     updated = int(computed.updated_counts.sum())
     outcome = f"{updated:,} of their samples were computed from the cleaned markers" if updated else "they are unchanged"
@@ -229,8 +251,10 @@ def describe_rigid_groups(groups: Sequence[RigidGroupEntry], *, has_body: bool) 
     """Return a note on the rigid groups of markers that are not on the body; no note without any."""
     if not groups:
         return []
-    listed = [f"{group['name']} ({format_name_list(group['markers'])})" for group in groups[:MAX_LISTED_GROUPS]]
-    more = f" and {len(groups) - MAX_LISTED_GROUPS} more" if len(groups) > MAX_LISTED_GROUPS else ""
+    listed = [f"{group['name']} ({format_name_list(group['markers'], MAX_LISTED_GROUP_LABELS)})" for group in groups]
+    while len(listed) > 1 and len("; ".join(listed)) > MAX_GROUPS_LENGTH:
+        listed.pop()
+    more = f" and {len(groups) - len(listed):,} more" if len(groups) > len(listed) else ""
     what = "Rigid groups outside the skeleton, such as props" if has_body else "Rigid groups, such as props or the head"
     return [f"{what}, whose gaps are filled from their shape: {'; '.join(listed)}{more}."]
 
@@ -242,7 +266,9 @@ def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERM
     uncertain = cleaned_take.sample_sd > MAX_RELIABLE_FILL_SD_M
     if not uncertain.any():
         return []
-    labels = ", ".join(cleaned_take.labels[m] for m in np.flatnonzero(uncertain.any(0)))
+    labels = format_name_list(
+        [cleaned_take.labels[m] for m in np.argsort(-uncertain.sum(0), kind="stable") if uncertain[:, m].any()]
+    )
     limit = f"a predicted standard deviation above {_format_mm(MAX_RELIABLE_FILL_SD_M)}"
     return [f"{uncertain.sum()} filled {terms.samples} are unreliable, with {limit}: {labels}."]
 

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mocapfix.errors import join_names, join_words
 from mocapfix.faults import MISSING_KINDS, Fault, Fragment
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
-from mocapfix.report.terms import JOINT_TERMS, format_fault_counts, format_number, join_words
+from mocapfix.report.terms import JOINT_TERMS, format_fault_counts, format_number
 
-MAX_SENTENCE_MARKERS = 12  # labels in one sentence
 UNMATCHED_RELATIONS = ("other", "doubles")  # fragments that belong to no marker
 
 
@@ -94,9 +94,8 @@ def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
     text = f"No missing {terms.samples}."
     if missing:
         labels = list(dict.fromkeys(item["marker"] for item in fill["unfilled"]))
-        more = [f"{len(labels) - MAX_SENTENCE_MARKERS} more"] if len(labels) > MAX_SENTENCE_MARKERS else []
         text = f"{missing:,} {terms.sample if missing == 1 else terms.samples} still missing"
-        text += f": {join_words([*labels[:MAX_SENTENCE_MARKERS], *more])}. The reasons are listed below." if labels else "."
+        text += f": {join_names(labels)}. The reasons are listed below." if labels else "."
     unchanged = [f.kind for f in comparison.unchanged_faults if f.kind not in (*MISSING_KINDS, "fragment")]
     text += f" Unchanged faults: {format_fault_counts(unchanged)}." if unchanged else ""
     return text + _describe_lost_parts(report)

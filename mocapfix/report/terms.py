@@ -1,9 +1,10 @@
 """Wording of reports: names of fault kinds, groups of kinds, and terms for the points of a take or an animation."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from mocapfix.errors import join_words
 from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
 from mocapfix.take import Take
 
@@ -78,11 +79,6 @@ def format_kind_counts(fault_counts: Mapping[str, int]) -> str:
     for kind, count in fault_counts.items():
         counts["gap" if kind in MISSING_KINDS else kind] += count
     return join_words([f"{counts[kind]:,} {names[counts[kind] > 1]}" for kind, names in FAULT_KIND_NAMES.items() if counts[kind]])
-
-
-def join_words(words: Sequence[str]) -> str:
-    """Return "a, b and c"."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def format_frame_range(first: int, last: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mocapfix.changes import Change, list_affected_markers
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, format_name_list
 from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, Fragment
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.yaml_lists import dump_yaml_list
@@ -173,7 +173,7 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
     declined: list[ReviewedChange] = []
     for n, entry in enumerate(file.changes):
         if unknown := [label for label in entry.markers if label not in index_by_label]:
-            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {', '.join(unknown)}.")
+            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {format_name_list(unknown)}.")
         if not first <= entry.first <= entry.last <= last:
             raise SceneError(f"{path}: changes.{n}: frames {entry.first} to {entry.last} are not in {take.name}.")
         if entry.decision != "accept":

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, format_name_list
 from mocapfix.faults import Fault, Fragment
 from mocapfix.review.file_models import CorrectionModel
 from mocapfix.take import Take
@@ -68,7 +68,7 @@ def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correct
     trajectories = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
     index_by_label = {take.get_label(index): index for index in reversed(range(trajectories))}  # the first of equal labels
     if unknown := [label for label in entry.markers if label not in index_by_label]:
-        raise SceneError(f"{place}.markers: {take.name} has no marker {', '.join(unknown)}.")
+        raise SceneError(f"{place}.markers: {take.name} has no marker {format_name_list(unknown)}.")
     first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
     if not first <= entry.first <= entry.last <= last:
         raise SceneError(f"{place}: frames {entry.first} to {entry.last} are not in {take.name}, which has {first} to {last}.")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from mocapfix.errors import MocapfixError, ReadError, SceneError
+from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
 from mocapfix.faults import Decision
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.yaml_models import read_yaml_model
@@ -70,7 +70,7 @@ class DecisionStore:
         """Decide on changes. Raises as `_save`, and SceneError if there is no such change."""
         chosen = set(ids)
         if unknown := chosen - {change.id for change in self.file.changes}:
-            raise SceneError(f"{self.path.name}: has no change {', '.join(sorted(unknown))}.")
+            raise SceneError(f"{self.path.name}: has no change {format_name_list(sorted(unknown))}.")
         decided = {"decision": decision, "reviewed": True}
         changes = [change.model_copy(update=decided) if change.id in chosen else change for change in self.file.changes]
         self._save(revision, self.file.model_copy(update={"changes": changes}))

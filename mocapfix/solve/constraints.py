@@ -11,7 +11,7 @@ from typing import TypeAlias, TypeVar, cast
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.errors import ConstraintError
+from mocapfix.errors import ConstraintError, format_name_list
 from mocapfix.kernels.terms import DirectionTerm, DistanceTerm, OrientationTerm, PointTerm, ReprojectionTerm, normalise_pixels
 from mocapfix.skeleton import Skeleton
 
@@ -204,7 +204,9 @@ def find_constrained_joints(constraints: Sequence[JointConstraint], skeleton: Sk
 def find_joint(constraint: Constraint, joint: str, skeleton: Skeleton) -> int:
     """Return the index of a joint named by a constraint. Raises ConstraintError for an unknown name."""
     if joint not in skeleton.names:
-        raise build_constraint_error(constraint, f"there is no joint {joint!r}; the skeleton has: {', '.join(skeleton.names)}")
+        raise build_constraint_error(
+            constraint, f"there is no joint {joint!r}; the skeleton has: {format_name_list(skeleton.names)}"
+        )
     return skeleton.find_joint(joint)
 
 

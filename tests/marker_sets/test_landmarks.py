@@ -82,7 +82,7 @@ def test_right_landmarks_mirror_the_left_ones():
 
 @pytest.mark.parametrize("name", ["acromion", "left sacral bone", "elbow", ""])
 def test_unknown_landmark_lists_the_known_ones(name):
-    with pytest.raises(ValueError, match=rf"there is no landmark '{name}'; the landmarks are vertex, .*left acromion, .*sacrum"):
+    with pytest.raises(ValueError, match=rf"there is no landmark '{name}'; the landmarks are vertex, .* and \d+ more"):
         find_landmark(name)
 
 

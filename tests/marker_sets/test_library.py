@@ -14,7 +14,7 @@ from mocapfix.skeleton import load_cmu31_body
 
 
 def test_unknown_name_lists_the_shipped_sets():
-    with pytest.raises(SceneError, match=r"baseline41.*cmu41, coco133, .*, helen-hayes, .*YAML"):
+    with pytest.raises(SceneError, match=r"baseline41.*body25, cast, .*, cmu41.* and \d+ more, .*YAML"):
         load_marker_set("baseline41")
 
 
@@ -280,16 +280,16 @@ def test_reason_lists_found_and_missing_markers():
     choice = choose_marker_set(labels)
     assert choice.marker_set is None
     assert choice.reason == (
-        "No marker set fits the labels LASI, RASI, LTHI, LANK, LHEE, LTOE, RTHI, RANK, RHEE, RTOE, LMT1, RMT1: "
+        "No marker set fits the labels LASI, RASI and 10 more: "
         "the nearest is plug-in-gait39 with 10 of its 39 markers and 2 optional ones, but the thorax, left arm, right arm cannot "
-        "be located; not found: LFHD, RFHD, LBHD, RBHD, C7, T10, CLAV, STRN, RBAK, LSHO, LUPA, LELB and 17 more."
+        "be located."
     )
 
 
 @pytest.mark.parametrize("labels", [(), ("Racket:tip", "Racket:grip")])
-def test_unknown_labels_list_the_shipped_sets(labels):
+def test_unknown_labels_are_in_no_shipped_set(labels):
     assert choose_marker_set(labels).marker_set is None
-    assert "body25, cast, cgm2, cmu41, coco133, coco17, davis, frontwaist53" in choose_marker_set(labels).reason
+    assert "none of them is in a shipped set; `mocapfix marker-set list` shows these" in choose_marker_set(labels).reason
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")

@@ -2,8 +2,9 @@ from typing import get_args
 
 import pytest
 
+from mocapfix.errors import join_words
 from mocapfix.faults import MISSING_KINDS, FaultKind
-from mocapfix.report.terms import FAULT_GROUPS, FAULT_KIND_NAMES, format_fault_counts, get_fault_group, join_words
+from mocapfix.report.terms import FAULT_GROUPS, FAULT_KIND_NAMES, format_fault_counts, get_fault_group
 
 
 def test_fault_counts_start_with_labels():
