@@ -36,6 +36,7 @@ class Animation:
     path      file that the animation was read from
     first_frame  the file's number of frame 0, 1 if the file does not number its frames; messages use the file's numbers
     value_byte_offsets  (T, C) position of each value in the file, in bytes; None if no file holds these values
+    wrong_rate_bytes  first byte and byte after the frame time in the file, if it is not that of `rate`: a copy has it corrected
     unit_m    length of a file unit in metres
     rotation_y_up_file  (3, 3) from the file's axes to axes with Y up
     rest_rotations  (J, 3, 3) or (1, 3, 3) axes of each joint's rotations in the rest pose: the file's axes in BVH, the bone's
@@ -56,6 +57,7 @@ class Animation:
     path: Path | None = None
     first_frame: int = 1
     value_byte_offsets: np.ndarray | None = None
+    wrong_rate_bytes: tuple[int, int] | None = None
     unit_m: float = 0.01
     rotation_y_up_file: np.ndarray = field(default_factory=lambda: np.eye(3))
     rest_rotations: np.ndarray = field(default_factory=lambda: np.eye(3)[None])

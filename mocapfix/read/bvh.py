@@ -17,8 +17,8 @@ from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_conventions
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
-from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, read_file_bytes
-from mocapfix.read.frame_rate import choose_rate, read_frame_time
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, parse_number, read_file_bytes
+from mocapfix.read.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
@@ -39,12 +39,14 @@ class _Timing(NamedTuple):
         rate: Frames per second.
         stop_byte: Byte after the two lines.
         notes: A sentence about the rate if it was rounded in the file.
+        wrong_bytes: First byte and byte after the frame time if it is not that of the rate, even rounded.
     """
 
     declared_frame_count: int
     rate: float
     stop_byte: int
     notes: tuple[str, ...]
+    wrong_bytes: tuple[int, int] | None
 
 
 def is_bvh(head: bytes) -> bool:
@@ -89,6 +91,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
         values=tokens.values.reshape(frame_count, width),
         rate=timing.rate,
         path=path,
+        wrong_rate_bytes=timing.wrong_bytes,
         value_byte_offsets=tokens.start_bytes.reshape(frame_count, width),
     )
     is_added, displacement_notes = _find_displacements(animation)
@@ -117,7 +120,9 @@ def _parse_timing(path: Path, data: bytes, start: int, options: ReadOptions) -> 
     else:
         problem = f"a frame time of {time_text} s gives no possible rate (5 to 2000 Hz)"
         raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the frames per second with --rate HZ.")
-    return _Timing(declared, rate, time.end(), notes)
+    frame_time = parse_number(time_text)
+    is_right = abs(frame_time * rate - 1) < (MAX_RATE_ROUNDING if options.rate_hz is None else MAX_RATE_CONTRADICTION)
+    return _Timing(declared, rate, time.end(), notes, None if is_right else time.span(1))
 
 
 def _decode_word(word: bytes) -> str:

@@ -36,7 +36,7 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     """Write the file of `source` to `target` with the numbers that differ in `values`.
 
     All other bytes are unchanged: hierarchy, names, order of channels, line ends and the spelling of other numbers. New numbers
-    have as many decimals as most numbers of the file that have any.
+    have as many decimals as most numbers of the file that have any. A frame time that is not that of the rate is corrected.
 
     Args:
         target: The copy.
@@ -74,6 +74,10 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     patched = out[:size].tobytes()
     if has_commas:
         patched = patched[:first_byte] + patched[first_byte:].replace(b".", b",")
+    if source.wrong_rate_bytes is not None:
+        start, stop = source.wrong_rate_bytes
+        frame_time = f"{1 / source.rate:.10f}".replace(".", "," if has_commas else ".")
+        patched = patched[:start] + frame_time.encode() + patched[stop:]
     with replace_atomically(target) as part:
         part.write_bytes(restore_encoding(patched, original))
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import WriteError
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read import amc, bvh
 from mocapfix.write.patches import patch_animation
 from tests.asf_files import AMC, ASF
@@ -120,3 +121,13 @@ def test_a_copy_keeps_encoding_and_decimal_sign(tmp_path, encoding, sign):
     values[1, 6] = -7.25
     patch_animation(tmp_path / "out.bvh", figure, values)
     assert (tmp_path / "out.bvh").read_bytes() == text.replace(f"16{sign}0000", f"-7{sign}2500").encode(encoding)
+
+
+@pytest.mark.parametrize(("frame_time", "option"), [("8.3333", None), ("120", None), ("0", 120.0), (".0166667", 120.0)])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_wrong_frame_time_is_corrected_in_the_copy(tmp_path, frame_time, option, encoding):
+    (tmp_path / "in.bvh").write_bytes(TEXT.replace(".0083333", frame_time).encode(encoding))
+    figure = bvh.read_bvh(tmp_path / "in.bvh", options=ReadOptions(rate_hz=option))
+    patch_animation(tmp_path / "out.bvh", figure, figure.values)
+    assert (tmp_path / "out.bvh").read_bytes().decode(encoding) == TEXT.replace(".0083333", "0.0083333333")
+    assert bvh.read_bvh(tmp_path / "out.bvh").notes == ()
