@@ -26,7 +26,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 from mocapfix.write.rig import load_rig
 
-READER_FUZZ_LIMITS = FuzzLimits(slow_s=5.0, timeout_s=30.0)
+READER_FUZZ_LIMITS = FuzzLimits(slow_s=3.0, timeout_s=30.0)
 MAX_MUTATIONS = 4
 """of one file"""
 COMPANION_SHARE = 0.5

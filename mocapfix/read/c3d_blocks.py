@@ -278,7 +278,7 @@ def _combine_sources(parameters: C3dParameters, declared: SampleBlocks, sources:
 
 def _derive_analog_words(blocks: SampleBlocks, file_bytes: int, parameters: C3dParameters) -> Iterator[SampleBlocks]:
     """Yield the readings whose analog values fill the data, to the end of the file or to within its last block."""
-    if blocks.frame_count in parameters.frame_counts:
+    if blocks.frame_count > 0 and blocks.frame_count in parameters.frame_counts:
         step_bytes = blocks.frame_count * (4 if blocks.is_float else 2)
         most, rest_bytes = divmod(file_bytes - blocks.start_byte, step_bytes)
         largest_rest = 0 if file_bytes % C3D_BLOCK_BYTES else C3D_BLOCK_BYTES - 1

@@ -30,6 +30,8 @@ MAX_COMMON_RATE_ERROR = 1e-3  # relative difference of a rate that is given as a
 TIME_UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 MAX_RATE_CONTRADICTION = 0.005  # relative; 59.94 and 60 Hz differ by 0.001, and programs write times of the nominal rate
 MIN_GAP_EXCESS = 0.5  # of a frame: a time step that is longer by this, beyond the resolution of the times, omits frames
+# Times that are later than this, in frames, are damaged: no take is so long.
+MAX_LATENESS_FRAMES = 1e9
 MAX_REGULAR_DEVIATION = 0.05  # of a frame: the median deviation of time steps, beyond their resolution, of a steady clock
 COMPARED_TIMES = 5  # on either side of a long step, by whose mean lateness omitted frames are counted
 MIN_ROUNDED_LONG_STEPS = 3  # long steps without which they omit frames rather than come from rounding
@@ -365,6 +367,8 @@ def _count_omitted_frames(excess: Float[np.ndarray, " n"], noise: float) -> Int[
         noise: By how much rounding may lengthen a step, in frames.
     """
     lateness, omitted = np.concatenate([[0.0], np.cumsum(excess)]), np.zeros(len(excess), int)
+    if not np.all(np.abs(lateness) < MAX_LATENESS_FRAMES):
+        return omitted
     long_steps = np.flatnonzero(excess > MIN_GAP_EXCESS + noise).tolist()
     for step, previous, following in zip(long_steps, [-1, *long_steps], [*long_steps[1:], len(excess)], strict=False):
         before = lateness[max(previous + 1, step + 1 - COMPARED_TIMES) : step + 1]

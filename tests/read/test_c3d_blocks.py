@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
-from mocapfix.read.capture import read_capture_bytes
+from mocapfix.read.capture import read_capture_bytes, read_take
 from mocapfix.read.force_plates import read_force_plates
 from mocapfix.take import Take
 from tests.c3d_files import ENCODINGS, c3d_bytes, get_layout, replace_word, vax
@@ -158,3 +158,12 @@ def test_two_rates(tmp_path, extra, rate, words):
     take = read(build(extra=extra), tmp_path)
     assert take.rate == rate
     assert words in " ".join(take.notes)
+
+
+def test_a_file_that_declares_no_frames_is_refused(tmp_path):
+    path = tmp_path / "take.c3d"
+    data = bytearray(c3d_bytes(np.ones((20, 4, 3)), ("LFHD", "RFHD", "LBHD", "RBHD"), extra={"POINT:FRAMES": 0}))
+    data[6:10] = struct.pack("<HH", 1, 0)
+    path.write_bytes(data)
+    with pytest.raises(ReadError, match="no frames"):
+        read_take(path)

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read import capture
-from mocapfix.read.frame_rate import FrameTimes, choose_rate, find_frames, infer_rate, parse_time, read_frame_time
+from mocapfix.read.frame_rate import (
+    FrameTimes,
+    _count_omitted_frames,
+    choose_rate,
+    find_frames,
+    infer_rate,
+    parse_time,
+    read_frame_time,
+)
 from mocapfix.write.patches import patch_animation, patch_table
 from tests.asf_files import AMC, ASF
 from tests.bvh_files import TEXT
@@ -286,3 +294,9 @@ def test_decimal_commas_between_commas_are_named(tmp_path):
     text = WIDE.replace(",", ";") + "".join(f"0,0{t};1,5;1,6;1,7;1,8;1,9;2,0\n" for t in range(9))
     (tmp_path / "a.csv").write_text(text)
     assert capture.read_take(tmp_path / "a.csv").rate == 100
+
+
+@pytest.mark.parametrize("excess", [1e300, np.inf, np.nan])
+def test_damaged_times_omit_no_frames(excess):
+    assert not _count_omitted_frames(np.array([0.0, 0.0, excess, 0.0]), 0.0).any()
+    assert _count_omitted_frames(np.array([0.0, 0.0, 7.0, 0.0]), 0.0).tolist() == [0, 0, 7, 0]
