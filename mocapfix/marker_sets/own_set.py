@@ -23,14 +23,19 @@ from mocapfix.take import Take
 OWN_SET_NAME = "own"
 MIN_OWN_SET_MARKERS = 5
 """Visible markers of the smallest part of a body, a single limb."""
+MAX_OWN_SET_MARKERS = 400
+"""Visible markers of one body; the densest published set has 350 (Park & Hodgins 2006), and 1,300 took 75 s to search for joints."""
 
 
 def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
     """Return the choice for a take without a known set: with a set learned from the take, or without one and with the reason."""
     known_reason = choice.notes[:1]
     try:
-        if take.subject_name == UNASSIGNED_SUBJECT or int(take.visible.any(0).sum()) < MIN_OWN_SET_MARKERS:
+        count = int(take.visible.any(0).sum())
+        if take.subject_name == UNASSIGNED_SUBJECT or count < MIN_OWN_SET_MARKERS:
             return choice
+        if count > MAX_OWN_SET_MARKERS:
+            raise TakeError(f"{take.name}: {count:,} markers with unknown labels are more than those of one body")
         selected = select_subject_markers(take.masked(take.measured))
         learned = add_props(learn_from_markers(selected, OWN_SET_NAME), take)
     except TakeError as error:

@@ -9,6 +9,7 @@ import pytest
 from mocapfix import marker_sets, pipeline, synthetic
 from mocapfix.errors import TakeError
 from mocapfix.marker_sets import learning, own_set
+from mocapfix.marker_sets.library import SubjectChoice
 from mocapfix.read.capture import read_take
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
@@ -134,3 +135,13 @@ def test_props_are_written_to_the_learned_set(tmp_path):
     path.write_bytes(build_c3d(np.concatenate([WHOLE.damaged_positions, moved], axis=1), labels, rate=WHOLE.rate))
     learned = own_set.learn_marker_set(path, "ann", like="cmu41")
     assert learned.marker_set.props == {"Box": ("Box0", "Box1", "Box2", "Box3")}
+
+
+def test_more_markers_than_one_body_has_are_no_set_of_their_own(monkeypatch):
+    monkeypatch.setattr(own_set, "learn_from_markers", lambda *arguments: pytest.fail("a set is learned"))
+    count = own_set.MAX_OWN_SET_MARKERS + 1
+    markers = np.random.default_rng(0).normal(size=(4, count, 3))
+    take = Take(markers, tuple(f"Q{n}A" for n in range(count)), 120.0)
+    choice = own_set.find_own_marker_set(take, SubjectChoice(None, None, ("No set fits.", "Other.")))
+    assert choice.marker_set is None
+    assert choice.notes == ("No set fits.", "401 markers with unknown labels are more than those of one body.", "Other.")
