@@ -234,7 +234,7 @@ def describe_laboratory(evidence: Mapping[str, str], options: CleanOptions) -> s
 def print_output_files(outputs: Mapping[str, Path]) -> None:
     """Print the folder and the names of the files that were written."""
     paths = list(outputs.values())
-    print_line(f"  {escape(str(paths[0].parent))}/: {', '.join(escape(path.name) for path in paths)}")
+    print_note(f"{paths[0].parent}/: {', '.join(path.name for path in paths)}")
 
 
 def format_take_name(take: "TakeSection") -> str:

@@ -28,7 +28,7 @@ MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
 MAX_LISTED_RANGES = 2  # frame ranges in one sentence
 MAX_GROUPS_LENGTH = 110  # characters of a list of rigid groups
 MAX_LISTED_GROUP_LABELS = 2  # labels of each of them
-MAX_LISTED_PART_LABELS = 3  # labels of a part of the body in one sentence
+MAX_LISTED_PART_LABELS = 2  # labels of a part of the body in one sentence
 MAX_STRAY_NOTES = 4  # notes on single markers that are far from the body; more are one sentence
 NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
 
@@ -165,7 +165,7 @@ def describe_lost_part(
     labels = format_name_list([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))], MAX_LISTED_PART_LABELS)
     distance = _format_mm(float(np.nanmean(part.distance_m)))
     replaced_count = int((lost_samples & ~inlier_mask).sum())
-    outcome = "are left unchanged"
+    outcome = "left unchanged"
     if replaced_count:
         outcome = f"{replaced_count:,} {'sample was' if replaced_count == 1 else 'samples were'} taken for faults"
     return (
@@ -223,7 +223,7 @@ def find_laboratory_evidence(marker_set: MarkerSet | None, body: BodyFit | None)
         return f"the marker set {marker_set.name}"
     names = {name for name, is_solved in zip(body.subject.skeleton.names, body.subject.solved_joints, strict=True) if is_solved}
     upper = {joint for section in ("head", *ARMS) for joint in BODY_SECTIONS[section]}
-    return "" if names & upper else "legs only"
+    return "legs only" if "Hips" in names and not names & upper else ""
 
 
 def describe_up_axis(take: Take) -> list[str]:

@@ -82,8 +82,8 @@ def test_a_lost_limb_is_described_with_its_frames_markers_and_what_was_assumed()
     epochs, inliers = split_moved_markers(take, ()), np.ones((FRAMES, 3), bool)
     note = describe_lost_part(take, build_lost_arm(5, 6, 7, 20), columns, epochs, inliers)
     assert note == (
-        "The solved left arm is 310 mm from its markers (A, B, C) in 4 frames (106–108 and 121). They are plausible "
-        "and are left unchanged; do not use it there."
+        "The solved left arm is 310 mm from its markers (A, B and 1 more) in 4 frames (106–108 and 121). They are plausible "
+        "and left unchanged; do not use it there."
     )
     inliers[5] = False
     assert "They are plausible and 3 samples were taken for faults; do not use" in describe_lost_part(
