@@ -19,6 +19,7 @@ from mocapfix.calibrate.calibration import calibrate_body, place_moved_markers, 
 from mocapfix.calibrate.calibration_frames import CalibrationFrames
 from mocapfix.calibrate.person_calibration import calibrate_person
 from mocapfix.contacts.body_contacts import hold_standing_feet
+from mocapfix.detect.contradictions import check_contradictions
 from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError, join_names
@@ -172,8 +173,9 @@ def report_in_this_process(progress: ProgressCallback | None) -> ProgressCallbac
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
-    """Run all stages on the take of one subject."""
+    """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
     state = detect_and_fit(state, options, timer)
+    check_contradictions(state, options)
     with timer("solve"):
         state = hold_standing_feet(complete_body(state, options), options)
     with timer("fill"):

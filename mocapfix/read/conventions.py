@@ -43,15 +43,15 @@ class HumanRange(NamedTuple):
     usual: tuple[float, float]
 
 
-# By the heights of the parts (see `classify_label_height`); the greatest distance of a take counts. Measured on 34 captures:
-# 0.89 to 1.62 m (head and shoulders, feet), 0.81 to 0.91 m (pelvis, feet), 0.45 to 0.49 m (head and shoulders, pelvis).
+# By the heights of the parts (see `classify_label_height`); the greater distances of a take count. Measured on 34 captures:
+# 0.87 to 1.55 m (head and shoulders, feet), 0.78 to 0.90 m (pelvis, feet), 0.45 to 0.49 m (head and shoulders, pelvis).
 HUMAN_RANGES = (
     HumanRange((2, 0), (0.35, 2.5), (0.7, 1.75)),
     HumanRange((1, 0), (0.2, 1.5), (0.42, 1.05)),
     HumanRange((2, 1), (0.12, 1.0), (0.28, 0.7)),
 )
 MIN_PART_MARKERS = 2  # of each part, from whose distance a unit is judged
-HEIGHT_QUANTILE = 0.98  # of the distances over the frames: the greatest one but for faults
+HEIGHT_QUANTILE = 0.75  # of the distances over the frames: that of upright frames, whatever a quarter of them shows by faults
 # Extents (m) of all markers in a frame that are possible without labels that name parts of a body, and those of a person.
 POSSIBLE_EXTENT_M = (0.02, 50.0)
 USUAL_EXTENT_M = (0.8, 2.0)
@@ -160,11 +160,14 @@ def _decide_unit(
     if measured is None:
         return declared.unit_m, ()
     (size_m, part), possible, usual = measured
-    if not size_m or possible[0] <= size_m <= possible[1] or options.accept_contradictions:
+    where = f"In its unit, {_name_unit(declared.unit_m)},"
+    if not size_m or options.accept_contradictions or usual[0] <= size_m <= usual[1]:
         return declared.unit_m, ()
+    if possible[0] <= size_m <= possible[1]:
+        note = f"{where} {part} {size_m:.2f} m; if that is wrong, give the unit with --unit."
+        return declared.unit_m, () if possible == POSSIBLE_EXTENT_M else (note,)
     factors = [1 / factor for factor in CONFUSED_UNIT_FACTORS] + list(CONFUSED_UNIT_FACTORS)
     fitting = [factor for factor in factors if usual[0] <= size_m * factor <= usual[1]]
-    where = f"In its unit, {_name_unit(declared.unit_m)},"
     if len(fitting) != 1:
         raise ReadError(
             f"{path}: {where.lower()} {part} {size_m:.3g} m, as of no person; give the unit with --unit, "

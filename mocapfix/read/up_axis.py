@@ -139,7 +139,8 @@ def estimate_sign(axis: str, body: BodyEvidence, points: PointSample) -> str:
     """Return the axis "X", "Y" or "Z" with a minus sign before it if the evidence is that it points down."""
     evidence, _ = _collect_evidence(body, points)
     total = np.sum([_score_default(axis), *(each.scores for each in evidence)], axis=0)
-    return f"-{axis}" if total[AXIS_NAMES.index(f"-{axis}")] > total[AXIS_NAMES.index(axis)] else axis
+    up, down = (total[AXIS_NAMES.index(each)] for each in (axis, f"-{axis}"))
+    return f"-{axis}" if down - up >= MIN_CERTAIN_SCORE else axis
 
 
 class Standing(NamedTuple):

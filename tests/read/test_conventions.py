@@ -131,9 +131,11 @@ def test_a_size_that_no_usual_error_explains_is_refused_and_the_unit_settles_it(
         assert decide(MOTIONS["walks"] * factor, unit=unit).unit_m == METRES_PER_UNIT[unit]
 
 
-def test_a_child_and_a_giant_keep_their_unit():
+def test_a_child_and_a_giant_keep_their_unit_with_a_note():
     for factor in (0.4, 1.4):
-        assert decide(MOTIONS["stands"] * factor).unit_m == 1.0
+        convention = decide(MOTIONS["stands"] * factor)
+        assert convention.unit_m == 1.0
+        assert "if that is wrong, give the unit with --unit" in convention.notes[0]
 
 
 @with_data
