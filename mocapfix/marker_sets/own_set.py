@@ -24,7 +24,7 @@ OWN_SET_NAME = "own"
 MIN_OWN_SET_MARKERS = 5
 """Visible markers of the smallest part of a body, a single limb."""
 MAX_OWN_SET_MARKERS = 400
-"""Visible markers of one body; the densest published set has 350 (Park & Hodgins 2006), and 1,300 took 75 s to search for joints."""
+"""Visible markers of one body; the densest published set has 350 (Park & Hodgins 2006). The joints of 1,300 took 75 s to find."""
 
 
 def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
