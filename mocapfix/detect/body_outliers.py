@@ -102,6 +102,12 @@ STEP_TOLERANCE_M_PER_S2 = 100.0
 # Smallest score of an outlier, and of one that leaps there and back.
 MIN_OUTLIER_SCORE_SD = 6.0
 MIN_EXCURSION_SCORE_SD = 2.5
+# Frames at an end of an outlier, and beside it, over whose median its position is taken there.
+END_FRAMES = 5
+# Smallest distance from the usual position at an end of an outlier, and of the leap to it, relative to the median distance.
+MIN_END_SHARE = 0.5
+# Smallest distance of an outlier that begins or ends in a gap. Skin, shoes and rare poses reach 25 to 31 mm in captures.
+MIN_UNSEEN_DISTANCE_M = 0.035
 # With a larger fraction of outliers among a marker's samples, its usual position is unknown.
 MAX_OUTLIER_FRACTION = 0.4
 # With a larger fraction of outlying markers in a frame, the body itself is wrong there, and no marker is judged.
@@ -207,7 +213,8 @@ def _build_outlier(
     path, sd_m = residuals.residual_segment[:, marker], residuals.sd_m[segment_frames, marker]
     sample_distance_m = np.linalg.norm(path[segment_frames], axis=1)
     distance_m, score_sd = float(np.median(sample_distance_m)), float(np.median(sample_distance_m / sd_m))
-    excursion_m = _measure_excursion(path, is_leap, int(segment_frames[0]), int(segment_frames[-1]) + 1)
+    first, stop = int(segment_frames[0]), int(segment_frames[-1]) + 1
+    excursion_m = _measure_excursion(path, is_leap, first, stop)
     is_far = distance_m > min_distance_m and score_sd > MIN_OUTLIER_SCORE_SD
     is_excursion = excursion_m > min_distance_m and score_sd > MIN_EXCURSION_SCORE_SD
     if not is_far and not is_excursion:
@@ -217,6 +224,8 @@ def _build_outlier(
     is_at_end = segment_frames[0] == valid_frames[0] or segment_frames[-1] == valid_frames[-1]
     is_long = len(segment_frames) >= MIN_SHIFTED_DURATION_S * rate
     is_persistent = bool(is_at_end and is_long and sway_sd < MAX_SHIFTED_SWAY_SD)
+    if not is_excursion and not is_persistent and not _begins_and_ends_abruptly(path, segment_frames, distance_m):
+        return None
     return BodyOutlier(marker, segment_frames, max(distance_m, excursion_m), score_sd, is_persistent)
 
 
@@ -251,9 +260,41 @@ def _detect_leaps(markers: np.ndarray, rate: float) -> np.ndarray:
     return np.concatenate([np.ones_like(is_leap[:1]), is_leap[:-1]])
 
 
+def _begins_and_ends_abruptly(residual: np.ndarray, segment_frames: np.ndarray, distance_m: float) -> bool:
+    """Return whether a marker lies off its position from the first to the last frame (N,) of a segment, and not beside it.
+
+    A distance that grows or shrinks within the segment, or that the marker had on the other side of a gap, is skin motion, a
+    shoe that bends, or a bone of a wrong length. So may be a smaller one whose beginning or end is not seen.
+    """
+    first, last = int(segment_frames[0]), int(segment_frames[-1])
+    is_seen = first > 0 and last + 1 < len(residual) and not np.isnan(residual[[first - 1, last + 1], 0]).any()
+    if not is_seen and distance_m < MIN_UNSEEN_DISTANCE_M:
+        return False
+    visible = np.flatnonzero(~np.isnan(residual[:, 0]))
+    start, stop = np.searchsorted(visible, [first, last + 1])
+    inside = segment_frames[:END_FRAMES], segment_frames[-END_FRAMES:]
+    beside = visible[max(0, start - END_FRAMES) : start], visible[stop : stop + END_FRAMES]
+    for own, other in zip(inside, beside, strict=True):
+        position = np.median(residual[own], axis=0)
+        if np.linalg.norm(position) < MIN_END_SHARE * distance_m:
+            return False
+        if len(other) and np.linalg.norm(position - np.median(residual[other], axis=0)) < MIN_END_SHARE * distance_m:
+            return False
+    return True
+
+
 def _measure_excursion(residual: np.ndarray, is_leap: np.ndarray, first: int, stop: int) -> float:
-    """Measure the smaller of the leaps, in metres, in frame `first` and back in frame `stop`; 0 unless both are visible."""
+    """Measure the smaller of the leaps, in metres, in frame `first` and back in frame `stop`; 0 unless both are visible.
+
+    A leap is that of the median over END_FRAMES, so that a spike beside the segment is none.
+    """
     if first == 0 or stop == len(residual) or not (is_leap[first] and is_leap[stop]):
         return 0.0
-    there, back = residual[first] - residual[first - 1], residual[stop] - residual[stop - 1]
-    return float(np.nan_to_num(min(np.linalg.norm(there), np.linalg.norm(back))))
+    if np.isnan(residual[[first - 1, stop], 0]).any():
+        return 0.0
+    inside = residual[first : min(first + END_FRAMES, stop)], residual[max(first, stop - END_FRAMES) : stop]
+    beside = residual[max(0, first - END_FRAMES) : first], residual[stop : stop + END_FRAMES]
+    leaps_m = [
+        np.linalg.norm(np.nanmedian(own, axis=0) - np.nanmedian(other, axis=0)) for own, other in zip(inside, beside, strict=True)
+    ]
+    return float(min(leaps_m))
