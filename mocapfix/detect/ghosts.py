@@ -36,6 +36,8 @@ GHOST_CHANGE_COST = 0.5
 ELSEWHERE_CONTRADICTION = 0.5
 # Smallest cost, in leaps, that a ghost saves.
 MIN_GHOST_GAIN = 1.0
+# Smallest displacement of a ghost that begins and ends in gaps: rare poses between two gaps reach 35 mm in captures.
+MIN_UNSEEN_GHOST_M = 0.045
 # Number of steadiest partners by which the displacement is measured.
 MAX_GHOST_PARTNERS = 3
 # Number of frames, evenly spread, from which the usual distance between two partners is computed.
@@ -78,8 +80,10 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
             is_persistent = b == len(visible) - 1 or a == 0
             displacement = _measure_displacement(take.markers, distances, m, visible, (a, b))
             may_be_moved = is_persistent and displacement.sd_m < min_distance_m / 3
-            if displacement.distance_m > min_distance_m and displacement.is_abrupt and not may_be_moved:
-                interval = int(frames[0]), int(frames[-1])
+            interval = int(frames[0]), int(frames[-1])
+            is_seen = any(0 <= t < take.frame_count and take.visible[t, m] for t in (interval[0] - 1, interval[1] + 1))
+            least_m = min_distance_m if is_seen else max(min_distance_m, MIN_UNSEEN_GHOST_M)
+            if displacement.distance_m > least_m and displacement.is_abrupt and not may_be_moved:
                 ghosts.append(_build_ghost_fault(take, m, interval, displacement.distance_m, gain, is_persistent))
     return ghosts
 

@@ -1,8 +1,8 @@
 """Limbs lost in sight: frames in which the solved body leaves a part of the body although its markers show where it is.
 
 A part of the body counts as lost in a frame if at least MIN_CONSISTENT_MARKERS of its markers are seen and mutually consistent,
-and their mean distance from the body exceeds MIN_LOST_DISTANCE_M. What was measured counts, whatever detection made of it: a limb
-all of whose samples were taken for spikes is lost as well.
+their mean distance from the body exceeds MIN_LOST_DISTANCE_M, and most of them lie off the body. What was measured counts,
+whatever detection made of it: a limb all of whose samples were taken for spikes is lost as well.
 
 Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
 another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
@@ -35,6 +35,9 @@ of the bones, and the motion of the skin"""
 MIN_SHARED_DISTANCE_M = 0.03
 """compared with the distance from the body of the marker that supports a sample which detection took for a fault: a spike may
 keep its distance from a sound neighbour by chance"""
+MIN_OFF_SHARE = 0.6
+"""share of a part's consistent markers that lie off the body by more than that: one marker with a fault that was not found does
+not make a limb lost whose other markers lie on the body"""
 MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""
@@ -102,6 +105,7 @@ def find_lost_parts(
     subject: Subject,
     body_markers: Float[np.ndarray, "T K 3"],
     min_distance_m: float = MIN_LOST_DISTANCE_M,
+    min_off_share: float = MIN_OFF_SHARE,
 ) -> tuple[LostPart, ...]:
     """Return the parts of the body that are lost in at least one frame, in the order of BODY_PARTS.
 
@@ -111,13 +115,16 @@ def find_lost_parts(
         subject: The subject, with K markers.
         body_markers: Where the solved body carries the markers, in metres.
         min_distance_m: The mean distance above which a part counts as lost.
+        min_off_share: The share of its consistent markers that lie off the body.
     """
     distance_m = np.linalg.norm(markers - body_markers, axis=-1)
     parts: dict[str, LostPart] = {}
     for name, joint_names in BODY_PARTS.items():
         columns = np.flatnonzero(np.isin(subject.joints, _find_joints(subject.skeleton, joint_names)))
         if len(columns) >= MIN_CONSISTENT_MARKERS:
-            parts[name] = _find_lost_frames(name, columns, markers, inlier_mask, subject, distance_m, min_distance_m)
+            parts[name] = _find_lost_frames(
+                name, columns, markers, inlier_mask, subject, distance_m, min_distance_m, min_off_share
+            )
     for chain in LIMB_CHAINS:
         _assign_frames([parts[name] for name in chain if name in parts], subject, distance_m)
     return tuple(part.restrict() for part in parts.values() if part.frames.any())
@@ -147,6 +154,7 @@ def _find_lost_frames(
     subject: Subject,
     distance_m: np.ndarray,
     min_distance_m: float,
+    min_off_share: float,
 ) -> LostPart:
     """Find the frames in which the markers (k,) of one part are consistent and far from the body."""
     frames = np.zeros(len(markers), bool)
@@ -159,7 +167,9 @@ def _find_lost_frames(
     count = is_consistent.sum(1)
     total_m = np.where(is_consistent, distance_m[np.ix_(candidates, columns)], 0).sum(1)
     mean_m[candidates] = total_m / np.maximum(count, 1)
-    frames[candidates] = (count >= MIN_CONSISTENT_MARKERS) & (mean_m[candidates] > min_distance_m)
+    off_count = (is_consistent & (distance_m[np.ix_(candidates, columns)] > MIN_SHARED_DISTANCE_M)).sum(1)
+    is_off = (mean_m[candidates] > min_distance_m) & (off_count >= min_off_share * count)
+    frames[candidates] = (count >= MIN_CONSISTENT_MARKERS) & is_off
     consistent[np.ix_(candidates, columns)] = is_consistent
     return LostPart(name, frames, mean_m, consistent)
 

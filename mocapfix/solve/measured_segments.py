@@ -6,9 +6,16 @@ Where it does more, only a share of what it does is kept. Distances are convex i
 least as good as the same share of the displacement. The share changes slowly, so that nothing jumps.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+from scipy.spatial.transform import Rotation
+
+from mocapfix.motion import Motion
+from mocapfix.solve import kinematics
+from mocapfix.subject import Subject
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
@@ -18,6 +25,8 @@ RESIDUAL_WINDOW_S = 0.1
 """Time over which distances are averaged: noise cancels, and a strike does not."""
 SHARE_SMOOTHING_S = 0.08
 """Standard deviation of the kernel that smooths a share: a displacement of 60 mm then changes by at most 2.3 m/s^2."""
+MAX_REDUCTIONS = 5
+"""Times that a share is reduced; it is usually small enough after one or two."""
 SHARE_REACH_SD = 3.0
 """Half the length of that kernel, in standard deviations."""
 
@@ -81,3 +90,33 @@ def smooth_share(share: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarra
     reach = int(SHARE_REACH_SD * sd + 0.5)
     least = minimum_filter1d(share, 2 * reach + 1, mode="nearest")
     return gaussian_filter1d(least, sd, mode="nearest", radius=reach)
+
+
+def yield_to_markers(
+    subject: Subject, markers: Float[np.ndarray, "T K 3"], before: Motion, inferred: Motion, rate: float
+) -> Motion:
+    """Return the inferred motion, with only a share of what was inferred where that moves visible markers too far.
+
+    Args:
+        subject: The body.
+        markers: Measured positions in metres, NaN if not visible or faulty.
+        before: The motion without what was inferred; its root is that of `inferred`.
+        inferred: The motion with it.
+        rate: Frames per second.
+    """
+    place = kinematics.compute_joint_and_marker_positions
+    places_before, limit, motion = place(subject, before)[1], np.ones(before.frame_count), inferred
+    for _ in range(MAX_REDUCTIONS):
+        growth = measure_residual_growth(subject.joints, markers, places_before, place(subject, motion)[1], rate)
+        worst = np.max(list(growth.values()), axis=0)
+        if not find_excess_windows(worst).any():
+            break
+        limit = limit * compute_allowed_share(worst, len(limit))
+        share = smooth_share(limit, rate)
+        frames, joints = np.nonzero((share < 1)[:, None] & (inferred.local_rotations != before.local_rotations).any((2, 3)))
+        start = Rotation.from_matrix(before.local_rotations[frames, joints])
+        turn = (start.inv() * Rotation.from_matrix(inferred.local_rotations[frames, joints])).as_rotvec()
+        local_rotations = inferred.local_rotations.copy()
+        local_rotations[frames, joints] = (start * Rotation.from_rotvec(share[frames, None] * turn)).as_matrix()
+        motion = replace(inferred, local_rotations=local_rotations)
+    return motion

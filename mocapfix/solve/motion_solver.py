@@ -16,6 +16,7 @@ from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
+from mocapfix.solve.measured_segments import yield_to_markers
 from mocapfix.solve.motion_uncertainty import update_motion_sd
 from mocapfix.solve.pose_problem import MotionProblem, build_motion_problem
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -71,6 +72,7 @@ def complete_motion(
     if not len(frames):
         return motion
     inferred, evidence = infer_unobserved_joints(problem, motion, evidence, conditioner)
+    inferred = yield_to_markers(problem.subject, problem.pose_problem.marker_positions, motion, inferred, problem.rate)
     return update_motion_sd(problem, inferred, evidence, frames)
 
 

@@ -92,7 +92,7 @@ def test_a_spike_that_keeps_its_distances_by_chance_is_no_lost_foot(scene):
     spike = markers.copy()
     spike[30, subject.labels.index("LHEE")] = toe + Rotation.from_rotvec(np.radians(60) * axis).apply(heel - toe)
     inliers = np.ones(markers.shape[:2], bool)
-    assert count_lost(scene, markers=spike, inliers=inliers) == {"left foot": 1}
+    assert count_lost(scene, markers=spike, inliers=inliers) == {}  # the other markers of the foot lie on the body
     inliers[30, subject.labels.index("LHEE")] = False
     assert count_lost(scene, markers=spike, inliers=inliers) == {}
 

@@ -1,21 +1,26 @@
 """What an inferred term may do to segments in sight: growth in windows, the share that is kept, and bodies with lost limbs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
 from mocapfix.contacts.body_contacts import LEGS, hold_measured_feet, move_body
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.floor import NO_FLOOR
 from mocapfix.contacts.hold_feet import compute_held_displacements, displace_feet
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.measured_segments import (
     MAX_RESIDUAL_GROWTH_M,
     compute_allowed_share,
     get_window_length,
     measure_residual_growth,
     smooth_share,
+    yield_to_markers,
 )
 from mocapfix.state import BodyFit
 
@@ -79,3 +84,25 @@ def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
     for joint, windows in growth.items():
         if NAMES[joint] not in locked:
             assert windows.max() <= MAX_RESIDUAL_GROWTH_M, NAMES[joint]
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=10, deadline=None)
+def test_inferred_rotations_yield_to_visible_markers(seed):
+    """Random joints turn by up to half a radian for random times, although their markers are visible."""
+    rng = np.random.default_rng(seed)
+    local_rotations = TAKE.motion.local_rotations.copy()
+    for joint in rng.choice(np.arange(1, len(NAMES)), 4, replace=False):
+        first = int(rng.integers(0, FRAMES - 60))
+        span = slice(first, first + int(rng.integers(1, 60)))
+        local_rotations[span, joint] = local_rotations[span, joint] @ Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)).as_matrix()
+    inferred = replace(TAKE.motion, local_rotations=local_rotations)
+    before, raw = (compute_joint_and_marker_positions(TAKE.subject, each)[1] for each in (TAKE.motion, inferred))
+    markers = before + 0.004 * rng.standard_normal(before.shape[1:])
+    motion = yield_to_markers(TAKE.subject, markers, TAKE.motion, inferred, RATE)
+    after = compute_joint_and_marker_positions(TAKE.subject, motion)[1]
+    for windows in measure_residual_growth(TAKE.subject.joints, markers, before, after, RATE).values():
+        assert windows.max() <= MAX_RESIDUAL_GROWTH_M
+    hidden = yield_to_markers(TAKE.subject, np.full(before.shape, np.nan), TAKE.motion, inferred, RATE)
+    np.testing.assert_array_equal(hidden.local_rotations, local_rotations)
+    assert np.linalg.norm(raw - before, axis=-1).max() > 0
