@@ -123,7 +123,14 @@ def find_lost_parts(
         columns = np.flatnonzero(np.isin(subject.joints, _find_joints(subject.skeleton, joint_names)))
         if len(columns) >= MIN_CONSISTENT_MARKERS:
             parts[name] = _find_lost_frames(
-                name, columns, markers, inlier_mask, subject, distance_m, min_distance_m, min_off_share
+                name,
+                columns,
+                markers,
+                inlier_mask,
+                subject,
+                distance_m,
+                min_distance_m=min_distance_m,
+                min_off_share=min_off_share,
             )
     for chain in LIMB_CHAINS:
         _assign_frames([parts[name] for name in chain if name in parts], subject, distance_m)
@@ -153,6 +160,7 @@ def _find_lost_frames(
     inlier_mask: np.ndarray,
     subject: Subject,
     distance_m: np.ndarray,
+    *,
     min_distance_m: float,
     min_off_share: float,
 ) -> LostPart:
