@@ -26,6 +26,7 @@ from mocapfix.files.layouts import (
     SGI_PROCESSOR,
     C3dLayout,
 )
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.c3d_parameters import open_c3d_reader
 from mocapfix.read.capture import read_take
 from mocapfix.read.force_plates import read_analog
@@ -35,8 +36,12 @@ from mocapfix.write.c3d_head import C3dHead
 from mocapfix.write.output_formats import write_cleaned_copy
 
 C3D_FUZZ_LIMITS = FuzzLimits(slow_s=5.0, timeout_s=60.0)
+READ_OPTIONS = ReadOptions(accept_contradictions=True)
+"""the points are those of no body, whatever their labels are"""
 ODD_SHARE = 0.3
 """of the files that are nearly valid only"""
+SECOND_ODDITY_SHARE = 0.3
+"""of these that have two oddities"""
 MANY_POINTS_SHARE, MANY_FRAMES_SHARE = 0.02, 0.002
 CLEANED_SHARE = 0.05
 """of the files of which a changed copy is written"""
@@ -98,6 +103,11 @@ class C3dContent:
         return (self.residual_words < 0) | (self.counts == 0).all(-1)
 
     @property
+    def is_long(self) -> bool:
+        """Whether the size of the data tells integers from floats, which it does not within a block."""
+        return 2 * self.counts.size + self.analog_words.size > C3D_BLOCK_BYTES
+
+    @property
     def byte_order(self) -> str:
         """Order of bytes, as for `struct`."""
         return ">" if self.processor_type == SGI_PROCESSOR else "<"
@@ -132,6 +142,16 @@ class C3dOddity:
     scale_sign: int = 1
     header_scale_sign: int = 1
 
+    def combine(self, other: "C3dOddity") -> "C3dOddity":
+        """Return both at once."""
+        return C3dOddity(
+            f"{self.name}; {other.name}",
+            {**self.header_words, **other.header_words},
+            {**self.parameters, **other.parameters},
+            min(self.scale_sign, other.scale_sign),
+            min(self.header_scale_sign, other.header_scale_sign),
+        )
+
 
 @dataclass(frozen=True)
 class C3dCase:
@@ -163,7 +183,7 @@ class C3dCase:
         self.save(folder)
         path = folder / "generated.c3d"
         try:
-            take = read_take(path)
+            take = read_take(path, READ_OPTIONS)
         except ReadError as error:
             if not self.oddity:
                 raise AssertionError(f"a valid file is refused: {error}") from error
@@ -211,7 +231,7 @@ class C3dCase:
         """Return the analog values as they are read for force plates."""
         if not self.content.analog_words.size:
             return np.zeros(self.content.analog_words.shape)
-        layout = read_take(path).layout
+        layout = read_take(path, READ_OPTIONS).layout
         assert isinstance(layout, C3dLayout)
         return read_analog(self.data, layout, open_c3d_reader(self.data))
 
@@ -285,6 +305,10 @@ def build_c3d_case(seed: int) -> C3dCase:
     rng = np.random.default_rng(seed)
     content = _choose_content(rng)
     oddity = _choose_oddity(rng, content) if rng.random() < ODD_SHARE else C3dOddity()
+    if oddity.name and rng.random() < SECOND_ODDITY_SHARE:
+        oddity = oddity.combine(_choose_oddity(rng, content))
+    if oddity.scale_sign == oddity.header_scale_sign == -1 and not content.is_long:
+        oddity = C3dOddity()
     return C3dCase(content, _build_file(rng, content, oddity), oddity.name, bool(rng.random() < CLEANED_SHARE))
 
 
@@ -358,7 +382,7 @@ def _choose_oddity(rng: np.random.Generator, content: C3dContent) -> C3dOddity:
     """Return one of the contradictions that are known from files, or any value in one of the words of the layout."""
     _, samples, channels = content.analog_words.shape
     points, analog_words = content.residual_words.shape[1], samples * channels
-    any_word, is_long = int(rng.integers(0, 2000)), 2 * content.counts.size + content.analog_words.size > C3D_BLOCK_BYTES
+    any_word = int(rng.integers(0, 2000))
     oddities = (
         C3dOddity("channels in place of analog values", {3: channels}),
         C3dOddity("no analog values", {3: 0}),
@@ -371,7 +395,7 @@ def _choose_oddity(rng: np.random.Generator, content: C3dContent) -> C3dOddity:
         C3dOddity("POINT:USED", parameters={"POINT:USED": points + int(rng.choice([-1, 1, 5])) or 2}),
         C3dOddity("POINT:SCALE of the other type", scale_sign=-1),
         C3dOddity("header's scale of the other type", header_scale_sign=-1),
-        C3dOddity("both scales of the other type", scale_sign=-1, header_scale_sign=-1) if is_long else C3dOddity(),
+        C3dOddity("both scales of the other type", scale_sign=-1, header_scale_sign=-1),
         C3dOddity("POINT:DATA_START", parameters={"POINT:DATA_START": any_word % 60}),
         C3dOddity("first block in the header", {9: any_word % 60}),
         C3dOddity("ANALOG:USED", parameters={"ANALOG:USED": channels + 1 + any_word % 5}),

@@ -237,7 +237,8 @@ def _choose(
         possible = after
     best = [each for each in possible if not any(looks[other].is_better(looks[each]) for other in possible)]
     if len(best) > 1 and not is_proved:
-        support = {each: len({s.place for s in sources if getattr(each, s.field) == s.value}) for each in best}
+        labels = _Source("POINT:LABELS", "point_count", len(parameters.labels))
+        support = {each: len({s.place for s in (*sources, labels) if getattr(each, s.field) == s.value}) for each in best}
         best = [each for each in best if support[each] == max(support.values())]
     if len(best) != 1:
         raise ReadError(f"{path}: its header and parameters contradict one another, {_describe_choice(sources, best)}.")
@@ -252,6 +253,7 @@ def _list_unproved(
     If they speak against a reading, it is one of them only if header and parameters agree on the content of a frame.
     """
     declared_values = {(each.field, each.value) for each in sources} | {("frame_count", each) for each in parameters.frame_counts}
+    declared_values.add(("point_count", len(parameters.labels)))
     unproved = [
         each
         for each in looks
@@ -267,7 +269,7 @@ def _combine_sources(parameters: C3dParameters, declared: SampleBlocks, sources:
     by_header_rate = (parameters.analog_channel_count or 0) * _divide_rates(parameters.analog_rate, parameters.header_rate)
     by_channels = parameters.header_analog_words * max(1, parameters.header_samples_per_frame)
     fields = product(
-        sorted(values["point_count"] - {0}),
+        sorted((values["point_count"] | {len(parameters.labels)}) - {0}),
         sorted(values["analog_words"] | {0, by_channels, by_header_rate}),
         (True, False),
         sorted(values["start_byte"] | {declared.start_byte, parameters.section_end_byte}),

@@ -154,7 +154,7 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     for line, fields in zip(layout.line_indices[frames].tolist(), layout.field_indices[points].tolist(), strict=True):
         if line >= 0:  # a frame without a line has none in the copy either
             may_change[line].update(fields)
-    cells = {index: tuple(each[index].removesuffix("\r").split(layout.delimiter) for each in (old, new)) for index in may_change}
+    cells = {index: (_split_cells(layout, old[index]), _split_cells(layout, new[index])) for index in may_change}
     for index, (old_line, new_line) in enumerate(zip(old, new, strict=True)):
         if old_line != new_line:
             is_end_equal = old_line.endswith("\r") == new_line.endswith("\r")
@@ -171,6 +171,10 @@ def _split_lines(layout: TableLayout, data: bytes) -> list[str]:
     return data.decode(layout.encoding if is_wide else "latin-1").split(layout.newline)
 
 
+def _split_cells(layout: TableLayout, line: str) -> list[str]:
+    return line.removesuffix("\r").split(layout.delimiter)
+
+
 def _find_other_change(old_cells: list[str], new_cells: list[str], fields: set[int]) -> bool:
     """Return whether two lines differ in a field that is not one of `fields`. A field after the end of a line is empty."""
     length = max(len(old_cells), len(new_cells), max(fields) + 1)
@@ -181,7 +185,7 @@ def _find_other_change(old_cells: list[str], new_cells: list[str], fields: set[i
 
 
 def _check_cells(
-    layout: TableLayout, samples: _ChangedSamples, cells: Mapping[int, tuple[list[str], ...]]
+    layout: TableLayout, samples: _ChangedSamples, cells: Mapping[int, tuple[list[str], list[str]]]
 ) -> Bool[np.ndarray, " n"]:
     """Return which changed samples have their new texts; `cells` are the old and new ones of their lines."""
     expected = (samples.after.markers[samples.frames, samples.markers] @ layout.rotation_y_up_file / layout.unit_m).tolist()
