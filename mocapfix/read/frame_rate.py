@@ -34,6 +34,7 @@ MIN_GAP_EXCESS = 0.5  # of a frame: a time step that is longer by this, beyond t
 MAX_LATENESS_FRAMES = 1e9
 MAX_REGULAR_DEVIATION = 0.05  # of a frame: the median deviation of time steps, beyond their resolution, of a steady clock
 COMPARED_TIMES = 5  # on either side of a long step, by whose mean lateness omitted frames are counted
+JITTER_FACTOR = 2.5  # standard deviations of mean lateness that irregular times alone do not reach
 MIN_ROUNDED_LONG_STEPS = 3  # long steps without which they omit frames rather than come from rounding
 MAX_ROUNDING_RANGE = 0.999  # of rounding errors, in units of the last decimal; a frame as long as one has 1
 ROUNDING_SLACK = 1.05  # by which the effects of rounding may exceed those of the last decimal
@@ -370,10 +371,13 @@ def _count_omitted_frames(excess: Float[np.ndarray, " n"], noise: float) -> Int[
     if not np.all(np.abs(lateness) < MAX_LATENESS_FRAMES):
         return omitted
     long_steps = np.flatnonzero(excess > MIN_GAP_EXCESS + noise).tolist()
+    jitter = float(np.median(np.abs(excess)))  # about the standard deviation of a time: a step has two
     for step, previous, following in zip(long_steps, [-1, *long_steps], [*long_steps[1:], len(excess)], strict=False):
         before = lateness[max(previous + 1, step + 1 - COMPARED_TIMES) : step + 1]
         after = lateness[step + 1 : min(following, step + COMPARED_TIMES) + 1]
-        omitted[step] = max(0, round(float(after.mean() - before.mean())))
+        late = float(after.mean() - before.mean())
+        if late > MIN_GAP_EXCESS + JITTER_FACTOR * jitter * np.sqrt(1 / len(before) + 1 / len(after)):
+            omitted[step] = round(late)
     return omitted
 
 
