@@ -12,6 +12,7 @@ from mocapfix.cli.bench import (
 )
 from mocapfix.cli.bench_batch import BATCH_BENCH_COMMANDS
 from mocapfix.cli.bench_contacts import run_bench_contacts
+from mocapfix.cli.bench_conventions import run_bench_conventions
 from mocapfix.cli.bench_fuzz import run_bench_fuzz
 from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
@@ -42,6 +43,7 @@ BENCH_COMMANDS = {
     "retarget": run_bench_retarget,
     "session": run_bench_session,
     "contacts": run_bench_contacts,
+    "conventions": run_bench_conventions,
     "hands": run_bench_hands,
     "learned-ik": run_bench_learned_ik,
 }
