@@ -254,12 +254,13 @@ def _list_unproved(
     """
     declared_values = {(each.field, each.value) for each in sources} | {("frame_count", each) for each in parameters.frame_counts}
     declared_values.add(("point_count", len(parameters.labels)))
+    is_frame_known = all(each.value == getattr(declared, each.field) for each in sources if each.field != "start_byte")
     unproved = [
         each
         for each in looks
         if not looks[each].is_absurd and each.is_exact(size) and declared_values.issuperset(each._asdict().items())
+        if is_frame_known or not each.count_rest_bytes(size) or not size % C3D_BLOCK_BYTES
     ]
-    is_frame_known = all(each.value == getattr(declared, each.field) for each in sources if each.field != "start_byte")
     return [each for each in unproved if looks[each].is_unknown] or unproved * is_frame_known
 
 
