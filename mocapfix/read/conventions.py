@@ -213,10 +213,11 @@ def _decide_up_axis(
             )
         return UpAxis(options.up_axis, "the option --up"), ()
     if not declared.up_axis:
-        return estimate_up_axis(body, points, declared.default_up_axis), ()
+        found = estimate_up_axis(body, points, declared.default_up_axis)
+        return found, _describe_down_axis(found.letter)
     standing, letter = find_standing_axis(body), estimate_sign(declared.up_axis, body, points)
     if standing is None or standing.axis.lstrip("-") == declared.up_axis:
-        return UpAxis(letter, f"{declared.up_basis} of the file"), ()
+        return UpAxis(letter, f"{declared.up_basis} of the file"), _describe_down_axis(letter)
     if standing.is_certain:
         note = (
             f"{declared.up_basis} declares {declared.up_axis} to be vertical, but the feet stand and the head is above them "
@@ -229,6 +230,11 @@ def _decide_up_axis(
         f"{path}: {declared.up_basis} declares {declared.up_axis} to be vertical, but the person seems to stand along "
         f"{standing.axis}; give the up axis with --up {standing.axis}, or --up {letter} if the person lies."
     )
+
+
+def _describe_down_axis(letter: str) -> tuple[str, ...]:
+    """Return a note if the vertical axis points down."""
+    return (f"The {letter[1:]} axis of the file points down, by its markers (--up sets it).",) if letter.startswith("-") else ()
 
 
 def _check_handedness(path: Path, body: BodyEvidence, options: ReadOptions) -> None:

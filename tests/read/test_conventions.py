@@ -56,7 +56,7 @@ def test_all_axes_are_upright_or_refused_as_mirrored(motion, declared_axis):
             convention = decide(in_file, declared=declared)
             assert is_upright(convention, in_file, MOTIONS[motion])
             is_overruled = declared_axis != "" and convention.up_axis.letter[-1] != declared_axis
-            assert bool(convention.notes) == is_overruled
+            assert bool(convention.notes) == (is_overruled or convention.up_axis.letter.startswith("-"))
         else:
             with pytest.raises(ReadError, match=r"left-handed, or all labels .* exchanged: --mirror"):
                 decide(in_file, declared=declared)
@@ -179,7 +179,7 @@ def test_captures_in_their_own_axes_have_no_contradiction():
         ("c3d_units_m_values_mm.c3d", "coordinates are taken as mm"),
         ("c3d_units_mete.c3d", ""),
         ("c3d_yscreen_wrong.c3d", "declares Y to be vertical"),
-        ("trc_upside_down_minus_y.trc", ""),
+        ("trc_upside_down_minus_y.trc", "The Y axis of the file points down"),
     ],
 )
 def test_odd_files_are_upright_and_in_scale(tmp_path, name, note):
