@@ -38,7 +38,7 @@ class ConventionCounts:
 
     Attributes:
         name: The capture.
-        right_handed: Outcomes in 24 axes, once for each axis that the file may declare, and for none.
+        right_handed: Outcomes in 24 axes, once for each axis that a C3D may declare, and for none.
         left_handed: The same of the 24 mirrored axes.
         mirrored: The same of these with --mirror.
         units: Outcomes in other units.
@@ -74,7 +74,7 @@ def count_outcomes(take: Take) -> ConventionCounts:
     for axes in AXIS_PERMUTATIONS:
         is_left_handed = bool(np.linalg.det(axes) < 0)
         points, up = build_inspected_points(take, in_file @ axes.T), axes @ rotation.T @ [0.0, 1.0, 0.0]
-        for declared_axis in ("", "X", "Y", "Z"):
+        for declared_axis in ("", "X", "Y", "Z") if isinstance(take.layout, C3dLayout) else ("",):
             declared = DeclaredConvention(unit_m, up_axis=declared_axis, up_basis="POINT:Y_SCREEN")
             outcome = judge(points, declared, ReadOptions(), up, is_left_handed, unit_m)
             (counts.left_handed if is_left_handed else counts.right_handed)[outcome] += 1

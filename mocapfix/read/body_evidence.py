@@ -81,9 +81,20 @@ class BodyEvidence:
         return np.array([bool(list_label_names(label) & names) for label in self.labels], bool)
 
     @cached_property
+    def pairs(self) -> Int[np.ndarray, "N 2"]:
+        """The left and the right marker of each pair whose labels differ in the side."""
+        return np.array(find_pairs(self.labels), int).reshape(-1, 2)
+
+    @property
     def sides(self) -> tuple[Bool[np.ndarray, " M"], Bool[np.ndarray, " M"]]:
-        """Which markers are the left and which the right ones of pairs whose labels differ in one letter or word."""
-        return find_sides(self.labels)
+        """Which markers are the left and which the right ones of pairs."""
+        left, right = (np.isin(np.arange(len(self.labels)), self.pairs[:, side]) for side in (0, 1))
+        return left, right
+
+    @cached_property
+    def lateral(self) -> Float[np.ndarray, "T 3"]:
+        """The mean vector from right to left of the pairs whose markers are both visible, in each frame."""
+        return compute_means(self.positions[:, self.pairs[:, 0]] - self.positions[:, self.pairs[:, 1]])
 
     def compute_centre(self, markers: Bool[np.ndarray, " M"]) -> Float[np.ndarray, "T 3"]:
         """Return the mean of some markers in each frame, NaN where none is visible."""
@@ -143,8 +154,7 @@ def measure_handedness(body: BodyEvidence) -> list[float]:
 
     A value is the mean sine of the volume of left, up and front: about 1 for a person, about -1 for a mirrored one.
     """
-    left, right = body.sides
-    lateral, up = body.compute_direction(left, right), body.body_axis
+    lateral, up = body.lateral, body.body_axis
     if up is None:
         return []
     found: list[float] = []
@@ -178,19 +188,19 @@ def list_label_names(label: str) -> set[str]:
     return names | {word for word in words if len(word) > 2}
 
 
-def find_sides(labels: Sequence[str]) -> tuple[Bool[np.ndarray, " M"], Bool[np.ndarray, " M"]]:
-    """Return which markers are the left and which the right ones of pairs whose labels differ in one letter or word."""
+def find_pairs(labels: Sequence[str]) -> list[tuple[int, int]]:
+    """Return the left and the right marker of each pair whose labels differ in the letter or word for the side."""
     index = {label.upper(): m for m, label in enumerate(labels)}
-    left, right = np.zeros(len(labels), bool), np.zeros(len(labels), bool)
+    pairs: list[tuple[int, int]] = []
     for name, m in index.items():
         subject, _, bare = name.rpartition(":")
         prefix = f"{subject}:" if subject else ""
         for left_word, right_word in LABEL_SIDES:
-            other = f"{prefix}{right_word}{bare.removeprefix(left_word)}"
-            if bare.startswith(left_word) and other in index:
-                left[m] = right[index[other]] = True
+            other = index.get(f"{prefix}{right_word}{bare.removeprefix(left_word)}")
+            if bare.startswith(left_word) and other is not None:
+                pairs.append((m, other))
                 break
-    return left, right
+    return pairs
 
 
 def compute_means(positions: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T 3"]:

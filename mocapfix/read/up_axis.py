@@ -156,10 +156,10 @@ def find_standing_axis(body: BodyEvidence) -> Standing | None:
     That it does not lie is certain if it moves far across its own axis without turning, or if its standing feet are flat and all
     at the same height: at 0, or at places farther apart than the feet of one pose.
     """
-    axis, (left, right) = body.body_axis, body.sides
+    axis = body.body_axis
     if axis is None:
         return None
-    cosines, lateral = (_drop_unknown(_normalise(each)) for each in (axis, body.compute_direction(left, right)))
+    cosines, lateral = (_drop_unknown(_normalise(each)) for each in (axis, body.lateral))
     for index in range(3 if len(cosines) else 0):
         along = cosines[:, index]
         sign = 1.0 if np.median(along) > 0 else -1.0
@@ -274,7 +274,7 @@ def _collect_body_evidence(body: BodyEvidence, positions: Float[np.ndarray, "T M
         evidence.append(UpAxisEvidence(UPRIGHT_BASIS, UPRIGHT_SCORE * np.r_[upright, -upright]))
     else:
         evidence.append(UpAxisEvidence("the largest extent", np.tile(_score_extent(positions), 2)))
-    lateral = _measure_direction(body.compute_direction(*body.sides), is_signed=False)
+    lateral = _measure_direction(body.lateral, is_signed=False)
     if lateral is not None:
         evidence.append(UpAxisEvidence("left and right", LATERAL_SCORE * np.tile(lateral, 2)))
     return evidence
