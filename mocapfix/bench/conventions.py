@@ -116,7 +116,7 @@ def judge(
 
 
 def clean_in_other_axes(path: Path, count: int, seed: int = 0) -> Counter[str]:
-    """Return the outcomes of cleaning a C3D in `count` random axes, compared with cleaning it as it is.
+    """Return the outcomes of cleaning a C3D in `count` axes, right- and left-handed in turn, compared with cleaning it as it is.
 
     A clean is right if its markers are at the heights of the usual one, and if the file is right-handed.
     """
@@ -126,13 +126,14 @@ def clean_in_other_axes(path: Path, count: int, seed: int = 0) -> Counter[str]:
     layout, data = usual.input_take.layout, path.read_bytes()
     assert isinstance(layout, C3dLayout)
     outcomes: Counter[str] = Counter()
-    for index in np.random.default_rng(seed).choice(len(AXIS_PERMUTATIONS), count, replace=False):
-        axes = AXIS_PERMUTATIONS[index]
+    order = np.random.default_rng(seed).permutation(len(AXIS_PERMUTATIONS))
+    by_hand = sorted((AXIS_PERMUTATIONS[i] for i in order), key=np.linalg.det)  # the left-handed ones first
+    for axes in itertools.islice(itertools.chain.from_iterable(zip(by_hand[::-1], by_hand, strict=True)), count):
         changed = bytearray(data)
         words = layout.view_words(changed)
-        order = np.abs(axes).argmax(1)
+        sources = np.abs(axes).argmax(1)
         signs = axes.sum(1).astype(words.dtype)
-        words[..., :3] = words[..., order] * signs
+        words[..., :3] = words[..., sources] * signs
         with TemporaryDirectory() as folder:
             target = Path(folder) / path.name
             target.write_bytes(changed)
