@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from mocapfix.detect.trajectory_segments import MAX_DUPLICATE_DISTANCE_M, TrajectorySegment, is_smoother
+from mocapfix.detect.trajectory_segments import MAX_DUPLICATE_DISTANCE_M, MAX_SCREENED_SAMPLES, TrajectorySegment, is_smoother
 from mocapfix.faults import Fragment, FragmentRelation
 from mocapfix.take import Take
 
@@ -14,6 +14,8 @@ from mocapfix.take import Take
 MAX_STATIC_EXTENT_M = 0.005
 # Standard deviation of the distances of a point on the body to its nearest markers.
 MAX_RIGID_DISTANCE_SD_M = 0.015
+# Number of markers whose distances are compared in all samples: those with the steadiest distances in a few.
+MAX_RIGID_CANDIDATES = 100
 # The motion of a shorter segment is not described.
 MIN_DESCRIBED_DURATION_S = 0.25
 
@@ -112,10 +114,13 @@ def _describe_motion(segment: TrajectorySegment, take: Take) -> str:
         return "it is visible too briefly to describe its motion"
     if np.ptp(segment.points, axis=0).max() < MAX_STATIC_EXTENT_M:
         return "it is stationary"
-    sd_m = np.std(np.linalg.norm(take.markers[segment.frames] - segment.points[:, None], axis=-1), axis=0)
-    near = [m for m in np.argsort(sd_m).tolist() if m != segment.donor][:3]  # markers not visible throughout sort last
-    if len(near) == 3 and sd_m[near[-1]] < MAX_RIGID_DISTANCE_SD_M:
-        return f"it moves rigidly with {_join_labels(near, take)}"
+    near = np.setdiff1d(np.flatnonzero(take.visible[segment.frames].all(0)), [segment.donor])
+    for samples, count in ((segment.pick_samples(MAX_SCREENED_SAMPLES), MAX_RIGID_CANDIDATES), (segment, 3)):
+        if len(near) > count:
+            near = near[np.argsort(samples.measure_distances(take.markers, near).std(0), kind="stable")[:count]]
+    sd_m = segment.measure_distances(take.markers, near).std(0)
+    if len(near) == 3 and sd_m.max() < MAX_RIGID_DISTANCE_SD_M:
+        return f"it moves rigidly with {_join_labels(near.tolist(), take)}"
     return "it moves independently"
 
 

@@ -8,7 +8,7 @@ and its samples help to decide about the next segment.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.detect.fragment_classification import (
     MarkerMatch,
@@ -21,6 +21,7 @@ from mocapfix.detect.fragment_classification import (
 from mocapfix.detect.marker_distances import RigidSignatures
 from mocapfix.detect.trajectory_segments import (
     MAX_DUPLICATE_DISTANCE_M,
+    MAX_SCREENED_SAMPLES,
     TrajectorySegment,
     compute_join_cost,
     find_loose_segments,
@@ -56,19 +57,43 @@ def detect_fragments(take: Take) -> list[Fragment]:
     Returns:
         The fragments, ordered by donor and first frame, also of the segments that are not joined.
     """
-    segments, markers = find_loose_segments(take), take.markers.copy()
-    donors = {segment.donor for segment in segments if segment.donor < len(take.labels)}
-    markers[:, list(donors)] = np.nan  # a segment must not support itself
-    receivers = np.setdiff1d(np.flatnonzero(take.visible.any(0)), list(donors))
+    segments = find_loose_segments(take)
+    donors = [segment.donor for segment in segments if segment.donor < len(take.labels)]
+    receivers = np.setdiff1d(np.flatnonzero(take.visible.any(0)), donors)
     fragments = [_classify_directly(segment, take, receivers) for segment in segments]
-    while unclassified := [i for i, fragment in enumerate(fragments) if fragment is None]:
-        signatures = RigidSignatures(markers)
-        candidates = {i: rank_matches(segments[i], markers, take.rate, signatures, receivers) for i in unclassified}
-        joined = _join_segments(candidates, segments, markers)
-        classify = classify_continuation if joined else classify_unassigned
-        for i in joined or unclassified:
-            fragments[i] = classify(segments[i], candidates[i], compute_match_probability(candidates[i]), take)
+    if None in fragments:
+        markers = take.markers.copy()
+        markers[:, donors] = np.nan  # a segment must not support itself
+        _classify_by_matches(fragments, segments, markers, receivers, take)
     return merge_unassigned([fragment for fragment in fragments if fragment])
+
+
+def _classify_by_matches(
+    fragments: list[Fragment | None], segments: list[TrajectorySegment], markers: np.ndarray, receivers: np.ndarray, take: Take
+) -> None:
+    """Classify, in place, the fragments that are None. Their segments are joined to `markers` (T, M, 3), which changes as well.
+
+    After each join a segment is compared again only with the markers for which the joined samples are evidence.
+    """
+    signatures, is_missing = RigidSignatures(markers), np.isnan(markers[..., 0])
+    candidates: dict[int, list[MarkerMatch]] = {i: [] for i, fragment in enumerate(fragments) if fragment is None}
+    is_new = np.ones(len(take.labels), bool)
+    while candidates:
+        for i, known in candidates.items():
+            kept = [match for match in known if not is_new[match.marker]]
+            compared = receivers if segments[i].namesake < 0 else np.array([segments[i].namesake])
+            compared = compared[is_new[compared]]
+            kept += find_matches(segments[i], markers, is_missing, take.rate, signatures, compared)
+            kept.sort(key=lambda match: match.marker)  # the order of equal costs, or of unknown distances
+            candidates[i] = sorted(kept, key=lambda match: (match.cost, match.distance_error_m))
+        joined = _join_segments(candidates, segments, markers)
+        changed = sorted({candidates[i][0].marker for i in joined})
+        classify = classify_continuation if joined else classify_unassigned
+        for i in joined or list(candidates):
+            matches = candidates.pop(i)
+            fragments[i] = classify(segments[i], matches, compute_match_probability(matches), take)
+        is_missing[:, changed] = np.isnan(markers[:, changed, 0])
+        is_new = signatures.update_markers(changed)
 
 
 def _classify_directly(segment: TrajectorySegment, take: Take, receivers: np.ndarray) -> Fragment | None:
@@ -76,36 +101,34 @@ def _classify_directly(segment: TrajectorySegment, take: Take, receivers: np.nda
     if (len(segment.frames) - 1) / take.rate < MIN_SEGMENT_DURATION_S:
         return classify_short(segment, take)
     visible = receivers[take.visible[np.ix_(segment.frames, receivers)].all(0)]
-    offset = take.markers[np.ix_(segment.frames, visible)] - segment.points[:, None]
-    distance_m = np.median(np.linalg.norm(offset, axis=-1), axis=0)
+    sampled_m = segment.pick_samples(MAX_SCREENED_SAMPLES).measure_distances(take.markers, visible)
+    near = visible[(sampled_m <= MAX_DUPLICATE_DISTANCE_M).any(0)]
+    distance_m = np.median(segment.measure_distances(take.markers, near), axis=0)
     if distance_m.min(initial=np.inf) > MAX_DUPLICATE_DISTANCE_M:
         return None
-    return classify_duplicate(segment, int(visible[distance_m.argmin()]), float(distance_m.min()), take)
+    return classify_duplicate(segment, int(near[distance_m.argmin()]), float(distance_m.min()), take)
 
 
-def rank_matches(
+def find_matches(
     segment: TrajectorySegment,
     markers: Float[np.ndarray, "T M 3"],
+    is_missing: Bool[np.ndarray, "T M"],
     rate: float,
     signatures: RigidSignatures,
     receivers: Int[np.ndarray, " R"],
 ) -> list[MarkerMatch]:
-    """Evaluate a segment as each of the receivers that are missing at that time, the most probable first.
-
-    A segment with a marker's label is compared with that marker only.
+    """Evaluate a segment as each of the receivers that are missing at that time.
 
     Args:
         segment: The segment.
         markers: World positions in metres, NaN where missing.
+        is_missing: Whether the positions are NaN.
         rate: Frame rate in Hz.
         signatures: The signatures of these markers.
-        receivers: Indices of the markers to which a segment may be joined.
+        receivers: Indices of the markers with which the segment is compared.
     """
-    if segment.namesake >= 0:
-        receivers = np.array([segment.namesake])
-    is_missing = np.isnan(markers[np.ix_(segment.frames, receivers)][..., 0]).any(0)
-    matches = [_evaluate_match(segment, m, markers[:, m], rate, signatures) for m in receivers[is_missing].tolist()]
-    return sorted(matches, key=lambda match: (match.cost, match.distance_error_m))
+    is_possible = is_missing[np.ix_(segment.frames, receivers)].any(0)
+    return [_evaluate_match(segment, m, markers[:, m], rate, signatures) for m in receivers[is_possible].tolist()]
 
 
 def _evaluate_match(

@@ -26,12 +26,11 @@ from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
 from mocapfix.detect.trajectory_segments import MarkerTrajectories, build_trajectories
 from mocapfix.faults import MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
 from mocapfix.kernels.label_evidence import (
-    MIN_SWAP_CONTRADICTION,
     compute_exchange_costs,
-    compute_mean_contradictions,
     compute_own_contradictions,
     compute_own_leaps,
     mark_continuations,
+    mark_distance_matches,
 )
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 from mocapfix.take import Take
@@ -115,16 +114,10 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
 
 
 MAX_SWAP_PASSES = 5
-# Largest contradiction of the other marker's distances, relative to that of the own ones.
-MAX_RELATIVE_CONTRADICTION = 0.85
-# Shortest stretch of contradictions that makes a candidate.
-MIN_CONTRADICTION_DURATION_S = 0.05
 # A label that is visible in a smaller fraction of the take is a fragment, not a marker.
 MIN_LABEL_VISIBLE_FRACTION = 0.5
 # Number of triples above which only pairs are compared: then labels are not exchanged here and there, but arbitrary.
 MAX_SWAP_TRIPLES = 1000
-# Number of frames of a stretch at which other labels are compared.
-MAX_COMPARED_FRAMES = 9
 
 
 def detect_label_swaps(take: Take) -> list[Fault]:
@@ -194,7 +187,7 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
     is_candidate = np.zeros((count, count), bool)
     own = compute_own_contradictions(trajectories.markers, distances, 1.0)
     mark_continuations(trajectories, distances, compute_own_leaps(trajectories), own, is_candidate)
-    _mark_distance_matches(trajectories, distances, own, is_candidate)
+    mark_distance_matches(trajectories, distances, own, is_candidate)
     is_rare = np.isnan(trajectories.markers[..., 0]).mean(0) > 1 - MIN_LABEL_VISIBLE_FRACTION
     is_candidate[is_rare] = is_candidate[:, is_rare] = False
     pairs: set[tuple[int, ...]] = {tuple(sorted(map(int, pair))) for pair in np.argwhere(is_candidate)}
@@ -204,19 +197,3 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
             if len({i, j, k}) == 3:
                 triples.add(tuple(sorted((int(i), int(j), int(k)))))
     return sorted(pairs) + (sorted(triples) if len(triples) <= MAX_SWAP_TRIPLES else [])
-
-
-def _mark_distance_matches(
-    trajectories: MarkerTrajectories, distances: MarkerDistances, own_contradiction: np.ndarray, is_candidate: np.ndarray
-) -> None:
-    """Mark in `is_candidate` (M, M) that label j's samples match the distances of marker i and contradict those of j."""
-    visible = ~np.isnan(trajectories.markers[..., 0])
-    for j in range(own_contradiction.shape[1]):
-        for first, last in find_runs(visible[:, j] & (own_contradiction[:, j] > MIN_SWAP_CONTRADICTION)):
-            if last - first + 1 < MIN_CONTRADICTION_DURATION_S * trajectories.rate:
-                continue
-            frames = np.unique(np.linspace(first, last, MAX_COMPARED_FRAMES).astype(int))
-            misfit = compute_mean_contradictions(trajectories.markers, distances, frames, j)
-            is_better = misfit < MAX_RELATIVE_CONTRADICTION * own_contradiction[frames, j].mean()
-            is_candidate[:, j] |= is_better & (own_contradiction[frames].mean(0) > MIN_SWAP_CONTRADICTION)
-            is_candidate[j, j] = False

@@ -9,12 +9,13 @@ The rigid signature of a marker is its distances to the markers of its segment, 
 not distinguish a position from its mirror image. The signed height above the plane of three of the markers does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 # Number of partners of a marker.
@@ -82,19 +83,34 @@ def estimate_distance_statistics(
     Both are taken from the shortest interval that holds `min_correct_fraction` of the frames, so that the size of the other
     deviations does not matter. They are infinite for markers that are hardly ever visible together, and for a marker and itself.
     """
-    frames, count = markers.shape[:2]
+    count = markers.shape[1]
     centre, sd = np.full((count, count), np.inf), np.full((count, count), np.inf)
-    sample = markers[np.unique(np.linspace(0, frames - 1, MAX_DISTANCE_FRAMES).astype(int))] if frames else markers
-    coordinates = np.ascontiguousarray(sample.transpose(2, 1, 0))
+    coordinates = _sample_coordinates(markers)
     for i in range(1, count):
-        x, y, z = (coordinates[:, :i] - coordinates[:, i, None]) ** 2
-        distance = np.sort(np.sqrt(x + y + z), axis=1)  # NaN sorts last
-        visible_count = (~np.isnan(distance)).sum(1)
-        others = np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, len(sample))))
-        start_m, width_m = _find_shortest_intervals(distance[others], visible_count[others], min_correct_fraction)
-        centre[i, others] = centre[others, i] = start_m + width_m / 2
-        # the standard deviation of a normal distribution with the same central interval
-        sd[i, others] = sd[others, i] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
+        centre[i, :i], sd[i, :i] = centre[:i, i], sd[:i, i] = _estimate_distances_from(i, coordinates, i, min_correct_fraction)
+    return centre, sd
+
+
+def _sample_coordinates(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "3 M S"]:
+    """Return the coordinates in the frames, evenly spread, from which distances are learned."""
+    frames = len(markers)
+    sample = markers[np.unique(np.linspace(0, frames - 1, MAX_DISTANCE_FRAMES).astype(int))] if frames else markers
+    return np.ascontiguousarray(sample.transpose(2, 1, 0))
+
+
+def _estimate_distances_from(
+    marker: int, coordinates: Float[np.ndarray, "3 M S"], count: int, min_correct_fraction: float
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Estimate the centres and the standard deviations of a marker's distances to the first `count` markers, in metres."""
+    centre, sd = np.full(count, np.inf), np.full(count, np.inf)
+    x, y, z = (coordinates[:, :count] - coordinates[:, marker, None]) ** 2
+    distance = np.sort(np.sqrt(x + y + z), axis=1)  # NaN sorts last
+    visible_count = (~np.isnan(distance)).sum(1)
+    others = np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, coordinates.shape[2])))
+    start_m, width_m = _find_shortest_intervals(distance[others], visible_count[others], min_correct_fraction)
+    centre[others] = start_m + width_m / 2
+    # the standard deviation of a normal distribution with the same central interval
+    sd[others] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
     return centre, sd
 
 
@@ -197,25 +213,45 @@ class RigidSignatures:
     def __init__(self, markers: Float[np.ndarray, "T M 3"]):
         """Estimate the signatures from world positions in metres, NaN where missing."""
         self.markers = markers
-        self.sampled_markers = markers[np.unique(np.linspace(0, len(markers) - 1, MAX_SIGNATURE_FRAMES).astype(int))]
+        self.sampled_frames = np.unique(np.linspace(0, len(markers) - 1, MAX_SIGNATURE_FRAMES).astype(int))
+        self.sampled_markers = markers[self.sampled_frames]
         self.distance_m, sd_m = estimate_distance_statistics(self.sampled_markers, SIGNATURE_COVERAGE_FRACTION)
-        known_m = np.where(np.isfinite(self.distance_m), self.distance_m, 0.0)
-        self.distance_sd_m = np.hypot(sd_m, RELATIVE_DISTANCE_SD * known_m)
+        self.distance_sd_m = _add_motion_sd(self.distance_m, sd_m)
+
+    def update_markers(self, changed: Sequence[int]) -> Bool[np.ndarray, " M"]:
+        """Estimate the distances of markers again whose positions have changed in place.
+
+        Returns:
+            The markers of which a comparison may have another result than before: these, and those whose partners they were or
+            have become.
+        """
+        count = self.markers.shape[1]
+        self.sampled_markers[:, changed] = self.markers[self.sampled_frames][:, changed]
+        coordinates, is_affected = _sample_coordinates(self.sampled_markers), np.isin(np.arange(count), changed)
+        for m in changed:
+            is_affected |= self.distance_sd_m[m] < MAX_SIGNATURE_SD_M
+            distance_m, sd_m = _estimate_distances_from(m, coordinates, count, SIGNATURE_COVERAGE_FRACTION)
+            distance_m[m] = sd_m[m] = np.inf
+            self.distance_m[m] = self.distance_m[:, m] = distance_m
+            self.distance_sd_m[m] = self.distance_sd_m[:, m] = _add_motion_sd(distance_m, sd_m)
+            is_affected |= self.distance_sd_m[m] < MAX_SIGNATURE_SD_M
+        return is_affected
 
     def match_samples(
         self, frames: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"], marker: int
     ) -> SignatureMatch | None:
         """Compare samples at the given frames with the signature of a marker; None if it has fewer than three partners."""
         pick = np.unique(np.linspace(0, len(frames) - 1, MAX_COMPARED_SAMPLES).astype(int))
-        points, others = points[pick], self.markers[frames[pick]]
-        candidates = np.argsort(self.distance_sd_m[marker], kind="stable")
-        candidates = candidates[self.distance_sd_m[marker, candidates] < MAX_SIGNATURE_SD_M]
-        visible_fraction = (~np.isnan(others[:, candidates, 0])).mean(0)
-        candidates = candidates[visible_fraction >= MIN_PARTNER_VISIBLE_FRACTION]
+        candidates = np.flatnonzero(self.distance_sd_m[marker] < MAX_SIGNATURE_SD_M)
+        candidates = candidates[np.argsort(self.distance_sd_m[marker, candidates], kind="stable")]
+        points, others = points[pick], self.markers[np.ix_(frames[pick], candidates)]
+        is_seen = (~np.isnan(others[..., 0])).mean(0) >= MIN_PARTNER_VISIBLE_FRACTION
+        candidates, others = candidates[is_seen], others[:, is_seen]
         if len(candidates) < 3:
             return None
         partners = candidates[:MAX_SIGNATURE_PARTNERS]
-        error_m = np.linalg.norm(others[:, partners] - points[:, None], axis=-1) - self.distance_m[marker, partners]
+        offset = others[:, : len(partners)] - points[:, None]
+        error_m = np.linalg.norm(offset, axis=-1) - self.distance_m[marker, partners]
         typical_m = _compute_known_medians(np.abs(error_m))  # the median over the frames ignores a partner's spikes
         distance_sd = _compute_rms(typical_m / np.hypot(self.distance_sd_m[marker, partners], MIN_SIGNATURE_SD_M))
         side_sd = 0.0
@@ -224,10 +260,17 @@ class RigidSignatures:
         return SignatureMatch(distance_sd, side_sd, _compute_rms(typical_m), tuple(partners.tolist()))
 
     def _measure_side(self, points: np.ndarray, others: np.ndarray, marker: int, candidates: np.ndarray) -> float:
-        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best."""
+        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best.
+
+        Args:
+            points: The samples (N, 3).
+            others: The positions (N, K, 3) of the candidates in their frames, and maybe of more.
+            marker: Index of the marker.
+            candidates: Indices of the markers that may be corners.
+        """
         best_separation, side_sd = 0.0, 0.0
-        for corners in combinations(candidates, 3):
-            heights = compute_plane_heights(self.sampled_markers[:, marker], self.sampled_markers[:, corners])
+        for corners in combinations(range(len(candidates)), 3):
+            heights = compute_plane_heights(self.sampled_markers[:, marker], self.sampled_markers[:, candidates[list(corners)]])
             low, median, high = _compute_quantiles(heights[:, None])[:, 0]
             sd = np.hypot((high - low) / HEIGHT_QUANTILE_WIDTH_SD, MIN_SIGNATURE_SD_M) if np.isfinite(high) else np.inf
             if abs(median) > best_separation * sd:
@@ -235,6 +278,11 @@ class RigidSignatures:
                 height = float(_compute_known_medians(compute_plane_heights(points, others[:, corners])))
                 side_sd = abs(height - median) / sd
         return float(side_sd)
+
+
+def _add_motion_sd(distance_m: np.ndarray, sd_m: np.ndarray) -> np.ndarray:
+    """Add the deviations for motion that the take rarely shows to the standard deviations of distances."""
+    return np.hypot(sd_m, RELATIVE_DISTANCE_SD * np.where(np.isfinite(distance_m), distance_m, 0.0))
 
 
 def compute_plane_heights(points: Float[np.ndarray, "T 3"], corners: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, " T"]:

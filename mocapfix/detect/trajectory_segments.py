@@ -13,7 +13,7 @@ nothing can be concluded.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +55,15 @@ class TrajectorySegment:
     def last(self) -> int:
         """Index of the last frame."""
         return int(self.frames[-1])
+
+    def pick_samples(self, max_count: int) -> "TrajectorySegment":
+        """Return the segment with at most `max_count` of its samples, evenly spread."""
+        pick = np.unique(np.linspace(0, len(self.frames) - 1, max_count).astype(int))
+        return replace(self, frames=self.frames[pick], points=self.points[pick])
+
+    def measure_distances(self, markers: Float[np.ndarray, "T M 3"], columns: Int[np.ndarray, " K"]) -> Float[np.ndarray, "N K"]:
+        """Measure the distances in metres from each sample to the positions of some markers in its frame."""
+        return np.linalg.norm(markers[np.ix_(self.frames, columns)] - self.points[:, None], axis=-1)
 
 
 def find_loose_segments(take: Take) -> list[TrajectorySegment]:
@@ -101,6 +110,8 @@ def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3
     return np.split(frames, np.flatnonzero(is_leap | (lag > MAX_PAUSE_S)) + 1)
 
 
+# Number of samples of a segment, evenly spread, by which the markers are chosen that are compared with all of them.
+MAX_SCREENED_SAMPLES = 60
 # Two trajectories of the same marker are at most this far apart.
 MAX_DUPLICATE_DISTANCE_M = 0.010
 # Part of a trajectory, next to its end, to which the velocity is fitted.

@@ -25,6 +25,12 @@ MIN_CANDIDATE_LEAP = 0.5
 MAX_CONTINUATION_LEAP = 0.3
 # Samples with a larger contradiction of a marker's distances may be another marker's.
 MIN_SWAP_CONTRADICTION = 0.3
+# Shortest stretch of contradictions that makes a candidate.
+MIN_CONTRADICTION_DURATION_S = 0.05
+# Largest contradiction of the other marker's distances, relative to that of the own ones.
+MAX_RELATIVE_CONTRADICTION = 0.85
+# Number of frames of a stretch at which other labels are compared.
+MAX_COMPARED_FRAMES = 9
 # Longest time for which a marker may be missing before a label continues it: later almost every label may do so.
 MAX_UNSEEN_DURATION_S = 0.1
 
@@ -163,14 +169,42 @@ def mark_continuations(trajectories, distances, leaps, own_contradiction, is_can
 
 
 @compile_kernel
-def compute_mean_contradictions(markers, distances, frames, label):
-    """Compute how badly, on average, the samples under a label fit as each marker: (M,), 0..1."""
+def mark_distance_matches(trajectories, distances, own_contradiction, is_candidate):
+    """Mark in `is_candidate` (M, M) that label j's samples match the distances of marker i and contradict those of j."""
+    frames, count = own_contradiction.shape
+    for j in range(count):
+        first = -1
+        for t in range(frames + 1):
+            if t < frames and own_contradiction[t, j] > MIN_SWAP_CONTRADICTION and not np.isnan(trajectories.markers[t, j, 0]):
+                first = t if first < 0 else first
+            elif first >= 0:
+                if t - first >= MIN_CONTRADICTION_DURATION_S * trajectories.rate:
+                    mark_stretch_matches(trajectories.markers, distances, own_contradiction, first, t - 1, j, is_candidate)
+                first = -1
+
+
+@compile_inner_kernel
+def mark_stretch_matches(markers, distances, own_contradiction, first, last, label, is_candidate):
+    """Mark in `is_candidate` (M, M) the markers i that the samples first..last under a label match better than its own.
+
+    Only those with contradicted samples of their own are compared, which are few, and each only until it has matched too badly.
+    """
     count = markers.shape[1]
-    is_excluded, mean = np.zeros(count, np.bool_), np.zeros(count)
-    for m in range(count):
-        for t in frames:
-            mean[m] += compute_contradiction(markers, distances, t, label, m, is_excluded, 1.0) / len(frames)
-    return mean
+    is_excluded, own_sum = np.zeros(count, np.bool_), np.zeros(count)
+    steps = max(1, min(MAX_COMPARED_FRAMES - 1, last - first))
+    compared = first + np.arange(min(steps, last - first) + 1) * (last - first) // steps
+    for t in compared:
+        for i in range(count):
+            own_sum[i] += own_contradiction[t, i]
+    for i in range(count):
+        if i == label or is_candidate[i, label] or not own_sum[i] > MIN_SWAP_CONTRADICTION * len(compared):
+            continue
+        misfit_sum = 0.0
+        for t in compared:
+            misfit_sum += compute_contradiction(markers, distances, t, label, i, is_excluded, 1.0)
+            if not misfit_sum < MAX_RELATIVE_CONTRADICTION * own_sum[label]:
+                break
+        is_candidate[i, label] = misfit_sum < MAX_RELATIVE_CONTRADICTION * own_sum[label]
 
 
 @compile_kernel

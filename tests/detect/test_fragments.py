@@ -69,6 +69,20 @@ def test_neighbours_missing_together_are_not_confused():
     assert classify(cut(whole(), *lost)) == [("continues", *each) for each in lost]
 
 
+def test_comparisons_that_a_join_cannot_change_are_kept(monkeypatch):
+    """As if each segment were compared with each marker again after each join."""
+    lost = [("LWRA", 100, 220), ("LWRB", 110, 260), ("LFIN", 90, 200), ("LELB", 100, 160), ("LELB", 170, 230), ("RKNE", 50, 90)]
+    take = cut(whole(), *lost)
+    found, update = fragments.detect_fragments(take), fragments.RigidSignatures.update_markers
+
+    def update_all(signatures, changed):
+        return np.ones_like(update(signatures, changed))
+
+    monkeypatch.setattr(fragments.RigidSignatures, "update_markers", update_all)
+    assert fragments.detect_fragments(take) == found
+    assert len(found) == len(lost)
+
+
 def test_several_segments_continue_one_marker():
     """Segments of one trajectory with pauses, and of several trajectories."""
     take = cut(whole(), ("LELB", 100, 300), ("LELB", 310, 400))

@@ -6,8 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import label_swaps
+from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.trajectory_segments import build_trajectories
 from mocapfix.faults import MIN_LABEL_CONFIDENCE
+from mocapfix.kernels import label_evidence
 from mocapfix.read import capture
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 from tests.detect.bodies import exchanged, hidden, turning
 
@@ -127,3 +131,28 @@ def test_single_frame_swap_of_a_capture():
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "cmu/06_01", "c3d/tennis_serve_motive"])
 def test_sound_captures_have_no_swaps(name):
     assert label_swaps.detect_label_swaps(capture.read_take(CAPTURES / f"{name}.c3d")) == []
+
+
+def test_distance_matches_equal_a_full_comparison():
+    """Every label against every marker, without the shortcuts of the kernel."""
+    take = hidden(exchanged(exchanged(turning(), (0, 1), 40, 90), (2, 6), 200, 207), 5, 120, 140)
+    distances, visible = estimate_distances(take.markers), take.visible
+    own = label_evidence.compute_own_contradictions(take.markers, distances, 1.0)
+    is_excluded, count = np.zeros(len(take.labels), bool), len(take.labels)
+    expected = np.zeros((count, count), bool)
+    for j in range(count):
+        for first, last in find_runs(visible[:, j] & (own[:, j] > label_evidence.MIN_SWAP_CONTRADICTION)):
+            if last - first + 1 < label_evidence.MIN_CONTRADICTION_DURATION_S * take.rate:
+                continue
+            frames = np.unique(np.linspace(first, last, label_evidence.MAX_COMPARED_FRAMES).astype(int))
+            for i in set(range(count)) - {j}:
+                costs = [
+                    label_evidence.compute_contradiction(take.markers, distances, t, j, i, is_excluded, 1.0)
+                    for t in frames.tolist()
+                ]
+                is_better = np.mean(costs) < label_evidence.MAX_RELATIVE_CONTRADICTION * own[frames, j].mean()
+                expected[i, j] |= is_better and own[frames, i].mean() > label_evidence.MIN_SWAP_CONTRADICTION
+    found = np.zeros((count, count), bool)
+    label_evidence.mark_distance_matches(build_trajectories(take.markers, take.rate), distances, own, found)
+    np.testing.assert_array_equal(found, expected)
+    assert found.any()

@@ -183,6 +183,23 @@ def test_rarely_visible_marker_has_no_signature():
     assert RigidSignatures(markers).match_samples(np.arange(50, 60), markers[50:60, 1], 0) is None
 
 
+def test_updated_signatures_are_those_of_the_changed_markers():
+    markers, _ = rigid()
+    markers = np.concatenate([markers, markers + [3.0, 0, 0] + np.random.default_rng(2).normal(0, 1, (300, 1, 3))], axis=1)
+    whole = markers.copy()
+    markers[40:, 1] = np.nan
+    markers[:, 7] += np.sin(np.arange(300) / 20)[:, None]
+    prints = RigidSignatures(markers)
+    markers[:, [1, 7]] = whole[:, [1, 7]]
+    is_affected, fresh = prints.update_markers([1, 7]), RigidSignatures(whole)
+    np.testing.assert_array_equal(prints.distance_m, fresh.distance_m)
+    np.testing.assert_array_equal(prints.distance_sd_m, fresh.distance_sd_m)
+    np.testing.assert_array_equal(prints.sampled_markers, fresh.sampled_markers)
+    assert is_affected.all()
+    assert RigidSignatures(whole).update_markers([1]).tolist() == [True] * 5 + [False] * 5  # not the other body
+    assert not fresh.update_markers([]).any()
+
+
 def test_plane_heights_are_signed_and_in_metres():
     corners = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]]] * 2)
     np.testing.assert_allclose(compute_plane_heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])
