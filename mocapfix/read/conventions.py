@@ -170,12 +170,12 @@ def _decide_unit(
     fitting = [factor for factor in factors if usual[0] <= size_m * factor <= usual[1]]
     if len(fitting) != 1:
         raise ReadError(
-            f"{path}: {where.lower()} {part} {size_m:.3g} m, as of no person; give the unit with --unit, "
+            f"{path}: {where.lower()} {part} {_format_length(size_m)}, as of no person; give the unit with --unit, "
             f"one of {', '.join(METRES_PER_UNIT)} (--accept-contradictions cleans it as it is)."
         )
     unit_m = _snap_unit(declared.unit_m * fitting[0])
     return unit_m, (
-        f"{where} {part} {size_m:.3g} m; coordinates are taken as {_name_unit(unit_m)}, which makes that "
+        f"{where} {part} {_format_length(size_m)}; coordinates are taken as {_name_unit(unit_m)}, which makes that "
         f"{size_m * fitting[0]:.2f} m (--unit sets the unit).",
     )
 
@@ -253,6 +253,11 @@ def _check_handedness(path: Path, body: BodyEvidence, options: ReadOptions) -> N
 def _snap_unit(unit_m: float) -> float:
     """Return the metres of a unit without rounding error."""
     return next((metres for metres in METRES_PER_UNIT.values() if abs(unit_m / metres - 1) < 1e-6), unit_m)
+
+
+def _format_length(length_m: float) -> str:
+    """Return a length with three significant digits, a large one without an exponent."""
+    return f"{float(f'{length_m:.3g}'):,.15g} m"
 
 
 def _name_unit(unit_m: float) -> str:

@@ -230,9 +230,7 @@ def describe_up_axis(take: Take) -> list[str]:
     """Return a note on an up axis that is uncertain; no note if the file gives it or its evidence is clear."""
     if take.up_axis is None or take.up_axis.is_certain:
         return []
-    return [
-        f"{take.up_axis.letter} is assumed to be the up axis ({take.up_axis.basis}); this is uncertain: --up X, Y or Z sets it."
-    ]
+    return [f"{take.up_axis.letter} is assumed to be the up axis ({take.up_axis.basis}); this is uncertain: --up sets it."]
 
 
 def describe_computed_points(take: Take) -> list[str]:

@@ -176,7 +176,7 @@ def test_captures_in_their_own_axes_have_no_contradiction():
 @pytest.mark.parametrize(
     ("name", "note"),
     [
-        ("c3d_units_m_values_mm.c3d", "coordinates are taken as mm"),
+        ("c3d_units_m_values_mm.c3d", "the distance of head and feet is 1,400 m; coordinates are taken as mm"),
         ("c3d_units_mete.c3d", ""),
         ("c3d_yscreen_wrong.c3d", "declares Y to be vertical"),
         ("trc_upside_down_minus_y.trc", "The Y axis of the file points down"),
