@@ -9,11 +9,10 @@ from jaxtyping import Float, Int
 
 from mocapfix.errors import format_name_list
 from mocapfix.skeleton import BODY_SECTIONS, MIN_WHOLE_BODY_LIMBS, load_cmu31_body
+from mocapfix.take import SUBJECT_SEPARATORS
 
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
 """the characters between the words of a label"""
-SUBJECT_SEPARATORS = re.compile(r"[._-]")
-"""the characters, besides the colon, that may follow the name of a subject in a label"""
 MIN_REQUIRED_MARKER_FRACTION = 0.6
 """the fraction of the required markers of a set that a take must have to show a whole body"""
 MIN_MARKERS_PER_LIMB = 2

@@ -17,6 +17,8 @@ from mocapfix.stats.point_functions import PointFunction
 if TYPE_CHECKING:
     from mocapfix.files.read_options import ReadOptions
 
+SUBJECT_SEPARATORS = re.compile(r"[._-]")  # characters, besides the colon, that may follow the name of a subject in a label
+
 
 @dataclass(frozen=True)
 class UpAxis:

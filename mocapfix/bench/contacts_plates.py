@@ -90,7 +90,7 @@ def clean_without_plates(path: Path) -> "CleaningResult | None":
     data = path.read_bytes()
     capture = read_capture(path)
     layout = None if isinstance(capture, Animation) else capture.layout
-    if not isinstance(layout, C3dLayout) or not read_force_plates(data, layout):
+    if not isinstance(layout, C3dLayout) or not read_force_plates(data, layout, capture.rate):
         return None
     with TemporaryDirectory() as folder:
         hidden = Path(folder) / path.name
@@ -107,7 +107,7 @@ def find_loads(path: Path, result: "CleaningResult") -> list[PlateContact]:
     assert result.contacts is not None
     layout = result.input_take.layout
     assert isinstance(layout, C3dLayout)
-    plates = read_force_plates(path.read_bytes(), layout)
+    plates = read_force_plates(path.read_bytes(), layout, result.input_take.rate)
     return find_plate_contacts(plates, get_foot_points(result), result.contacts.floor, result.contacts.rate)
 
 

@@ -188,10 +188,7 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
     for line in describe_left_empty(fill):
         print_note(line)
-    for note in report["notes"][:MAX_PRINTED_NOTES]:
-        print_note(note)
-    if len(report["notes"]) > MAX_PRINTED_NOTES:
-        print_line(f"  ... and {len(report['notes']) - MAX_PRINTED_NOTES} more notes, in the report.")
+    print_notes(report["notes"], "in the report")
     print_output_files(outputs)
     if changes:
         prefix = ["--subject-prefix", subject_prefix] if subject_prefix else []
@@ -199,6 +196,14 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         folder = escape(shlex.quote(str(outputs["changes.yaml"].parent)))
         print_line(f"  To look at the changes in the browser, and reject some: mocapfix review {folder}")
         print_line(f"  To undo a change by hand, edit its decision in the changes file and clean again with {arguments}")
+
+
+def print_notes(notes: Sequence[str], place: str) -> None:
+    """Print the first notes, and how many more there are, and where."""
+    for note in notes[:MAX_PRINTED_NOTES]:
+        print_note(note)
+    if len(notes) > MAX_PRINTED_NOTES:
+        print_line(f"  ... and {len(notes) - MAX_PRINTED_NOTES} more notes, {place}.")
 
 
 def describe_left_empty(fill: "FillSection") -> list[str]:

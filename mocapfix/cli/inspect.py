@@ -7,8 +7,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, TakeArgument, build_options_argument, parse_options
-from mocapfix.cli.clean import MAX_PRINTED_NOTES, format_take_name
-from mocapfix.cli.console import EXIT_DONE, print_json, print_line, print_note, show_progress, stdout_console
+from mocapfix.cli.clean import format_take_name, print_notes
+from mocapfix.cli.console import EXIT_DONE, print_json, print_line, show_progress, stdout_console
 
 if TYPE_CHECKING:
     from mocapfix.report.report import FaultEntry, InspectionReport
@@ -45,8 +45,7 @@ def print_faults(inspection: "InspectionReport") -> None:
     point = "joint" if is_animation else "marker"
     size = f"{take['markers']} {point}s, frames {take['first_frame']} to {last_frame} at {take['rate_hz']:g} Hz"
     print_line(f"{escape(format_take_name(take))}: {size}.")
-    for note in inspection["notes"][:MAX_PRINTED_NOTES]:
-        print_note(note)
+    print_notes(inspection["notes"], "with --json")
     if not inspection["faults"]:
         stdout_console.print("No faults were detected.")
         return

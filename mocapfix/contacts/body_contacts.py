@@ -177,7 +177,7 @@ def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.nda
     recorded, plates = (), []
     if isinstance(take.layout, C3dLayout) and take.path is not None:
         data = take.labelled_file or take.path.read_bytes()
-        plates = read_force_plates(data, take.layout)
+        plates = read_force_plates(data, take.layout, take.rate)
         last_s = (take.frame_count - 1) / take.rate
         recorded = read_gait_events(data[: take.layout.data_start_byte], take.main_subject, (take.first_frame, take.rate), last_s)
     if not are_feet_solved(body):

@@ -11,7 +11,6 @@ from mocapfix.take import Take
 
 CERTAIN_LABEL_CONFIDENCE = 0.95
 """Confidence from which a label is certain."""
-"""Trajectories without a label that a sentence lists."""
 
 
 class LabelledMarkerEntry(TypedDict):

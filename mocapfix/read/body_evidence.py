@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.read.point_types import PointConverter, PointTypes
 from mocapfix.stats.sequences import sample_evenly
+from mocapfix.take import SUBJECT_SEPARATORS
 
 # Labels without the letter or word for a side, and words of labels, by the height of the body part on an upright person.
 HEAD_NAMES = frozenset(
@@ -140,13 +141,13 @@ def inspect_points(types: PointTypes, frame_count: int, rate: float, convert: Po
 
 def collect_body_evidence(points: InspectedPoints) -> BodyEvidence:
     """Return the evidence of the person with the most labels."""
-    subjects = [label.rpartition(":")[0] for label in points.labels]
+    subjects, labels = split_subjects_off(points.labels)
     main = Counter(subjects).most_common(1)[0][0] if subjects else ""
     own = [m for m, subject in enumerate(subjects) if subject == main]
     step = min(max(1, round(STEP_S * points.rate)), max(points.frame_count - 1, 0))
     frames = sample_evenly(points.frame_count - step, MAX_INSPECTED_FRAMES)
     positions, later = (points.convert(points.columns[own], each) for each in (frames, frames + step))
-    return BodyEvidence(tuple(points.labels[m] for m in own), positions, later, max(step, 1) / points.rate)
+    return BodyEvidence(tuple(labels[m] for m in own), positions, later, max(step, 1) / points.rate)
 
 
 def measure_handedness(body: BodyEvidence) -> list[float]:
@@ -167,6 +168,29 @@ def measure_handedness(body: BodyEvidence) -> list[float]:
         volumes = np.einsum("ti,ti->t", np.cross(lateral, up), front)[is_known] / lengths.prod(0)[is_known]
         found.append(float(np.mean(volumes)))
     return found
+
+
+def split_subjects_off(labels: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the subject of each label, "" without one, and the label without it.
+
+    If no label has a colon, a subject ends at another separator if its labels then name more parts of a body and more pairs of
+    left and right: "Jim" of "Jim_LFHD", but not "L" of "L_ANKLE".
+    """
+    subjects, names = [list(each) for each in zip(*(label.rpartition(":")[::2] for label in labels), strict=True)] or ([], [])
+    readings: dict[str, dict[int, str]] = {}
+    for m, label in enumerate(labels if not any(subjects) else ()):
+        for separator in SUBJECT_SEPARATORS.finditer(label):
+            readings.setdefault(label[: separator.start()], {})[m] = label[separator.end() :]
+    for subject, bare in readings.items():
+        if _count_known_labels(list(bare.values())) > _count_known_labels([labels[m] for m in bare]):
+            for m, name in bare.items():
+                subjects[m], names[m] = subject, name
+    return subjects, names
+
+
+def _count_known_labels(labels: Sequence[str]) -> int:
+    """Return how many labels name a part of the body, and how many a side."""
+    return sum(classify_label_height(label) is not None for label in labels) + int(np.sum(find_sides(labels)))
 
 
 def classify_label_height(label: str) -> int | None:

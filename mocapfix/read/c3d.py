@@ -20,7 +20,7 @@ from mocapfix.read.coordinates import (
     find_valid_points,
     get_metres_per_unit,
 )
-from mocapfix.read.frame_rate import choose_rate
+from mocapfix.read.frame_rate import MAX_RATE_CONTRADICTION, choose_rate
 from mocapfix.read.point_takes import add_other_points, find_computed_markers
 from mocapfix.read.point_types import (
     DeclaredPoints,
@@ -33,7 +33,6 @@ from mocapfix.take import Take
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 MAX_BLOCK_SAMPLES = 1 << 17  # that are converted at once
-MAX_RATE_DIFFERENCE = 0.005  # relative, of two rates that are the same, one of them rounded, such as 59.94 and 60 Hz
 C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
 
 
@@ -174,10 +173,10 @@ def _build_layout(path: Path, parameters: C3dParameters, data: bytes, options: R
 def _find_stated_rate(parameters: C3dParameters, layout: C3dLayout) -> tuple[float, tuple[str, ...]]:
     """Return the frames per second and a note if header and POINT:RATE differ: the header's if the analog rate confirms it."""
     rate, other = parameters.rate, parameters.header_rate
-    if not (np.isfinite(other) and other > 0) or np.isclose(rate, other, rtol=MAX_RATE_DIFFERENCE):
+    if not (np.isfinite(other) and other > 0) or np.isclose(rate, other, rtol=MAX_RATE_CONTRADICTION):
         return rate, ()
     samples = layout.analog_word_count / (parameters.analog_channel_count or np.inf)
     by_analog = parameters.analog_rate / samples if samples > 0 else np.nan
-    if np.isclose(by_analog, other, rtol=MAX_RATE_DIFFERENCE) and not np.isclose(by_analog, rate, rtol=MAX_RATE_DIFFERENCE):
+    if np.isclose(by_analog, other, rtol=MAX_RATE_CONTRADICTION) and not np.isclose(by_analog, rate, rtol=MAX_RATE_CONTRADICTION):
         return other, (f"POINT:RATE says {rate:g} Hz; the header and the analog rate say {other:g} Hz, which was used.",)
     return rate, (f"The header says {other:g} Hz; POINT:RATE, {rate:g} Hz, was used.",)

@@ -161,7 +161,7 @@ def _decide_unit(
         return declared.unit_m, ()
     (size_m, part), possible, usual = measured
     where = f"In its unit, {_name_unit(declared.unit_m)},"
-    if not size_m or options.accept_contradictions or usual[0] <= size_m <= usual[1]:
+    if not size_m or usual[0] <= size_m <= usual[1]:
         return declared.unit_m, ()
     if possible[0] <= size_m <= possible[1]:
         note = f"{where} {part} {size_m:.2f} m; if that is wrong, give the unit with --unit."
@@ -169,6 +169,8 @@ def _decide_unit(
     factors = [1 / factor for factor in CONFUSED_UNIT_FACTORS] + list(CONFUSED_UNIT_FACTORS)
     fitting = [factor for factor in factors if usual[0] <= size_m * factor <= usual[1]]
     if len(fitting) != 1:
+        if options.accept_contradictions:
+            return declared.unit_m, ()
         raise ReadError(
             f"{path}: {where.lower()} {part} {_format_length(size_m)}, as of no person; give the unit with --unit, "
             f"one of {', '.join(METRES_PER_UNIT)} (--accept-contradictions cleans it as it is)."

@@ -27,27 +27,30 @@ class ForcePlate:
     corners: Float[np.ndarray, "4 3"]
 
 
-def read_force_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
+def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
     """Return the force plates in the bytes of a C3D file, none where they are described incompletely.
 
-    layout  of the points in the file
+    Args:
+        data: The bytes.
+        layout: The layout of the file.
+        frame_rate: Frames per second of the take, whatever POINT:RATE says.
     """
     if b"FORCE_PLATFORM" not in data[: layout.data_start_byte]:
         return []
     try:
-        return _read_plates(data, layout)
+        return _read_plates(data, layout, frame_rate)
     except Exception:  # the library fails on damaged parameters with exceptions of any kind; the markers are read already
         return []
 
 
-def _read_plates(data: bytes, layout: C3dLayout) -> list[ForcePlate]:
+def _read_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
     reader = open_c3d_reader(data)
     analog = read_analog(data, layout, reader)
     types = np.ravel(_read_values(reader, "FORCE_PLATFORM:TYPE")).astype(int)
     channels = _read_values(reader, "FORCE_PLATFORM:CHANNEL").astype(int)  # (channels, plates) in the file, plates first here
     corners = _read_values(reader, "FORCE_PLATFORM:CORNERS").reshape(-1, 4, 3)
     channels = channels.reshape(len(types), -1)
-    rate = float(reader.point_rate) * analog.shape[1]
+    rate = frame_rate * analog.shape[1]
     zero = np.ravel(_read_values(reader, "FORCE_PLATFORM:ZERO")).astype(int) if reader.get("FORCE_PLATFORM:ZERO") else np.zeros(0)
     plates: list[ForcePlate] = []
     for index, kind in enumerate(types):

@@ -23,7 +23,6 @@ from mocapfix.review.file_models import ChangeModel
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import Take
-from mocapfix.write.bvh import CENTIMETRE_M
 
 JOINT_BLOCK_FRAMES = 1000
 MAX_SAMPLES_COMPARED_AT_ONCE = 20_000
@@ -86,7 +85,7 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
 
     Raises ReadError if its files are damaged or do not belong together.
     """
-    options = parse_read_options(take.arguments)
+    options = replace(parse_read_options(take.arguments), accept_contradictions=True)  # the take was cleaned
     captured = _read_file(take.input_path, options) if take.input_path else None
     after, fill_sd, animation = _select_points(_read_file(take.cleaned_path, options), captured)
     notes: list[str] = []
@@ -228,9 +227,8 @@ def _compute_joints(
         path = take.get_path("bvh")
         if not path.is_file():
             return np.zeros((after.frame_count, 0, 3), np.float32), (), []
-        written = read_capture(path)
-        assert isinstance(written, Animation)
-        animation = replace(written, unit_m=CENTIMETRE_M, rotation_y_up_file=np.eye(3))
+        animation = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
+        assert isinstance(animation, Animation)
         shift_m = float(find_argument(take.arguments, "--floor") or 0.0)
     frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
     frames = np.minimum(frames, animation.frame_count - 1)

@@ -190,6 +190,7 @@ def _check_cells(
     """Return which changed samples have their new texts; `cells` are the old and new ones of their lines."""
     expected = (samples.after.markers[samples.frames, samples.markers] @ layout.rotation_y_up_file / layout.unit_m).tolist()
     rounding = COUNT_ROUNDING * 10.0 ** -int(layout.number_format[1:-1] or 0)
+    has_exponents = layout.number_format.endswith("e")  # its last decimal is then relative
     fields = layout.field_indices[samples.before.point_columns[samples.markers]].tolist()
     missing = [layout.missing_text.strip(CELL_PADDING)] * 3
     is_right = np.ones(len(samples.frames), bool)
@@ -205,7 +206,8 @@ def _check_cells(
             is_right[k] = texts == missing
         else:
             is_right[k] = all(
-                _is_number(text, layout.decimal_sign, value, rounding) for text, value in zip(texts, expected[k], strict=True)
+                _is_number(text, layout.decimal_sign, value, rounding * (abs(value) if has_exponents else 1.0))
+                for text, value in zip(texts, expected[k], strict=True)
             )
     return is_right
 

@@ -117,7 +117,7 @@ def test_force_plates_are_read_where_the_analog_values_are(tmp_path):
     layout = get_layout(read(data, tmp_path))
     right = build(extra=plate)
     np.testing.assert_array_equal(layout.view_analog_words(data), get_layout(read(right, tmp_path)).view_analog_words(right))
-    assert read_force_plates(data, layout) == []
+    assert read_force_plates(data, layout, 100.0) == []
 
 
 @given(keep=st.integers(3000, len(build()) - 1), words=st.sampled_from([CHANNELS, 0, CHANNELS * SAMPLES]))

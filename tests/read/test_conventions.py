@@ -64,6 +64,19 @@ def test_all_axes_are_upright_or_refused_as_mirrored(motion, declared_axis):
             assert np.linalg.det(decide(in_file, declared=declared, accept_contradictions=True).rotation_y_up_file) == 1
 
 
+@pytest.mark.parametrize("prefix", ["A_", "A-", "Jim.", "Jim_1_", "A:"])
+def test_labels_with_subjects_show_units_and_handedness(prefix):
+    labels = [f"{prefix}{label}" for label in LABELS]
+    with pytest.raises(ReadError, match="left-handed"):
+        decide(MOTIONS["walks"] * [1.0, 1.0, -1.0], labels)
+    assert decide(MOTIONS["walks"] * 1000, labels).unit_m == pytest.approx(0.001)
+
+
+def test_the_person_with_the_most_labels_counts():
+    both = np.concatenate([MOTIONS["walks"], MOTIONS["walks"][:, :5] + [0.0, 40.0, 0.0]], axis=1)
+    assert decide(both, [*(f"A_{label}" for label in LABELS), *(f"B_{label}" for label in LABELS[:5])]).notes == ()
+
+
 def test_mirroring_a_right_handed_file_is_refused():
     with pytest.raises(ReadError, match=r"--mirror makes it left-handed.*Leave it out"):
         decide(MOTIONS["walks"], mirror=True)
@@ -118,6 +131,7 @@ def test_confused_units_are_corrected_with_a_note(factor, markers):
     assert decide(motion, labels).notes == ()
     convention = decide(motion * factor, labels)
     assert convention.unit_m == pytest.approx(1 / factor)
+    assert decide(motion * factor, labels, accept_contradictions=True).unit_m == convention.unit_m
     assert "--unit sets the unit" in convention.notes[0]
     np.testing.assert_allclose(convention.apply(motion * factor), decide(motion, labels).apply(motion.copy()), atol=1e-9)
 

@@ -80,9 +80,15 @@ def write_plates(
     file.write(str(path))
 
 
-def read(path: Path) -> list[ForcePlate]:
+def read(path: Path, **known: float) -> list[ForcePlate]:
     """Return the plates of a file."""
-    return read_force_plates(path.read_bytes(), get_layout(read_take(path, ReadOptions(up_axis="Z"))))
+    take = read_take(path, ReadOptions(up_axis="Z", **known))
+    return read_force_plates(path.read_bytes(), get_layout(take), take.rate)
+
+
+def test_the_rate_of_the_take_counts(tmp_path):
+    write_plates(tmp_path / "plates.c3d", (1,))
+    assert read(tmp_path / "plates.c3d", rate_hz=2 * RATE)[0].rate == 2 * RATE * SAMPLES_PER_FRAME
 
 
 @pytest.mark.parametrize("kinds", [(1,), (2,), (3,), (4,), (2, 2), (2, 3, 4)])
@@ -136,14 +142,14 @@ def test_a_damaged_head_gives_no_plates_and_no_error(tmp_path):
     layout, data = get_layout(read_take(path, ReadOptions(up_axis="Z"))), bytearray(path.read_bytes())
     for start in range(512, layout.data_start_byte - 40, 97):
         damaged = bytes(data[:start] + bytes(40) + data[start + 40 :])
-        assert isinstance(read_force_plates(damaged, layout), list)
+        assert isinstance(read_force_plates(damaged, layout, RATE), list)
 
 
 @pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
 @pytest.mark.parametrize("name", ["JA1Gait35", "FunctionalWalk", "ADemo1_pc_integer", "walking2", "Qualisys"])
 def test_forces_of_captures_are_those_of_ezc3d(name):
     path = CAPTURES / f"{name}.c3d"
-    plates = read_force_plates(path.read_bytes(), get_layout(read_take(path)))
+    plates = read_force_plates(path.read_bytes(), get_layout(read_take(path)), RATE)
     expected = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"]["platform"]
     assert len(plates) == len(expected) > 0
     for plate, other in zip(plates, expected, strict=True):
@@ -155,6 +161,9 @@ def test_one_capture_in_three_encodings_has_one_force():
     forces = []
     for name in ("pc_int", "dec_real", "sgi_real"):
         path = CAPTURES / f"{name}.c3d"
-        forces.append([plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), get_layout(read_take(path)))])
+        take = read_take(path)
+        forces.append([plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), get_layout(take), RATE)])
+            [plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), get_layout(read_take(path)), RATE)]
+        )
     for other in forces[1:]:
         np.testing.assert_allclose(other, forces[0], atol=1.0)

@@ -176,3 +176,16 @@ def test_each_cell_of_a_table_is_compared(tmp_path, kind):
     moved[2, 2] += 0.01
     with pytest.raises(WriteError, match="new position of LANK in frame 3"):
         check_table_copy(target, target, before, after.replace_markers(moved), [])
+
+
+@pytest.mark.parametrize("decimals", [3, 6, 9])
+def test_coordinates_with_exponents_are_compared_within_their_last_decimal(tmp_path, decimals):
+    rows = [",".join([f"{t / 100:.2f}", *(f"{value:.{decimals}e}" for value in row.ravel())]) for t, row in enumerate(XYZ[:, 1:])]
+    names = ["Time (s)", *(f"{label}_{axis}_mm" for label in LABELS[1:] for axis in "XYZ")]
+    path, target = tmp_path / "before.csv", tmp_path / "after.csv"
+    path.write_text("\n".join([",".join(names), *rows, ""]))
+    before = read_take(path, ReadOptions(up_axis="Z"))
+    after = before.replace_markers(before.markers + np.pi / 1000)
+    assert write.patch_table(target, before, after) == []
+    with pytest.raises(WriteError, match="new position of LFHD in frame 1"):
+        check_table_copy(target, target, before, after.replace_markers(after.markers + 1e-5), [])
