@@ -227,8 +227,9 @@ def _compute_joints(
         path = take.get_path("bvh")
         if not path.is_file():
             return np.zeros((after.frame_count, 0, 3), np.float32), (), []
-        animation = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
-        assert isinstance(animation, Animation)
+        written = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
+        assert isinstance(written, Animation)
+        animation = written
         shift_m = float(find_argument(take.arguments, "--floor") or 0.0)
     frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
     frames = np.minimum(frames, animation.frame_count - 1)
