@@ -190,7 +190,7 @@ def split_subjects_off(labels: Sequence[str]) -> tuple[list[str], list[str]]:
 
 def _count_known_labels(labels: Sequence[str]) -> int:
     """Return how many labels name a part of the body, and how many a side."""
-    return sum(classify_label_height(label) is not None for label in labels) + int(np.sum(find_sides(labels)))
+    return sum(classify_label_height(label) is not None for label in labels) + 2 * len(find_pairs(labels))
 
 
 def classify_label_height(label: str) -> int | None:
