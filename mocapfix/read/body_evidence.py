@@ -173,8 +173,8 @@ def measure_handedness(body: BodyEvidence) -> list[float]:
 def split_subjects_off(labels: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the subject of each label, "" without one, and the label without it.
 
-    If no label has a colon, a subject ends at another separator if its labels then name more parts of a body and more pairs of
-    left and right: "Jim" of "Jim_LFHD", but not "L" of "L_ANKLE".
+    If no label has a colon, a subject ends at another separator if its labels then name two heights of a body, and more parts and
+    pairs of left and right than the whole labels do: "Jim" of "Jim_LFHD", but not "L" of "L_ANKLE".
     """
     subjects, names = [list(each) for each in zip(*(label.rpartition(":")[::2] for label in labels), strict=True)] or ([], [])
     readings: dict[str, dict[int, str]] = {}
@@ -182,7 +182,8 @@ def split_subjects_off(labels: Sequence[str]) -> tuple[list[str], list[str]]:
         for separator in SUBJECT_SEPARATORS.finditer(label):
             readings.setdefault(label[: separator.start()], {})[m] = label[separator.end() :]
     for subject, bare in readings.items():
-        if _count_known_labels(list(bare.values())) > _count_known_labels([labels[m] for m in bare]):
+        heights = {classify_label_height(name) for name in bare.values()} - {None}
+        if len(heights) > 1 and _count_known_labels(list(bare.values())) > _count_known_labels([labels[m] for m in bare]):
             for m, name in bare.items():
                 subjects[m], names[m] = subject, name
     return subjects, names

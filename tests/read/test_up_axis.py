@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.options import ReadOptions
 from mocapfix.read import capture
-from mocapfix.read.body_evidence import InspectedPoints, classify_label_height, collect_body_evidence
+from mocapfix.read.body_evidence import InspectedPoints, classify_label_height, collect_body_evidence, split_subjects_off
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.read.up_axis import AXIS_NAMES, estimate_up_axis, find_free_fall, sample_points
 from mocapfix.report.notes import describe_up_axis
@@ -141,3 +141,12 @@ def test_the_basis_is_reported_where_it_is_uncertain(tmp_path):
     assert not describe_up_axis(take)
     assert take.up_axis is not None
     assert take.up_axis.basis == "POINT:Y_SCREEN of the file"
+
+
+def test_subjects_in_labels():
+    assert split_subjects_off(["Jim:LFHD", "A_RTOE"]) == (["Jim", ""], ["LFHD", "A_RTOE"])
+    sides = ["L.ASIS", "R.ASIS", "L_ANKLE", "R_ANKLE", "R.Thigh.Upper", "R.Thigh.Rear"]
+    assert split_subjects_off(sides) == ([""] * 6, sides)
+    people = ["A_LFHD", "A_LTOE", "B-B.LASI", "B-B.RTOE"]
+    assert split_subjects_off(people) == (["A", "A", "B-B", "B-B"], ["LFHD", "LTOE", "LASI", "RTOE"])
+    assert split_subjects_off([]) == ([], [])
