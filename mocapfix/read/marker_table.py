@@ -129,10 +129,11 @@ def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
         options=options,
     )
     rows_file = numbers[:, : field_indices.size].reshape(len(line_indices), -1, 3)
-    layout = _build_table_layout(table, decimal_sign, find_valid_points(rows_file))
+    visible = find_valid_points(rows_file)
+    layout = _build_table_layout(table, decimal_sign, visible)
     counted = parse_whole_number(table.declared_frame_count) == frames.frame_count
     count_notes = () if counted else check_frame_count(table.declared_frame_count, len(line_indices))
-    return build_take(
+    take = build_take(
         document.path,
         frames.spread_rows(rows_file),
         table.labels,
@@ -144,6 +145,11 @@ def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
         default_up_axis=table.default_up_axis,
         notes=(*table.notes, *count_notes, *frames.notes),
     )
+    assert isinstance(take.layout, TableLayout)
+    if take.layout.unit_m == table.unit_m:
+        return take
+    corrected = _build_table_layout(replace(table, unit_m=take.layout.unit_m), decimal_sign, visible)
+    return replace(take, layout=replace(take.layout, number_format=corrected.number_format))
 
 
 def build_take(
