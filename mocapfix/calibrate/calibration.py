@@ -98,7 +98,7 @@ def check_size_ratio(take: Take, ratio: float) -> None:
     """Raise TakeError if no person can be `ratio` times the size of the average body."""
     if not MIN_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
         problem = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{take.name}: the markers lie too {problem} for a person; check the unit of the file and the labels.")
+        raise TakeError(f"{take.name}: the markers lie too {problem} for a person; check the unit (--unit) and the labels.")
 
 
 def select_candidate_frames(markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " N"]:

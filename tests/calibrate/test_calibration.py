@@ -95,7 +95,7 @@ def test_few_frames_give_a_plausible_body(truth, frames):
 @pytest.mark.parametrize("noise", [0.0, 0.004])
 def test_body_of_size_zero_is_rejected(truth, noise):
     cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
-    with pytest.raises(TakeError, match="too near together for a person"):
+    with pytest.raises(TakeError, match=r"too near together for a person; check the unit \(--unit\)"):
         calibrate(cloud)
 
 
