@@ -5,7 +5,6 @@ a unit that is still to be found.
 """
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -140,10 +139,10 @@ def inspect_points(types: PointTypes, frame_count: int, rate: float, convert: Po
 
 
 def collect_body_evidence(points: InspectedPoints) -> BodyEvidence:
-    """Return the evidence of the person with the most labels."""
+    """Return the evidence of the subject with the most labels that name parts of a body, or with the most labels if none do."""
     subjects, labels = split_subjects_off(points.labels)
-    main = Counter(subjects).most_common(1)[0][0] if subjects else ""
-    own = [m for m, subject in enumerate(subjects) if subject == main]
+    markers = {name: [m for m, subject in enumerate(subjects) if subject == name] for name in dict.fromkeys(subjects)}
+    own = max(markers.values(), key=lambda each: (_count_known_labels([labels[m] for m in each]), len(each)), default=[])
     step = min(max(1, round(STEP_S * points.rate)), max(points.frame_count - 1, 0))
     frames = sample_evenly(points.frame_count - step, MAX_INSPECTED_FRAMES)
     positions, later = (points.convert(points.columns[own], each) for each in (frames, frames + step))

@@ -72,6 +72,14 @@ def test_labels_with_subjects_show_units_and_handedness(prefix):
     assert decide(MOTIONS["walks"] * 1000, labels).unit_m == pytest.approx(0.001)
 
 
+def test_props_with_more_markers_than_the_person_hide_no_evidence():
+    with_props = np.concatenate([np.full((240, 20, 3), 0.5), MOTIONS["walks"]], axis=1)
+    labels = [*(f"Box:Corner{m}" for m in range(20)), *(f"Jim:{label}" for label in LABELS)]
+    with pytest.raises(ReadError, match="left-handed"):
+        decide(with_props * [-1.0, 1.0, 1.0], labels)
+    assert decide(with_props * 1000, labels).unit_m == pytest.approx(0.001)
+
+
 def test_the_person_with_the_most_labels_counts():
     both = np.concatenate([MOTIONS["walks"], MOTIONS["walks"][:, :5] + [0.0, 40.0, 0.0]], axis=1)
     assert decide(both, [*(f"A_{label}" for label in LABELS), *(f"B_{label}" for label in LABELS[:5])]).notes == ()
