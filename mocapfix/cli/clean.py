@@ -195,7 +195,8 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         arguments = escape(shlex.join([*prefix, "--changes", str(outputs["changes.yaml"]), "--overwrite"]))
         folder = escape(shlex.quote(str(outputs["changes.yaml"].parent)))
         print_line(f"  To look at the changes in the browser, and reject some: mocapfix review {folder}")
-        print_line(f"  To undo a change by hand, edit its decision in the changes file and clean again with {arguments}")
+        same = " and the same options" if len(report.get("arguments", [])) > 1 else ""
+        print_line(f"  To undo a change by hand, edit its decision in the changes file and clean again with {arguments}{same}")
 
 
 def print_notes(notes: Sequence[str], place: str) -> None:
