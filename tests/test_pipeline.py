@@ -409,8 +409,7 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     report = result.subject_report
     assert (report["take"]["marker_set"], report["subject"], report["solve"]) == (None, None, None)
     first, second = result.subject_report["notes"][:2]
-    assert first.startswith("No marker set fits the labels P1, P2, P3,")
-    assert "none of them is in any set (" in first
+    assert first.startswith("No marker set fits the labels P1, P2 and 39 more: none of them is in a shipped set")
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     assert not any("--fast" in note for note in report["notes"])
     preview = pipeline.clean(source, known_sets_only=True, is_fast=True)
@@ -450,7 +449,7 @@ def test_a_take_of_feet_only_is_cleaned_without_a_body(cleaned, tmp_path):
     result = pipeline.clean(source)
     assert result.subject is None
     first, second, third = result.subject_report["notes"]
-    assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located; not found: ", first)
+    assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located\.$", first)
     assert second.startswith("No marker set can be learned: the words in the labels locate LKNE, ")
     assert third == "The take was cleaned without a skeleton: there is no BVH."
     fill = result.subject_report["fill"]
