@@ -54,7 +54,7 @@ def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
     np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
     (reason,) = {fault.reason for fault in found}
     assert reason.startswith("Left and right are exchanged over the whole take (")
-    assert all(f"L{label}" in reason for label in labels)
+    assert f"L{labels[0]}" in reason
 
 
 def test_exchange_on_both_sides_is_a_naming_convention():
