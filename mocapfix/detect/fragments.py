@@ -62,7 +62,7 @@ def detect_fragments(take: Take) -> list[Fragment]:
     receivers = np.setdiff1d(np.flatnonzero(take.visible.any(0)), donors)
     fragments = [_classify_directly(segment, take, receivers) for segment in segments]
     if None in fragments:
-        markers = take.markers.copy()
+        markers = take.markers.transpose(1, 0, 2).copy().transpose(1, 0, 2)  # each path in one piece
         markers[:, donors] = np.nan  # a segment must not support itself
         _classify_by_matches(fragments, segments, markers, receivers, take)
     return merge_unassigned([fragment for fragment in fragments if fragment])
@@ -100,9 +100,9 @@ def _classify_directly(segment: TrajectorySegment, take: Take, receivers: np.nda
     """Classify a segment that is too short, or that repeats a visible marker; None for any other."""
     if (len(segment.frames) - 1) / take.rate < MIN_SEGMENT_DURATION_S:
         return classify_short(segment, take)
-    visible = receivers[take.visible[np.ix_(segment.frames, receivers)].all(0)]
-    sampled_m = segment.pick_samples(MAX_SCREENED_SAMPLES).measure_distances(take.markers, visible)
-    near = visible[(sampled_m <= MAX_DUPLICATE_DISTANCE_M).any(0)]
+    sampled_m = segment.pick_samples(MAX_SCREENED_SAMPLES).measure_distances(take.markers, receivers)
+    near = receivers[(sampled_m <= MAX_DUPLICATE_DISTANCE_M).any(0)]
+    near = near[take.visible[np.ix_(segment.frames, near)].all(0)]
     distance_m = np.median(segment.measure_distances(take.markers, near), axis=0)
     if distance_m.min(initial=np.inf) > MAX_DUPLICATE_DISTANCE_M:
         return None

@@ -32,6 +32,11 @@ MAX_DISTANCE_FRAMES = 300
 MIN_JOINT_FRAMES = 20
 # Fraction of the frames in which a distance is assumed to be correct.
 MIN_CORRECT_FRACTION = 0.55
+# No body has more markers. In takes of more, only the distances between markers are estimated that are ever nearer than this,
+# in every so many of the frames: a segment is smaller.
+MAX_BODY_MARKERS = 250
+MAX_NEAR_DISTANCE_M = 1.0
+NEAR_FRAME_STEP = 10
 
 # Number of pairs of frames, evenly spread, from which the changes of distances are learned.
 MAX_FRAME_PAIRS = 300
@@ -81,13 +86,16 @@ def estimate_distance_statistics(
     """Estimate the centre and the robust standard deviation of the distances between markers, in metres.
 
     Both are taken from the shortest interval that holds `min_correct_fraction` of the frames, so that the size of the other
-    deviations does not matter. They are infinite for markers that are hardly ever visible together, and for a marker and itself.
+    deviations does not matter. They are infinite for markers that are hardly ever visible together, for a marker and itself,
+    and in a take of several hundred markers for those that are never near one another.
     """
     count = markers.shape[1]
     centre, sd = np.full((count, count), np.inf), np.full((count, count), np.inf)
     coordinates = _sample_coordinates(markers)
     for i in range(1, count):
-        centre[i, :i], sd[i, :i] = centre[:i, i], sd[:i, i] = _estimate_distances_from(i, coordinates, i, min_correct_fraction)
+        others = slice(i) if count <= MAX_BODY_MARKERS else _find_near(i, coordinates[:, : i + 1])
+        centre[i, others], sd[i, others] = _estimate_distances_from(i, coordinates, others, min_correct_fraction)
+        centre[others, i], sd[others, i] = centre[i, others], sd[i, others]
     return centre, sd
 
 
@@ -98,19 +106,28 @@ def _sample_coordinates(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray
     return np.ascontiguousarray(sample.transpose(2, 1, 0))
 
 
+def _find_near(marker: int, coordinates: Float[np.ndarray, "3 M S"]) -> Int[np.ndarray, " N"]:
+    """Find the other markers that are less than MAX_NEAR_DISTANCE_M from a marker in any of a few frames."""
+    few = coordinates[:, :, ::NEAR_FRAME_STEP]
+    x, y, z = (few - few[:, marker, None]) ** 2
+    is_near = (x + y + z < MAX_NEAR_DISTANCE_M**2).any(1)
+    is_near[marker] = False
+    return np.flatnonzero(is_near)
+
+
 def _estimate_distances_from(
-    marker: int, coordinates: Float[np.ndarray, "3 M S"], count: int, min_correct_fraction: float
+    marker: int, coordinates: Float[np.ndarray, "3 M S"], others: slice | Int[np.ndarray, " N"], min_correct_fraction: float
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Estimate the centres and the standard deviations of a marker's distances to the first `count` markers, in metres."""
-    centre, sd = np.full(count, np.inf), np.full(count, np.inf)
-    x, y, z = (coordinates[:, :count] - coordinates[:, marker, None]) ** 2
+    """Estimate the centres and the standard deviations of a marker's distances to others, in metres."""
+    x, y, z = (coordinates[:, others] - coordinates[:, marker, None]) ** 2
     distance = np.sort(np.sqrt(x + y + z), axis=1)  # NaN sorts last
+    centre, sd = np.full(len(distance), np.inf), np.full(len(distance), np.inf)
     visible_count = (~np.isnan(distance)).sum(1)
-    others = np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, coordinates.shape[2])))
-    start_m, width_m = _find_shortest_intervals(distance[others], visible_count[others], min_correct_fraction)
-    centre[others] = start_m + width_m / 2
+    known = np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, coordinates.shape[2])))
+    start_m, width_m = _find_shortest_intervals(distance[known], visible_count[known], min_correct_fraction)
+    centre[known] = start_m + width_m / 2
     # the standard deviation of a normal distribution with the same central interval
-    sd[others] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
+    sd[known] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
     return centre, sd
 
 
@@ -230,7 +247,7 @@ class RigidSignatures:
         coordinates, is_affected = _sample_coordinates(self.sampled_markers), np.isin(np.arange(count), changed)
         for m in changed:
             is_affected |= self.distance_sd_m[m] < MAX_SIGNATURE_SD_M
-            distance_m, sd_m = _estimate_distances_from(m, coordinates, count, SIGNATURE_COVERAGE_FRACTION)
+            distance_m, sd_m = _estimate_distances_from(m, coordinates, slice(count), SIGNATURE_COVERAGE_FRACTION)
             distance_m[m] = sd_m[m] = np.inf
             self.distance_m[m] = self.distance_m[:, m] = distance_m
             self.distance_sd_m[m] = self.distance_sd_m[:, m] = _add_motion_sd(distance_m, sd_m)

@@ -157,7 +157,11 @@ def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"]
     visible = ~np.isnan(path[:, 0])
     is_shared = visible[segment.frames]
     if is_shared.any():
-        distance = float(np.median(np.linalg.norm(segment.points[is_shared] - path[segment.frames[is_shared]], axis=1)))
+        shared = replace(segment, frames=segment.frames[is_shared], points=segment.points[is_shared])
+        few = shared.pick_samples(MAX_SCREENED_SAMPLES)
+        if np.linalg.norm(few.points - path[few.frames], axis=1).min() > MAX_DUPLICATE_DISTANCE_M:
+            return np.inf
+        distance = float(np.median(np.linalg.norm(shared.points - path[shared.frames], axis=1)))
         return (2 * distance / MAX_DUPLICATE_DISTANCE_M) ** 2 if distance <= MAX_DUPLICATE_DISTANCE_M else np.inf
     first, last, reach = segment.frames[0], segment.frames[-1], round(max_gap_s * rate) + 1
     start = max(0, first - reach)

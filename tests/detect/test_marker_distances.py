@@ -200,6 +200,20 @@ def test_updated_signatures_are_those_of_the_changed_markers():
     assert not fresh.update_markers([]).any()
 
 
+def test_distances_of_hundreds_of_markers_are_those_of_each_body():
+    markers, _ = rigid()
+    bodies = np.concatenate([markers + [3.0 * k, 0, 0] for k in range(marker_distances.MAX_BODY_MARKERS // 5 + 1)], axis=1)
+    centre_m, spread_m = marker_distances.estimate_distance_statistics(markers, 0.55)
+    all_centres_m, all_spreads_m = marker_distances.estimate_distance_statistics(bodies, 0.55)
+    for k in (0, 17, 50):
+        body = slice(5 * k, 5 * k + 5)
+        np.testing.assert_allclose(all_centres_m[body, body], centre_m, rtol=1e-9)
+        np.testing.assert_allclose(all_spreads_m[body, body], spread_m, rtol=1e-6)
+        assert np.isinf(all_spreads_m[body, 5 * k + 5 :]).all()
+    partners = marker_distances.estimate_distances(bodies).partner
+    assert ((partners == -1) | (partners // 5 == np.arange(len(partners))[:, None] // 5)).all()
+
+
 def test_plane_heights_are_signed_and_in_metres():
     corners = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]]] * 2)
     np.testing.assert_allclose(compute_plane_heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])
