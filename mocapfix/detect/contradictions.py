@@ -12,9 +12,9 @@ from mocapfix.errors import TakeError
 from mocapfix.options import CleanOptions
 from mocapfix.state import CleaningState
 
-MAX_FAULTY_SHARE = 1 / 3  # of the measured samples; at most 0.006 in 36 captures
-MAX_MEDIAN_RESIDUAL_M = 0.1  # of the measured samples from the body; at most 0.005 m in 36 captures
-LEG_LENGTH_RANGE_M = (0.3, 2.5)  # from hip to ankle, of children and giants; 0.76 to 0.93 m in 36 captures
+MAX_FAULTY_SHARE = 1 / 3  # of the measured samples; at most 0.006 in 35 captures
+MAX_MEDIAN_RESIDUAL_M = 0.1  # of the measured samples from the body; at most 0.005 m in 35 captures
+LEG_LENGTH_RANGE_M = (0.3, 2.5)  # from hip to ankle, of children and giants; 0.76 to 0.93 m in 35 captures
 LEGS = (("LeftLeg", "LeftFoot"), ("RightLeg", "RightFoot"))  # the joints at the end of thigh and shank
 MAX_MEDIAN_SPEED_M_PER_S = 15.0  # faster than a sprinter, whose markers move at 9.5 m/s
 
@@ -77,7 +77,8 @@ def check_contradictions(state: CleaningState, options: CleanOptions) -> None:
         cause = _find_cause(figures, options)
     else:
         return
-    raise TakeError(f"{state.original_take.name}: {problem}; {cause}. --accept-contradictions cleans it all the same.")
+    others = " --subject-prefix cleans another subject alone." if state.original_take.subject_name else ""
+    raise TakeError(f"{state.original_take.name}: {problem}; {cause}. --accept-contradictions cleans it all the same.{others}")
 
 
 def _find_cause(figures: WholeTakeFigures, options: CleanOptions) -> str:

@@ -40,6 +40,13 @@ def test_more_than_a_third_of_faulty_samples_is_refused():
     check_contradictions(build_state(62), build_clean_options(accept_contradictions=True))
 
 
+def test_the_other_subjects_of_a_file_can_be_cleaned_alone():
+    state = build_state(62)
+    state = replace(state, original_take=replace(state.original_take, subject_name="Jim"))
+    with pytest.raises(TakeError, match=r"^the take \(Jim\): .* --subject-prefix cleans another subject alone\.$"):
+        check_contradictions(state, build_clean_options())
+
+
 @pytest.mark.parametrize(
     ("figures", "options", "sentence"),
     [
