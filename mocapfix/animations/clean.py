@@ -160,7 +160,8 @@ def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tupl
     if alignment is None:
         return (
             None,
-            "The figure is upright neither in its rest pose nor in any frame, so it cannot be aligned with the body model.",
+            "The figure is upright neither in its rest pose nor in any frame, so it cannot be aligned with the body model; "
+            "if another axis of the file is vertical, give it with --up.",
         )
     return AnimationBody(animation.parents, alignment), mapping.reason
 

@@ -7,7 +7,7 @@ import numpy as np
 from mocapfix.animation import FOOT_JOINT_PATTERN, HEAD_JOINT_PATTERN, Animation
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
-from mocapfix.read.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP
+from mocapfix.read.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, format_length
 
 PERSON_HEIGHT_RANGE_M = (1.2, 2.2)
 FIGURE_HEIGHT_RANGE_M = (0.3, 4.0)  # of figures in no known unit: children, animals and giants
@@ -44,8 +44,8 @@ def infer_conventions(animation: Animation, options: ReadOptions) -> Animation:
     if options.accept_contradictions or not height_m or FIGURE_HEIGHT_RANGE_M[0] <= height_m <= FIGURE_HEIGHT_RANGE_M[1]:
         return animation
     raise ReadError(
-        f"{animation.path}: its figure is {height_m:.2g} m tall, and no usual unit makes it as tall as a person; give the unit "
-        f"with --unit, one of {', '.join(METRES_PER_UNIT)}, or add --accept-contradictions."
+        f"{animation.path}: its figure is {format_length(height_m)} tall, and no usual unit makes it as tall as a person; "
+        f"give the unit with --unit, one of {', '.join(METRES_PER_UNIT)}, or add --accept-contradictions."
     )
 
 
@@ -62,7 +62,7 @@ def infer_unit(animation: Animation) -> Animation:
     if lowest <= reach * animation.unit_m / REACH_TO_HEIGHT_RATIO <= highest:
         return animation
     if not fitting:
-        height = f"{reach * animation.unit_m / REACH_TO_HEIGHT_RATIO:.2g} m"
+        height = format_length(reach * animation.unit_m / REACH_TO_HEIGHT_RATIO)
         unit = f"{animation.unit_m * 100:.4g} cm"
         note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall."
         return replace(animation, notes=(*animation.notes, note))
@@ -108,6 +108,6 @@ def infer_up_axis(animation: Animation) -> Animation:
         if upright:
             if upright == ["Y"]:
                 return animation
-            note = f"The {upright[0]} axis points up, because the head is above the feet along it."
+            note = f"The {upright[0]} axis points up, because the head is above the feet along it (--up sets it)."
             return replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP[upright[0]], notes=(*animation.notes, note))
     return animation

@@ -16,7 +16,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3dLayout, TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.body_evidence import BodyEvidence, InspectedPoints, collect_body_evidence, measure_handedness
-from mocapfix.read.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP
+from mocapfix.read.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, format_length
 from mocapfix.read.up_axis import (
     PointSample,
     estimate_sign,
@@ -172,12 +172,12 @@ def _decide_unit(
         if options.accept_contradictions:
             return declared.unit_m, ()
         raise ReadError(
-            f"{path}: {where.lower()} {part} {_format_length(size_m)}, as of no person; give the unit with --unit, "
+            f"{path}: {where.lower()} {part} {format_length(size_m)}, as of no person; give the unit with --unit, "
             f"one of {', '.join(METRES_PER_UNIT)} (--accept-contradictions cleans it as it is)."
         )
     unit_m = _snap_unit(declared.unit_m * fitting[0])
     return unit_m, (
-        f"{where} {part} {_format_length(size_m)}; coordinates are taken as {_name_unit(unit_m)}, which makes that "
+        f"{where} {part} {format_length(size_m)}; coordinates are taken as {_name_unit(unit_m)}, which makes that "
         f"{size_m * fitting[0]:.2f} m (--unit sets the unit).",
     )
 
@@ -255,11 +255,6 @@ def _check_handedness(path: Path, body: BodyEvidence, options: ReadOptions) -> N
 def _snap_unit(unit_m: float) -> float:
     """Return the metres of a unit without rounding error."""
     return next((metres for metres in METRES_PER_UNIT.values() if abs(unit_m / metres - 1) < 1e-6), unit_m)
-
-
-def _format_length(length_m: float) -> str:
-    """Return a length with three significant digits, a large one without an exponent."""
-    return f"{float(f'{length_m:.3g}'):,.15g} m"
 
 
 def _name_unit(unit_m: float) -> str:

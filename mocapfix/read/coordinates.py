@@ -41,6 +41,11 @@ def get_metres_per_unit(name: str) -> float | None:
     return METRES_PER_UNIT.get(found.pop() if len(found) == 1 else text)
 
 
+def format_length(length_m: float) -> str:
+    """Return a length with three significant digits, a large one without an exponent."""
+    return f"{float(f'{length_m:.3g}'):,.15g} m"
+
+
 def find_valid_points(points_file: Float[np.ndarray, "T P 3"]) -> Bool[np.ndarray, "T P"]:
     """Return which points, in file units, are positions: not NaN, not all 0, and not a code for a missing point."""
     x, y, z = np.moveaxis(points_file, -1, 0)

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import unescape
 from pathlib import Path
 
@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix import pipeline, synthetic, write
 from mocapfix.animation import Animation
-from mocapfix.animations.clean import AnimationResult
+from mocapfix.animations.clean import AnimationResult, find_body
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
 from mocapfix.read import amc, bvh
+from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.write.patches import patch_animation
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -94,6 +95,13 @@ def test_requested_files_are_written_and_no_subject(walk):
     default = {"bvh", "changes.yaml", "report.json", "report.html", "rrd"}
     assert set(walk.outputs) == default | {"glb", "trc", "blender.bvh"}
     assert "Frames: 360\n" in walk.outputs["blender.bvh"].read_text()
+
+
+def test_a_figure_that_lies_in_its_rest_pose_and_all_frames_needs_the_up_axis(walk):
+    body, reason = find_body(replace(walk.truth, rotation_y_up_file=ROTATIONS_TO_Y_UP["X"]))
+    assert body is None
+    assert reason.endswith("give it with --up.")
+    assert find_body(walk.truth)[0] is not None
 
 
 def test_faults_are_detected_where_they_are_and_nowhere_else(walk):
