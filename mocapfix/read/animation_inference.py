@@ -64,7 +64,7 @@ def infer_unit(animation: Animation) -> Animation:
     if not fitting:
         height = format_length(reach * animation.unit_m / REACH_TO_HEIGHT_RATIO)
         unit = f"{animation.unit_m * 100:.4g} cm"
-        note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall."
+        note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall (--unit sets it)."
         return replace(animation, notes=(*animation.notes, note))
     name, unit_m = next(iter(fitting.items()))
     note = f"Lengths are assumed to be {name}; the figure is {reach * unit_m / REACH_TO_HEIGHT_RATIO:.2f} m tall."

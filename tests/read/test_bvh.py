@@ -151,6 +151,13 @@ def test_the_unit_is_inferred_from_the_height_of_the_figure(tmp_path, factor, un
     assert bool(found.notes) == (factor != 1)
 
 
+def test_a_giant_keeps_the_usual_unit_with_a_note_that_names_the_option(tmp_path):
+    found = read(tmp_path, scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), 1.7))
+    assert found.unit_m == 0.01
+    assert found.notes[0].startswith("The file gives no unit of length; 1 cm is assumed")
+    assert "--unit" in found.notes[0]
+
+
 def test_a_figure_in_no_known_unit_is_refused_and_read_in_the_unit_of_the_option(tmp_path):
     (tmp_path / "a.bvh").write_text(scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), 1000))
     with pytest.raises(ReadError, match=r"figure is 1,[78]\d0 m tall.*--unit, one of mm"):
