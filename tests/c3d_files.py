@@ -86,8 +86,8 @@ def _data(xyz: np.ndarray, words: np.ndarray | None, encoding: tuple[int, bool],
     else:
         frames = np.ascontiguousarray(rows.astype(order + ("f4" if is_float else "i2"))).view("u1")
     noise = np.random.default_rng(0)
-    analog = noise.integers(0, 256, (len(rows), analog * (4 if is_float else 2)), np.uint8)
-    return np.hstack([frames, analog]).tobytes() + noise.bytes(256)
+    analog_bytes = noise.integers(0, 256, (len(rows), analog * (4 if is_float else 2)), np.uint8)
+    return np.hstack([frames, analog_bytes]).tobytes() + noise.bytes(256)
 
 
 def _header(points: int, first: int, frames: int, scale: float, block: int, processor: int, order: str) -> bytes:

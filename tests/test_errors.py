@@ -27,6 +27,7 @@ from mocapfix.options import FillOptions, SubjectOptions
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.moved_markers import split_moved_markers
 from mocapfix.report import notes
+from mocapfix.report.report import RigidGroupEntry
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.take import Take
 
@@ -86,7 +87,7 @@ def list_long_messages() -> dict[str, str]:
     scattered = np.where(np.arange(FRAMES)[:, None] % 12 < 6, 0.15, 0.01) + np.zeros(MARKERS)
     part = LostPart("right lower leg", np.arange(FRAMES) % 2 == 0, np.full(FRAMES, 0.3), np.ones((FRAMES, MARKERS), bool))
     epochs, columns = split_moved_markers(take, ()), np.arange(MARKERS)
-    groups = [{"name": f"group {n}", "markers": list(LABELS[:50]), "spread_mm": 1.0} for n in range(40)]
+    groups = [RigidGroupEntry(name=f"group {n}", markers=list(LABELS[:50]), spread_mm=1.0) for n in range(40)]
     several = replace(take, labels=tuple(f"Person{m % 40}:{m}" for m in range(MARKERS)))
     return {
         "unassigned": " ".join(notes.describe_unassigned_markers(take, columns[:2])),

@@ -229,6 +229,7 @@ def test_uncertain_ends_stay_empty_and_say_by_which_rule(rod, gap, words):
     take = remove_samples(rod, (0, *gap), (1, 100, 140))
     certain, _ = fill(take)
     assert certain.visible[:, :2].all()  # rigid: predicted well beyond its measurements too
+    assert certain.sample_sd is not None
     sd = certain.sample_sd[slice(gap[0], gap[1] + 1), 0]
     after, left = fill(take, FillOptions(max_end_sd_m=float(np.median(sd))))
     assert (after.visible[gap[0] : gap[1] + 1, 0] == (sd <= np.median(sd))).all()

@@ -1,4 +1,5 @@
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.options import ReadOptions
 from mocapfix.read import bvh, capture
@@ -241,7 +243,9 @@ PARENTS = {"Hips": "", "Chest": "Hips", "Head": "Chest", "Hand": "Chest", "Leg":
 TIPS = {"Head": (0, 15, 0), "Hand": (15, 0, 0), "Foot": (0, -5, 15)}
 
 
-def write_figure(offsets: dict[str, tuple[float, ...]], above: tuple[str, ...] = (), scale: float = 1.0, frames: int = 3) -> str:
+def write_figure(
+    offsets: Mapping[str, tuple[float, ...]], above: tuple[str, ...] = (), scale: float = 1.0, frames: int = 3
+) -> str:
     """Return a BVH of a figure whose bones stand in position channels, with any offsets, below nodes that do not move."""
 
     def write_joint(name: str, keyword: str) -> str:
@@ -316,6 +320,7 @@ ENCODED_TEXTS = {
 def test_encodings_comments_and_decimal_commas_are_read(tmp_path, data):
     (tmp_path / "a.bvh").write_bytes(data)
     found = capture.read_capture(tmp_path / "a.bvh")
+    assert isinstance(found, Animation)
     assert (found.names, found.rate, found.notes) == (("Hips", "Left Knee", "Ns:Foot", "Chest", "Head"), 120.0, ())
     assert found.offsets.tolist() == [[1, 2, 3], [0, -60, 0], [0, -50, 5], [0, 60, 0], [0, 40, 0]]
     np.testing.assert_array_equal(found.values, VALUES)

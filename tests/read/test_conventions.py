@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError
+from mocapfix.files.layouts import TableLayout
 from mocapfix.options import ReadOptions
 from mocapfix.read import capture
 from mocapfix.read.conventions import Convention, DeclaredConvention, decide_convention
@@ -216,5 +217,6 @@ def test_numbers_in_a_corrected_unit_resolve_a_hundredth_of_a_millimetre(tmp_pat
     rows = [[f"{t / 60:.4f}", *(f"{value:.2f}" for value in row.ravel())] for t, row in enumerate(MOTIONS["walks"])]
     (tmp_path / "in_metres.csv").write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n")
     layout = capture.read_take(tmp_path / "in_metres.csv").layout
+    assert isinstance(layout, TableLayout)
     assert layout.unit_m == 1.0
     assert layout.number_format == ".5f"

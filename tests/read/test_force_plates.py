@@ -80,9 +80,9 @@ def write_plates(
     file.write(str(path))
 
 
-def read(path: Path, **known: float) -> list[ForcePlate]:
+def read(path: Path, rate_hz: float | None = None) -> list[ForcePlate]:
     """Return the plates of a file."""
-    take = read_take(path, ReadOptions(up_axis="Z", **known))
+    take = read_take(path, ReadOptions(up_axis="Z", rate_hz=rate_hz))
     return read_force_plates(path.read_bytes(), get_layout(take), take.rate)
 
 

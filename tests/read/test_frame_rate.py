@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read import capture
@@ -33,7 +34,7 @@ def find(times=None, numbers=None, stated="", unit_s=None, options=NO_OPTIONS, r
     return find_frames(
         lambda row, sentence: ReadError(f"row {row}: {sentence}"),
         lambda sentence: ReadError(f"rate: {sentence}"),
-        rows or len(times if times is not None else numbers),
+        rows or len(times if times is not None else numbers if numbers is not None else ()),
         stated_rate=stated,
         times=None if times is None else FrameTimes(np.array(times, float), unit_s),
         frame_numbers=None if numbers is None else np.array(numbers, float),
@@ -256,6 +257,7 @@ def test_frames_that_an_amc_omits_are_gaps(tmp_path, present):
     frame = frame[: frame.index("\n8\n") + 1]
     (tmp_path / "09_01.amc").write_text(header + "".join(f"{number}\n{frame}" for number in present))
     found = capture.read_capture(tmp_path / "09_01.amc")
+    assert isinstance(found, Animation)
     is_present = np.isin(np.arange(present[0], present[-1] + 1), present)
     assert (found.first_frame, found.frame_count) == (present[0], len(is_present))
     assert np.isfinite(found.values[is_present]).all()
