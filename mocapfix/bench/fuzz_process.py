@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from mocapfix.errors import MocapfixError
 from mocapfix.files.output_files import make_output_folder
@@ -33,6 +33,7 @@ MAX_FRAME_LINES = 12
 """lines of a traceback that a finding keeps"""
 
 
+@runtime_checkable
 class FuzzCase(Protocol):
     """One generated input, and how to try it."""
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -29,6 +29,7 @@ MIN_RESIDUAL_MARKERS = 3  # number of such markers: a single one may have been f
 MIN_LABELLED_POINTS = 3  # with fewer points left, points with the names of computed ones or with numbers for names are markers
 
 
+@runtime_checkable
 class PointConverter(Protocol):
     """Returns the positions (m) of points of a file, given by their columns, in some frames; NaN where missing."""
 

@@ -22,6 +22,7 @@ from mocapfix.take import Take
 TAB = "\t"
 KEY_PATTERN = re.compile(r"[A-Z][A-Z0-9_]+")
 QUALISYS_UNIT_M = 0.001
+MAX_FRAME_DIGITS = 15  # of a number of a frame; longer ones are no numbers of frames
 MAX_TIME_STEP_DEVIATION = 0.15  # of time steps from the usual one: times may be written with few digits, at 1000 Hz with five
 # What other exports of the program contain, by a key in their header.
 OTHER_EXPORTS = {
@@ -122,7 +123,7 @@ def _find_first_field(
     if len(inspected) < 2:
         return 0, None
     rows = [[*document.split_cells(i, TAB), ""] for i in inspected]
-    if not all(row[0].isdecimal() for row in rows):
+    if not all(row[0].isdecimal() and len(row[0]) <= MAX_FRAME_DIGITS for row in rows):
         return 0, None
     frame_steps = np.diff([int(row[0]) for row in rows])
     if (frame_steps < 1).any() or np.median(frame_steps) != 1:

@@ -68,3 +68,11 @@ def test_invalid_files_are_refused_with_the_line(tmp_path, case):
     with pytest.raises(ReadError, match=words) as error:
         write_and_read(tmp_path, text)
     assert str(error.value).startswith(str(tmp_path / "walk.tsv"))
+
+
+def test_a_first_field_of_thousands_of_digits_is_no_frame_number(tmp_path):
+    text = qualisys(columns=("Frame",), named=False).replace("\r\n1\t", f"\r\n{'9' * 5000}\t", 1)
+    assert "9" * 5000 in text
+    (tmp_path / "a.tsv").write_text(text, newline="")
+    found = capture.read_capture(tmp_path / "a.tsv")
+    assert (found.first_frame, found.frame_count) == (1, len(STANDING))
