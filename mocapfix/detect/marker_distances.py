@@ -292,7 +292,7 @@ class RigidSignatures:
             sd = np.hypot((high - low) / HEIGHT_QUANTILE_WIDTH_SD, MIN_SIGNATURE_SD_M) if np.isfinite(high) else np.inf
             if abs(median) > best_separation * sd:
                 best_separation = abs(median) / sd
-                height = float(_compute_known_medians(compute_plane_heights(points, others[:, corners])))
+                height = float(_compute_known_medians(compute_plane_heights(points, others[:, corners])[:, None])[0])
                 side_sd = abs(height - median) / sd
         return float(side_sd)
 
@@ -317,7 +317,7 @@ def _compute_quantiles(values: np.ndarray) -> np.ndarray:
     return np.where(count >= min(MIN_CORNER_FRAMES, len(values)), ordered[rows, np.arange(values.shape[1])], np.inf)
 
 
-def _compute_known_medians(values: Float[np.ndarray, "T ..."]) -> Float[np.ndarray, "..."]:
+def _compute_known_medians(values: Float[np.ndarray, "T K"]) -> Float[np.ndarray, " K"]:
     """Return what `np.nanmedian` does over the first axis, which takes ten times as long for few values."""
     ordered = np.sort(values, axis=0)  # NaN sorts last
     count = np.asarray((~np.isnan(ordered)).sum(0))
