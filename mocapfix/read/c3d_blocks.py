@@ -192,9 +192,9 @@ def _choose(
 ) -> SampleBlocks:
     """Return the reading that the size of the data and their values support; without frames if frames are missing.
 
-    The readings are tried in groups, the next only if none of a group has plausible values: those that end with the file and of
-    which each field is declared; those whose analog values, or else frames, follow from the size of the data; those that are
-    followed by other bytes.
+    The readings are tried in groups, the next only if none of a group has plausible values, or in the first too few to say: those
+    that end with the file and of which each field is declared; those whose analog values, or else frames, follow from the size of
+    the data; those that are followed by other bytes.
 
     Args:
         path: The file, for messages.
@@ -222,7 +222,8 @@ def _choose(
     for group in (exact, with_analog, with_frames, behind):
         longest = {each[:-1]: each for each in sorted(group)}.values()  # of readings that differ in the number of frames only
         looks |= {each: _inspect_values(parameters, data, each) for each in longest}
-        if possible := [each for each in longest if looks[each].is_plausible]:
+        possible = [each for each in longest if looks[each].is_plausible]
+        if possible or (group is exact and any(looks[each].is_unknown for each in longest)):
             break
     is_proved = bool(possible)
     is_doubtful = not declared.is_exact(size) or own.roughness > MAX_ROUGHNESS
