@@ -204,4 +204,4 @@ def _describe_stretch(animation: Animation) -> tuple[str, ...]:
     longest = int(np.argmax(changes))
     bones = f"{len(stretched)} bones change" if len(stretched) > 1 else "One bone changes"
     problem = f"{bones} in length, that to {animation.names[longest]} by {changes[longest] * 1e3:.0f} mm"
-    return (f"{problem}; the copy of the file keeps this, the skeleton has their mean lengths.",)
+    return (f"{problem}; the copy of the file keeps this, the skeleton has their median lengths.",)

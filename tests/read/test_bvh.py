@@ -301,7 +301,7 @@ def test_bones_that_change_in_length_are_noted(tmp_path):
     text = write_figure(BONES, frames=2)
     found = read(tmp_path, text[: text.rindex("0.0 50.0 0.0")] + "0.0 53.0 0.0" + text[text.rindex("0.0 50.0 0.0") + 12 :])
     change = "One bone changes in length, that to Chest by 30 mm"
-    assert found.notes == (f"{change}; the copy of the file keeps this, the skeleton has their mean lengths.",)
+    assert found.notes == (f"{change}; the copy of the file keeps this, the skeleton has their median lengths.",)
     np.testing.assert_allclose(found.bone_offsets[found.names.index("Chest")], [0, 51.5, 0])
 
 

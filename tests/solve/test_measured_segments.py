@@ -59,7 +59,7 @@ def test_what_is_within_the_limit_is_kept_whole():
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
-    """Random legs are lost for random times and said to stand, rightly or wrongly; markers have errors of 5 mm."""
+    """Random legs are lost for random times and taken to stand, rightly or wrongly; markers have errors of 5 mm."""
     rng = np.random.default_rng(seed)
     markers = TAKE.marker_positions + 0.005 * rng.standard_normal(TAKE.marker_positions.shape[1:])
     is_contact, is_known = np.zeros((FRAMES, len(CONTACT_JOINTS)), bool), np.ones((FRAMES, len(CONTACT_JOINTS)), bool)
