@@ -13,7 +13,7 @@ demo: $(VENV)/installed
 # kernels are compiled before: each process of tests would compile most of them itself. A file is run by one process, which then
 # compiles its kernels and cleans its takes once.
 # Annotated types and array shapes are checked in the folders where every test passes with them. These tests take twice as long.
-CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
+CHECKED_TESTS := $(addprefix tests/,fill jobs synthetic)
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile
 test: $(VENV)/installed-dev
 	$(VENV)/bin/python -m mocapfix.kernels.precompilation

@@ -22,7 +22,7 @@ os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp()  # before Numba is imported: 
 from numba.core import event
 
 from mocapfix import pipeline, synthetic
-from mocapfix.kernels.signatures import SIGNATURES_FILE, describe_type
+from mocapfix.kernels.precompilation import SIGNATURES_FILE, describe_type
 
 MIN_INNER_KERNEL_S = 0.25  # processor time of compiling a kernel that Python does not call, from which it is listed
 KERNELS_MODULE = "mocapfix.kernels."

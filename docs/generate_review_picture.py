@@ -14,8 +14,8 @@ from typing import Literal
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from mocapfix.bench.review_page import CHROMIUM_ARGUMENTS, find_chromium
 from mocapfix.cli.app import run_demo
+from mocapfix.lab.review_page import CHROMIUM_ARGUMENTS, find_chromium
 from mocapfix.review.review_session import ReviewSession
 from mocapfix.review.server import ReviewServer
 

@@ -7,9 +7,8 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from mocapfix.bench.baseline import get_baseline_path, read_baseline
-from mocapfix.files.option_definitions import Option, list_options
-from mocapfix.options import CleanOptions
+from mocapfix.lab.baseline import get_baseline_path, read_baseline
+from mocapfix.options import CleanOptions, Option, list_options
 
 DOCS = Path(__file__).parent
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import mocapfix
+from mocapfix.io.bvh import write_bvh
 from mocapfix.synthetic.synthetic_takes import compose_take
-from mocapfix.write.bvh import write_bvh
 
 truth, path = compose_take(seed=10, seconds=3.0), Path("animation.bvh")
 rotations = truth.motion.local_rotations.copy()

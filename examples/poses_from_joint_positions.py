@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocapfix.initialise.hybrik import solve_hybrik
+from mocapfix.solve.hybrik import solve_hybrik
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.synthetic.synthetic_takes import compose_take
 

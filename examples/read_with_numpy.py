@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.animation import Animation
-from mocapfix.read.capture import read_capture
+from mocapfix.io.capture import read_capture
+from mocapfix.model.animation import Animation
 from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
 
 path = Path("numpy.c3d")

@@ -1,7 +1,6 @@
 """Solve a single pose from whatever is known of it: positions of joints, directions of bones, distances."""
 
-from mocapfix.solve.constraints import DirectionConstraint, DistanceConstraint, PositionConstraint
-from mocapfix.solve.single_pose import solve_pose
+from mocapfix.solve.single_pose import DirectionConstraint, DistanceConstraint, PositionConstraint, solve_pose
 
 pose = solve_pose(
     [

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
+    from mocapfix.model.take import Take
     from mocapfix.options import CleanOptions, build_clean_options
     from mocapfix.pipeline import calibrate_takes, clean, inspect, label
     from mocapfix.result import CleaningResult
-    from mocapfix.take import Take
 
 __all__ = [
     "CleanOptions",
@@ -33,7 +33,7 @@ MODULE_OF_NAME = {
     "CleanOptions": "options",
     "CleaningResult": "result",
     "MocapfixError": "errors",
-    "Take": "take",
+    "Take": "model.take",
     "build_clean_options": "options",
     "calibrate_takes": "pipeline",
     "clean": "pipeline",

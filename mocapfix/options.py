@@ -2,21 +2,226 @@
 
 The Python interface, the command line and the job files are built from this. It imports no numerical library, because the command
 line needs it to print its help. Example: `build_clean_options(prior="none", max_gap_s=2.0)`.
+
+Define an option once: its default, unit, range and help text, and the check of its value.
+
+`define_option` makes a dataclass field with an `Option` in its metadata; `StageOptions` checks the values of all its options.
+
+The names from which options choose.
+
+The options of reading a file; they are part of `mocapfix.options`.
+
+The options of output files; they are part of `mocapfix.options`.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from mocapfix.errors import OptionError, format_name_list
-from mocapfix.files import option_choices as choices
-from mocapfix.files.option_definitions import StageOptions, define_option, list_options
-from mocapfix.files.output_options import OutputOptions
-from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 
 if TYPE_CHECKING:
-    from mocapfix.subject import Subject
+    from mocapfix.model.subject import Subject
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Option:
+    """How one option is presented and checked. Limits are in the unit of the field.
+
+    flag          the flag on the command line
+    metavar       the placeholder of its value in help texts
+    help          one line for help texts and documentation
+    job_key       the dotted key in a job file; "" if a job cannot set it
+    unit          the unit of the value on the command line and in job files
+    per_unit      how many of `unit` make one of the field's unit: 1000 for a field in metres that users give in millimetres
+    aliases       other flags of the same meaning
+    default_text  the default in help texts where None or an empty list does not explain itself
+    choices       the allowed values, of a tuple the allowed elements; empty if any value is allowed
+    above         lower limit, exclusive
+    at_least      lower limit, inclusive
+    at_most       upper limit, inclusive
+    is_finite     whether the value must be finite
+    is_expert     whether the option is hidden from the short help and the example job
+    lab_default   the default with the purpose "lab", which differs from the usual one; None if it does not
+    """
+
+    flag: str
+    metavar: str
+    help: str
+    job_key: str = ""
+    unit: str = ""
+    per_unit: float = 1.0
+    aliases: tuple[str, ...] = ()
+    default_text: str = ""
+    choices: tuple[str, ...] = ()
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    is_finite: bool = False
+    is_expert: bool = False
+    lab_default: Any = None
+
+    def to_display(self, value: Any) -> Any:
+        """Return a value with its numbers in the unit that users see."""
+        if isinstance(value, tuple):
+            return tuple(self.to_display(each) for each in cast("tuple[Any, ...]", value))
+        return round(value * self.per_unit, 9) if isinstance(value, float) and self.per_unit != 1.0 else value
+
+    def from_display(self, value: Any) -> Any:
+        """Return a value that a user gave with its numbers in the unit of the field."""
+        if isinstance(value, tuple):
+            return tuple(self.from_display(each) for each in cast("tuple[Any, ...]", value))
+        return value / self.per_unit if isinstance(value, float) and self.per_unit != 1.0 else value
+
+    def find_problem(self, value: object) -> str:
+        """Return what is wrong with a value as the end of a sentence, "" if it is allowed."""
+        elements = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
+        return next((problem for each in elements if (problem := self._find_element_problem(each))), "")
+
+    def _find_element_problem(self, value: object) -> str:
+        if isinstance(value, str) and self.choices and value not in self.choices:
+            return f"must be one of {', '.join(self.choices)}, not {value!r}"
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return ""
+        is_allowed = (
+            (self.above is None or value > self.above)
+            and (self.at_least is None or value >= self.at_least)
+            and (self.at_most is None or value <= self.at_most)
+            and (isfinite(value) or not self.is_finite)
+        )
+        return "" if is_allowed else f"must be {self._describe_range()}, not {self.to_display(value):g}"
+
+    def _describe_range(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        limits = (("greater than", self.above), ("at least", self.at_least), ("at most", self.at_most))
+        parts = [f"{words} {self.to_display(limit):g}{unit}" for words, limit in limits if limit is not None]
+        return " and ".join([*parts, *(["finite"] if self.is_finite else [])])
+
+
+def define_option(default: T, flag: str, metavar: str, help: str, **details: Any) -> T:
+    """Return a dataclass field with its default and an `Option`, which has the same arguments, in its metadata."""
+    return field(default=default, metadata={"option": Option(flag, metavar, help, **details)})
+
+
+class StageOptions:
+    """The options of one stage. A list, or a single text for an option that takes several, becomes a tuple.
+
+    Raises OptionError for the first value that is not allowed.
+    """
+
+    def __post_init__(self) -> None:
+        for name, option in list_options(type(self)):
+            value = getattr(self, name)
+            if isinstance(value, list):
+                object.__setattr__(self, name, tuple(cast("list[object]", value)))
+            elif isinstance(value, str | Path) and isinstance(getattr(type(self), name), tuple):
+                object.__setattr__(self, name, (value,))
+            if problem := option.find_problem(getattr(self, name)):
+                raise OptionError(name, option.flag, option.job_key, problem)
+
+
+@cache
+def list_options(stage: type[StageOptions]) -> tuple[tuple[str, Option], ...]:
+    """Return the field names of a stage's options and the options."""
+    named = ((each.name, each.metadata.get("option")) for each in fields(cast(Any, stage)))
+    return tuple((name, option) for name, option in named if isinstance(option, Option))
+
+
+DEFAULT_PRIOR_NAME = "autoencoder"
+PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
+PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
+INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
+DEFAULT_INIT_METHOD = "hybrik-x"
+RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
+CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
+EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv", "contacts", "events", "fbx")
+"""formats that are written on request (io.output_formats)"""
+REPAIRABLE_KINDS = (
+    "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
+)  # fmt: skip
+"""the kinds of fault that a repair can be restricted to; "gap" stands for every kind of missing samples (faults)"""
+UNITS = ("mm", "cm", "m", "in", "ft")
+UP_AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
+FEET_OFF, FEET_SOFT, FEET_LOCK = "off", "soft", "lock"
+FEET_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
+PURPOSE_ANIMATION, PURPOSE_LAB = "animation", "lab"
+PURPOSES = (PURPOSE_ANIMATION, PURPOSE_LAB)
+"""what a cleaned take is for; some options have another default for a laboratory"""
+
+
+@dataclass(frozen=True)
+class ReadOptions(StageOptions):
+    """Reading the file."""
+
+    unit: str | None = define_option(
+        None, "--unit", "mm|cm|m|in|ft", "unit of length of the file", job_key="volume.unit",
+        default_text="from the file and its markers", choices=UNITS,
+    )  # fmt: skip
+    rate_hz: float | None = define_option(
+        None, "--rate", "HZ", "frames per second of the file", job_key="volume.rate", unit="Hz",
+        default_text="from the file", at_least=5.0, at_most=2000.0, is_finite=True,
+    )  # fmt: skip
+    up_axis: str | None = define_option(
+        None, "--up", "X|-X|Y|-Y|Z|-Z", "up axis of the file", job_key="volume.up",
+        default_text="from the file and its markers", choices=UP_AXES,
+    )  # fmt: skip
+    mirror: bool = define_option(
+        False, "--mirror", "", "the file is mirrored: its axes are left-handed", job_key="volume.mirror",
+    )  # fmt: skip
+    accept_contradictions: bool = define_option(
+        False, "--accept-contradictions", "", "clean a take even if its unit, axes, labels or rate contradict its body",
+        job_key="accept_contradictions",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if self.up_axis is not None:
+            object.__setattr__(self, "up_axis", self.up_axis.upper().removeprefix("+"))
+        super().__post_init__()
+
+
+DEFAULT_READ_OPTIONS = ReadOptions()
+
+
+@dataclass(frozen=True)
+class OutputOptions(StageOptions):
+    """Output files."""
+
+    extra_formats: tuple[str, ...] = define_option(
+        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(EXTRA_FORMAT_NAMES)}",
+        job_key="write.also", default_text="none", choices=EXTRA_FORMAT_NAMES,
+    )  # fmt: skip
+    rigs: tuple[str, ...] = define_option(
+        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(RIG_NAMES)}, or a rig's .yaml",
+        job_key="write.bvh_for", default_text="none",
+    )  # fmt: skip
+    output_rate_hz: float | None = define_option(
+        None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
+        default_text="that of the take", at_least=5.0, at_most=1000.0,
+    )  # fmt: skip
+    floor_height_m: float = define_option(
+        0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",
+        job_key="volume.floor", unit="m", is_finite=True,
+    )  # fmt: skip
+    characters: tuple[str | Path, ...] = define_option(
+        (), "--character", "PRESET|FILE",
+        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .bvh or .yaml file",
+        job_key="write.character", default_text="none",
+    )  # fmt: skip
+    character_map: str | Path | None = define_option(
+        None, "--character-map", "FILE", "YAML file with the bones of the character's body, as written beside its motion",
+        job_key="write.character_map", default_text="by the names of the bones, or the shape of the skeleton",
+    )  # fmt: skip
+    key_error_deg: float | None = define_option(
+        None, "--key-reduce", "DEGREES", "write fewer keys into .glb and .fbx: no rotation differs by more than this",
+        job_key="write.key_reduce", unit="degrees", default_text="a key in every frame", above=0.0, at_most=90.0,
+    )  # fmt: skip
+
 
 __all__ = [
     "DEFAULT_READ_OPTIONS", "PURPOSE_DEFAULTS", "PURPOSE_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions",
@@ -30,9 +235,9 @@ class PurposeOptions(StageOptions):
     """What the cleaned take is for."""
 
     purpose: str = define_option(
-        choices.PURPOSE_ANIMATION, "--purpose", "animation|lab",
+        PURPOSE_ANIMATION, "--purpose", "animation|lab",
         "defaults of other options: complete takes for animation, or only what measurements in a laboratory can rely on",
-        job_key="purpose", choices=choices.PURPOSES,
+        job_key="purpose", choices=PURPOSES,
     )  # fmt: skip
     given: tuple[str, ...] = field(default=(), compare=False)
     """the names of the options that were given, of the purpose and of those whose default depends on it"""
@@ -72,8 +277,8 @@ class DetectOptions(StageOptions):
     """Fault detection."""
 
     repair_kinds: tuple[str, ...] = define_option(
-        (), "--only", "KIND,...", f"repair these kinds of fault only: {', '.join(choices.REPAIRABLE_KINDS)}",
-        job_key="fill.only", default_text="all", choices=choices.REPAIRABLE_KINDS,
+        (), "--only", "KIND,...", f"repair these kinds of fault only: {', '.join(REPAIRABLE_KINDS)}",
+        job_key="fill.only", default_text="all", choices=REPAIRABLE_KINDS,
     )  # fmt: skip
     max_rounds: int = define_option(
         3, "--detect-max-rounds", "N", "repeat detection on the trajectories at most this many times",
@@ -106,9 +311,9 @@ class InitialiseOptions(StageOptions):
     """Initialisation."""
 
     init_method: str = define_option(
-        choices.DEFAULT_INIT_METHOD, "--init", "METHOD",
-        f"how the first pose of each frame is found: {', '.join(choices.INIT_METHODS)}",
-        job_key="start", choices=choices.INIT_METHODS,
+        DEFAULT_INIT_METHOD, "--init", "METHOD",
+        f"how the first pose of each frame is found: {', '.join(INIT_METHODS)}",
+        job_key="start", choices=INIT_METHODS,
     )  # fmt: skip
     is_fast: bool = define_option(
         False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
@@ -122,23 +327,23 @@ class InitialiseOptions(StageOptions):
     @property
     def method_used(self) -> str:
         """The method of initialisation, for previews the learned one in place of the default."""
-        return "learned" if self.is_fast and self.init_method == choices.DEFAULT_INIT_METHOD else self.init_method
+        return "learned" if self.is_fast and self.init_method == DEFAULT_INIT_METHOD else self.init_method
 
 
 @dataclass(frozen=True)
 class PriorOptions(StageOptions):
     """Pose prior."""
 
-    prior: str = define_option(choices.DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
+    prior: str = define_option(DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
     prior_scope: str = define_option(
-        choices.PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(choices.PRIOR_SCOPES)}",
-        job_key="prior.scope", choices=choices.PRIOR_SCOPES,
+        PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
+        job_key="prior.scope", choices=PRIOR_SCOPES,
     )  # fmt: skip
 
     @property
     def name_used(self) -> str:
         """The name of the prior, "none" if it is used nowhere."""
-        return choices.NO_TRAINED_PRIOR if self.prior_scope == choices.NO_TRAINED_PRIOR else self.prior
+        return NO_TRAINED_PRIOR if self.prior_scope == NO_TRAINED_PRIOR else self.prior
 
 
 @dataclass(frozen=True)
@@ -197,8 +402,8 @@ class ContactOptions(StageOptions):
     """Contacts with the floor."""
 
     feet: str = define_option(
-        choices.FEET_SOFT, "--feet", "lock|soft|off", "standing feet: held at one place, smoothed, or left as solved",
-        job_key="contacts.feet", choices=choices.FEET_MODES, lab_default=choices.FEET_OFF,
+        FEET_SOFT, "--feet", "lock|soft|off", "standing feet: held at one place, smoothed, or left as solved",
+        job_key="contacts.feet", choices=FEET_MODES, lab_default=FEET_OFF,
     )  # fmt: skip
     write_events: bool = define_option(
         False, "--events", "", "add foot strikes and foot offs to the EVENT group of the C3D", job_key="contacts.events",
@@ -303,7 +508,7 @@ class CleanOptions:
         """Return the default of an option for the purpose of these options."""
         stage = type(getattr(self, STAGE_OF_OPTION[name]))
         lab_default = dict(list_options(stage))[name].lab_default
-        is_other = self.purpose.purpose == choices.PURPOSE_LAB and lab_default is not None
+        is_other = self.purpose.purpose == PURPOSE_LAB and lab_default is not None
         return lab_default if is_other else getattr(stage, name)
 
 

@@ -12,42 +12,41 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mocapfix import multi_subject
-from mocapfix.animation import Animation
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
-from mocapfix.calibrate.calibration import calibrate_body, place_moved_markers, select_calibration_frames
-from mocapfix.calibrate.calibration_frames import CalibrationFrames
-from mocapfix.calibrate.person_calibration import calibrate_person
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions
-from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError, join_names
+from mocapfix.fill.computed_points import update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
-from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
-from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
-from mocapfix.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
+from mocapfix.io.capture import read_capture
+from mocapfix.labels import multi_subject
+from mocapfix.labels.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
+from mocapfix.labels.requested_labels import describe_missing_labels, label_capture, label_take
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import load_cmu31_body, restrict_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
-from mocapfix.pose_prior.io import build_pose_model_loader
-from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
-from mocapfix.pose_prior.model import PoseModel
-from mocapfix.read.capture import read_capture
-from mocapfix.repair.apply_decisions import apply_decisions
-from mocapfix.repair.computed_points import update_computed_points
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
+from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.review.changes_file import NO_REVIEW, Review, build_review_filter
-from mocapfix.skeleton import load_cmu31_body, restrict_body
+from mocapfix.solve.initial_motion import initialise_body
+from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_processes
+from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import build_prior_conditioner
+from mocapfix.solve.prior_files import build_pose_model_loader
 from mocapfix.state import CleaningState, DetectionState
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.subject.calibration import CalibrationFrames, calibrate_body, place_moved_markers, select_calibration_frames
+from mocapfix.subject.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
+from mocapfix.subject.own_set import try_learned_set
+from mocapfix.subject.person_calibration import calibrate_person
 
 DEFAULT_OPTIONS = CleanOptions()
 # The matrices are small and the kernels have their own threads: threads of the BLAS library only slow them down.
@@ -122,7 +121,7 @@ def start_cleaning(take: Take, options: SubjectOptions, review: Review = NO_REVI
     """Return the state in which the cleaning of one subject's take begins. Raises TakeError if the marker set does not fit it."""
     choice = resolve_subject(take, choose_subject(take, options))
     if choice.marker_set is None and not options.known_sets_only:
-        from mocapfix.marker_sets.own_set import find_own_marker_set  # few takes need it
+        from mocapfix.subject.own_set import find_own_marker_set  # few takes need it
 
         choice = find_own_marker_set(take, choice)
     known = choice.marker_set, choice.is_learned, choice.subject

@@ -1,4 +1,7 @@
-"""The result of cleaning a take, and the files that are written of it."""
+"""The result of cleaning a take, and the files that are written of it.
+
+Sentences of the report about the files that are written.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,33 +12,62 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.changes import Change, UnfilledRun
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.contacts.plate_contacts import is_file_event_wrong
 from mocapfix.errors import WriteError
-from mocapfix.faults import Faults
-from mocapfix.files.layouts import C3dLayout
-from mocapfix.files.output_files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
-from mocapfix.motion import Motion
+from mocapfix.io.c3d_events import add_c3d_events
+from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
+from mocapfix.io.output_formats import (
+    BVH_FORMAT,
+    DEFAULT_FORMATS,
+    OutputFormat,
+    build_exported_motion,
+    list_output_formats,
+    write_cleaned_copy,
+)
+from mocapfix.io.resampling import is_frame_subset
+from mocapfix.model.changes import Change, UnfilledRun
+from mocapfix.model.faults import Faults
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import C3dLayout, TableLayout, Take
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.review.clean_arguments import build_clean_arguments
-from mocapfix.subject import Subject
-from mocapfix.take import Take
-from mocapfix.write.c3d_events import add_c3d_events
-from mocapfix.write.output_formats import (
-    OutputFormat,
-    build_exported_motion,
-    list_output_formats,
-    write_cleaned_copy,
-)
-from mocapfix.write.output_notes import build_output_notes
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
+
+
+def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
+    """Return sentences about requested formats, formats that are not written, and a changed rate or height."""
+    is_animation = take.point_kind == "joint"
+    requested = [
+        each
+        for each in list_output_formats(options)
+        if each not in (BVH_FORMAT, *DEFAULT_FORMATS) and each.suffix not in get_source_suffixes(take.path)
+    ]
+    notes = [f"{each.suffix} {each.usage_note}" for each in requested if each.usage_note and (has_body or not each.needs_body)]
+    reason = "the joints could not be identified" if is_animation else "the take has no body"
+    notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
+    if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
+        is_json = take.path is not None and take.path.suffix.lower() == ".json"
+        kind = "is JSON" if is_json else "lists only visible markers"
+        notes.append(f"{take.name} {kind}, so the cleaned markers are written as a plain table.")
+    output_rate = options.output_rate_hz
+    if has_body and output_rate and output_rate != take.rate:
+        is_subset = is_frame_subset(take.rate, output_rate)
+        method = f"one of {take.rate / output_rate:.0f} solved frames" if is_subset else "splines between the solved frames"
+        other = "the cleaned file keeps" if is_animation else "markers keep"
+        notes.append(f"Motion files have {output_rate:g} frames per second ({method}); {other} {take.rate:g}.")
+    if has_body and options.floor_height_m:
+        other = "the cleaned file" if is_animation else "the markers"
+        notes.append(f"Motion files are {options.floor_height_m:g} m lower than {other}, so that their floor is at height 0.")
+    return notes
+
 
 DEFAULT_OUTPUT_OPTIONS = OutputOptions()
 DEFAULT_CLEAN_OPTIONS = CleanOptions()

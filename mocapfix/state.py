@@ -11,19 +11,19 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from mocapfix.changes import Change, UnfilledRun
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.detect.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.detect.trajectory_segments import find_namesakes
-from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
-from mocapfix.marker_set import MarkerSet
-from mocapfix.motion import Motion, PoseEvidence
-from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
+from mocapfix.model.changes import Change, UnfilledRun
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.motion import Motion, PoseEvidence
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.solve.frame_windows import FrameChanges
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_groups import RigidGroup
-from mocapfix.subject import Subject
-from mocapfix.take import Take
 
 
 def _accept_every_fault(fault: Fault) -> bool:

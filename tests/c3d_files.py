@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mocapfix.files.layouts import C3dLayout
-from mocapfix.take import Take
+from mocapfix.model.take import C3dLayout, Take
 
 ENCODINGS = [(processor, is_float) for processor in (84, 85, 86) for is_float in (False, True)]
 Value = str | int | float | list[str] | list[int]

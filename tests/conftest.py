@@ -11,15 +11,13 @@ from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # MOCAPFIX_CHECK_TYPES=1 checks annotated types and array shapes while the tests run. It is off by default: some tests in
-# tests/bench, tests/cli and tests/report pass values that do not match the annotations, and the checks about double the time.
+# tests/lab, tests/cli and tests/report pass values that do not match the annotations, and the checks about double the time.
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
 UNCHECKED_MODULES = (
     "kernels",  # compiled code
-    "bench/compared_solvers.py",  # has a compiled function
+    "lab/compared_solvers.py",  # has a compiled function
     "options.py",  # accepts a single value for a tuple, and validates values itself
-    "files/output_options.py",
-    "solve/constraint",  # accepts any constraints, which are validated when their terms are built
-    "solve/single_pose.py",  # passes these constraints on
+    "solve/single_pose.py",  # accepts any constraints, which are validated when their terms are built
 )
 TYPE_CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # accepts an int as a float
 if os.environ.get("MOCAPFIX_CHECK_TYPES", "0") == "1":
@@ -32,10 +30,11 @@ if os.environ.get("MOCAPFIX_CHECK_TYPES", "0") == "1":
         TYPE_CHECKER,
     )
 
-from mocapfix import pipeline, synthetic, write
-from mocapfix.calibrate import subject_file
+from mocapfix import pipeline, synthetic
 from mocapfix.cli import app
+from mocapfix.io.patches import patch_c3d
 from mocapfix.pipeline import CleaningResult
+from mocapfix.subject import subject_file
 from mocapfix.synthetic import SyntheticTake
 from tests import faulty_take
 from tests.c3d_files import c3d_bytes
@@ -127,7 +126,7 @@ def faulty(tmp_path_factory) -> FaultyTake:
     truth, path, output = synthetic.compose_take(seed=3, seconds=3.0), folder / "faulty.c3d", folder / "cleaned.c3d"
     faulty_take.write_faulty_take(path, truth)
     result = pipeline.clean(path, subject=truth.subject)
-    assert write.patch_c3d(output, result.input_take, result.take) == []
+    assert patch_c3d(output, result.input_take, result.take) == []
     return FaultyTake(path, truth.subject, truth.marker_positions, result, output)
 
 

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.files.layouts import C3dLayout
-from mocapfix.read import capture
+from mocapfix.io import capture
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import C3dLayout, Take
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
-from mocapfix.take import Take
 from tests.c3d_files import c3d_bytes
 
 FIRST_FRAME = 301

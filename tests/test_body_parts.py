@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
-from mocapfix.animation import Animation
+from mocapfix.io.capture import read_capture
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import OutputOptions
-from mocapfix.read.capture import read_capture
-from mocapfix.skeleton import load_cmu31_body
 from tests.conftest import build_c3d
 
 NAMES = load_cmu31_body().skeleton.names

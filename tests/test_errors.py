@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import multi_subject
+from mocapfix.detect.moved_markers import split_moved_markers
 from mocapfix.errors import (
     MAX_LIST_LENGTH,
     MAX_LISTED_NAMES,
@@ -21,15 +21,15 @@ from mocapfix.errors import (
     shorten_message,
 )
 from mocapfix.fill.gap_filling import check_fill_options
-from mocapfix.labelling.label_summary import describe_labelling
-from mocapfix.marker_sets.library import choose_marker_set, load_marker_set, resolve_subject
+from mocapfix.io.capture import read_capture
+from mocapfix.labels import multi_subject
+from mocapfix.labels.label_summary import describe_labelling
+from mocapfix.model.take import Take
 from mocapfix.options import FillOptions, SubjectOptions
-from mocapfix.read.capture import read_capture
-from mocapfix.repair.moved_markers import split_moved_markers
 from mocapfix.report import notes
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.solve.lost_in_sight import LostPart
-from mocapfix.take import Take
+from mocapfix.subject.library import choose_marker_set, load_marker_set, resolve_subject
 
 CAPTURES = Path(__file__).parents[2] / "shared" / "data" / "captures"
 MARKERS, FRAMES = 400, 40

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.files.output_files import make_output_folder
+from mocapfix.io.files import make_output_folder
 from mocapfix.options import OutputOptions
 from mocapfix.result import CleaningResult
 

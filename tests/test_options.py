@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from mocapfix.errors import OptionError
-from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
-from mocapfix.files.option_choices import REPAIRABLE_KINDS
+from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.options import (
     PURPOSE_DEFAULTS,
+    REPAIRABLE_KINDS,
     STAGE_OF_OPTION,
     CleanOptions,
     FillOptions,

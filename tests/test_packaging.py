@@ -74,7 +74,7 @@ def test_sdist_is_complete(built: tuple[Path, Path]):
 
 
 def test_installed_package_finds_its_files(scripts: Path, tmp_path: Path):
-    code = "import mocapfix; from mocapfix.files.shipped import find_shipped_folder as find; "
+    code = "import mocapfix; from mocapfix.io.shipped import find_shipped_folder as find; "
     code += "print(mocapfix.__file__, find('scenes'), find('priors'), sep='\\n')"
     module, scenes, priors = run_command(scripts / "python", "-c", code, folder=tmp_path).splitlines()
     package = Path(module).parent

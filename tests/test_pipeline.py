@@ -10,16 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets, pipeline, synthetic, write
-from mocapfix.bench.demo import compute_fill_errors
-from mocapfix.calibrate import subject_file
+from mocapfix import pipeline, synthetic
 from mocapfix.errors import OptionError, TakeError, WriteError
+from mocapfix.io import capture
+from mocapfix.io.patches import patch_c3d
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.read import capture
 from mocapfix.review import changes_file
-from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject import subject_file
+from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic.demo_errors import compute_fill_errors
 from tests.conftest import FIRST_FRAME, build_c3d
 
 OUTPUT_SUFFIXES = {"c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd"}
@@ -102,7 +104,7 @@ def test_joints_are_close_to_the_true_ones_and_as_smooth(cleaned):
 
 def test_calibrated_subject_is_closer_to_the_true_one_than_the_mean_body(cleaned):
     calibrated, true_subject = cleaned.result.subject, cleaned.truth.subject
-    marker_set = marker_sets.load_marker_set("cmu41")
+    marker_set = load_marker_set("cmu41")
     true_lengths = compute_bone_lengths(true_subject.skeleton)
 
     def compute_rms_length_error(skeleton):
@@ -128,7 +130,7 @@ def test_predicted_deviations_match_the_errors(cleaned, duration):
 def test_residuals_in_the_report_are_distances_from_the_body(cleaned):
     result = cleaned.result
     body_markers = kinematics.compute_joint_and_marker_positions(result.subject, result.motion)[1]
-    columns = marker_sets.load_marker_set("cmu41").find_columns(result.input_take.labels)
+    columns = load_marker_set("cmu41").find_columns(result.input_take.labels)
     inliers = result.faults.compute_inlier_mask(result.input_take)[:, columns]
     distance_m = np.linalg.norm(result.input_take.markers[:, columns] - body_markers, axis=-1)[inliers]
     solve = result.subject_report["solve"]
@@ -214,7 +216,7 @@ def test_report_has_the_frame_numbers_of_the_file(brief, subject):
 def test_cleaning_an_output_again_changes_nothing(faulty, tmp_path):
     result = pipeline.clean(faulty.output, subject=faulty.subject)
     assert result.changes == ()
-    assert write.patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
+    assert patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == faulty.output.read_bytes()
 
 
@@ -223,7 +225,7 @@ def test_a_take_without_faults_keeps_every_byte(cleaned, tmp_path):
     source.write_bytes(build_c3d(cleaned.truth.marker_positions[200:440], cleaned.truth.labels))
     result = pipeline.clean(source)
     assert (result.faults.items, result.changes, result.unfilled_runs) == ((), (), ())
-    assert write.patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
+    assert patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == source.read_bytes()
 
 
@@ -391,7 +393,7 @@ def test_arm_with_jitter_on_all_markers_is_solved(tmp_path):
 
 def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):
     calibrated = pipeline.calibrate_takes([brief.path, cleaned.path])
-    assert calibrated.labels == marker_sets.load_marker_set("cmu41").labels
+    assert calibrated.labels == load_marker_set("cmu41").labels
     length_error_m = compute_bone_lengths(calibrated.skeleton) - compute_bone_lengths(cleaned.truth.subject.skeleton)
     assert np.abs(length_error_m).max() < 0.025
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, write
+from mocapfix import pipeline
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.files.layouts import TableLayout
-from mocapfix.files.option_choices import RIG_NAMES
-from mocapfix.options import OutputOptions
-from mocapfix.read import capture
+from mocapfix.io import capture
+from mocapfix.io.output_formats import OPTIONAL_FORMATS, list_output_formats
+from mocapfix.io.source_file import write_trc
+from mocapfix.model.take import TableLayout
+from mocapfix.options import RIG_NAMES, OutputOptions
 from mocapfix.result import CleaningResult
-from mocapfix.write.output_formats import OPTIONAL_FORMATS, list_output_formats
 from tests.conftest import FIRST_FRAME
-from tests.write.read_back import Bvh, smooth_rotations
+from tests.io.read_back import Bvh, smooth_rotations
 
 ALL_FORMATS = OutputOptions(extra_formats=tuple(OPTIONAL_FORMATS), rigs=RIG_NAMES)
 MOTION_SUFFIXES = ("bvh", "glb", "asf", "amc", *(f"{name}.bvh" for name in RIG_NAMES))
@@ -41,7 +41,7 @@ def without_report_files(monkeypatch):
 
 
 def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path, monkeypatch):
-    monkeypatch.setattr("mocapfix.write.fbx.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.io.fbx.find_blender", lambda: None)
     outputs = solved.write(tmp_path, options=ALL_FORMATS)
     assert set(outputs) == set(cleaned.outputs) | {
         "glb",
@@ -122,7 +122,7 @@ def test_outputs_of_an_earlier_run_with_a_body_are_removed(solved, without_body,
 
 def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp_path):
     source = tmp_path / "brief.trc"
-    write.write_trc(source, capture.read_take(brief.path))
+    write_trc(source, capture.read_take(brief.path))
     result = pipeline.clean(source, subject=brief.subject)
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("c3d", "trc", "npz")))
     assert [path.name for suffix, path in outputs.items() if suffix in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
 MAX_ROOT_MODULES = 16
-MAX_IMPORT_LAYERS = 12
+MAX_IMPORT_LAYERS = 17
 MAX_MODULE_LINES = 600
 MAX_POSITIONAL_PARAMETERS = 7
 MAX_TUPLE_RESULTS = 3

@@ -90,8 +90,8 @@ class MOCAPFIX_PT_retarget(bpy.types.Panel):
 
 def find_imported_take(context) -> str:
     """Return the take of the panel, else that of a selected imported armature or the only one in the scene; "" without one."""
-    if context.scene.mocapfix.take:
-        return context.scene.mocapfix.take
+    if context.scene.mocapfix.model.take:
+        return context.scene.mocapfix.model.take
     for objects in (context.selected_objects, context.scene.objects):
         takes = {each[TAKE_PROPERTY].split("\t")[0] for each in objects if each.type == "ARMATURE" and TAKE_PROPERTY in each}
         if len(takes) == 1:

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from mocapfix import changes
-from mocapfix.animation import Animation
-from mocapfix.animations import joint_points
+from mocapfix.animations import joint_mapping as joint_points
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
-from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
-from mocapfix.faults import Fault, Faults, build_fault_mask
 from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_unfilled_samples
+from mocapfix.model import changes
+from mocapfix.model.animation import Animation
+from mocapfix.model.changes import Change, UnfilledRun, find_unfilled_runs
+from mocapfix.model.faults import Fault, Faults, build_fault_mask
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.review.declined_changes import ReviewedChange
-from mocapfix.take import Take
+from mocapfix.review.changes_file import ReviewedChange
 
 LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
 UNAPPLIED_CHANGE_REASON = "its change was not applied"  # not among the kinds to repair, or rejected by a reviewer

@@ -6,6 +6,10 @@
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected
 
 All other values stay as they are. Faults and changes refer to the joint tips (see `joint_points.build_tip_take`).
+
+Contacts of an animation's body with the floor, and events of gait, from its joints.
+
+The trained models of poses and motion, for the joints of an animation.
 """
 
 import shutil
@@ -16,41 +20,168 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import Animation
-from mocapfix.animations import joint_mapping, joint_points
-from mocapfix.animations.animation_contacts import find_animation_contacts
+from mocapfix.animations import joint_mapping, retarget
+from mocapfix.animations import joint_mapping as joint_points
 from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.foot_lock import lock_feet
-from mocapfix.animations.joint_mapping import find_ancestor
-from mocapfix.animations.joint_points import build_joint_skeleton
-from mocapfix.animations.mapped_prior import MappedPriorConditioner
+from mocapfix.animations.joint_mapping import build_joint_skeleton, find_ancestor
 from mocapfix.animations.repair import repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.contacts.foot_points import build_foot_points
+from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.errors import SceneError, TakeError
-from mocapfix.faults import Faults
-from mocapfix.files.option_choices import FEET_LOCK
-from mocapfix.files.option_definitions import StageOptions, list_options
 from mocapfix.fill.gap_filling import check_fill_options
-from mocapfix.motion import FrameStatus, Motion
-from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
-from mocapfix.options import CleanOptions, SubjectOptions
-from mocapfix.pose_prior.model import PoseModel
+from mocapfix.io.patches import patch_animation
+from mocapfix.kernels import lie as quaternions
+from mocapfix.model.animation import Animation
+from mocapfix.model.faults import Faults
+from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import FEET_LOCK, CleanOptions, StageOptions, SubjectOptions, list_options
 from mocapfix.report import build_report, notes
-from mocapfix.report.contact_section import build_contact_section, describe_contacts
+from mocapfix.report.build_report import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
 from mocapfix.review.changes_file import read_changes_files, serialize_changes
+from mocapfix.solve import kinematics
+from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.subject import Subject
-from mocapfix.take import Take
-from mocapfix.write.patches import patch_animation
+from mocapfix.solve.motion_prior import predict_shipped_gap
+from mocapfix.solve.pose_prior import PoseModel
+from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.rigid_alignment import compose_transforms
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
+
+
+JOINT_SOURCE = "joints"
+"""The source of events that follow from joints."""
+
+
+def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, subject: Subject, motion: Motion) -> BodyContacts:
+    """Find the contacts and the events of gait of an animation.
+
+    A reference pose before the motion (the T-pose of CMU's BVH release) has no contacts.
+
+    animation        as the motion was converted from it
+    alignment        the 31-joint skeleton in the animation
+    subject, motion  of the 31-joint skeleton
+    """
+    skeleton = subject.skeleton
+    start = int(animation.has_reference_pose and animation.frame_count > 1)
+    moving = motion.select_frames(np.arange(start, motion.frame_count))
+    position = kinematics.compute_world_poses(skeleton, moving)[0]
+    position[:, ~find_placed_joints(animation, alignment)] = np.nan
+    contacts = find_contacts(skeleton, moving, position, animation.rate)
+    if contacts.has_feet:
+        no_markers = np.zeros((len(position), 0, 3))
+        feet = build_foot_points(subject, moving, no_markers, no_markers, contacts.is_known)
+        events = detect_gait_events(feet, contacts.floor, animation.rate)
+        delay_s = start / animation.rate
+        shifted = tuple(event._replace(time_s=event.time_s + delay_s, source=JOINT_SOURCE) for event in events)
+        contacts = replace(contacts, events=shifted)
+    padding = ((start, 0), (0, 0))
+    is_contact, is_known = (
+        np.pad(contacts.is_contact, padding),
+        np.pad(contacts.is_known, padding, constant_values=contacts.has_feet),
+    )
+    return replace(contacts, is_contact=is_contact, is_known=is_known)
+
+
+def find_placed_joints(animation: Animation, alignment: SkeletonAlignment) -> Bool[np.ndarray, " 31"]:
+    """Return which of the 31 joints that can be in contact the animation places; True for all others.
+
+    A ball of a foot without a joint is placed if the foot has an end site, which shows where the foot points.
+    """
+    names, is_known = alignment.skeleton.names, alignment.file_joints >= 0
+    is_placed = np.ones(len(names), bool)
+    for joint in (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS):
+        is_placed[names.index(joint)] = is_known[names.index(joint)]
+    for foot, toe in (map(names.index, joints) for joints in FOOT_JOINTS.values()):
+        if is_known[foot] and not is_known[toe]:
+            end_sites = animation.end_sites[alignment.file_joints[foot]]
+            is_placed[toe] = len(end_sites) > 0 and bool(np.any(end_sites[0]))
+    return is_placed
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappedPriorConditioner(PriorConditioner):
+    """Trained models of poses and motion, applied to the joints of a file, which are mapped to the model's 31 joints.
+
+    parents    (J,) the tree of the file
+    alignment  the model's joints in the file
+    """
+
+    parents: Int[np.ndarray, " J"]
+    alignment: SkeletonAlignment
+
+    def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:
+        """As `PriorConditioner.predict_gap`, for joints of the file."""
+        if self.predict_motion is None or self.alignment.file_joints[0] != 0:  # the root's position is that of the hips
+            return None
+        context, file_joints = context.crop(), self.alignment.file_joints
+        _, world = compose_transforms(self.parents, np.zeros(context.local_rotations.shape[:3]), context.local_rotations)
+        # A joint without a counterpart is known where the nearest joint above it that has one is known.
+        is_mapped, parents = file_joints >= 0, self.alignment.skeleton.parents
+        sources = [j if is_mapped[j] else find_ancestor(j, parents, is_mapped) for j in range(len(file_joints))]
+        is_known = context.is_known[:, file_joints[sources]]
+        model = context._replace(local_rotations=retarget.convert_rotations_to_cmu31(world, self.alignment), is_known=is_known)
+        size_ratio = self.alignment.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
+        predicted = self.predict_motion(model, size_ratio)
+        if predicted is None:
+            return None
+        file_rotations = context.local_rotations[context.frames].copy()
+        variance = np.full(file_rotations.shape[:2], np.inf)
+        for joint in np.flatnonzero((file_joints >= 0) & np.isin(file_joints, joints)).tolist():
+            if np.isfinite(predicted.variance[:, joint]).all():
+                rotations = retarget.compute_file_rotation(
+                    self.parents, file_rotations, self.alignment, joint, predicted.rotations
+                )
+                file_rotations[:, file_joints[joint]], variance[:, file_joints[joint]] = rotations, predicted.variance[:, joint]
+        return predicted._replace(rotations=file_rotations, variance=variance).select_joints(joints)
+
+    def predict_rotations(
+        self,
+        local_rotations: Float[np.ndarray, "T J 3 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+        frames: Int[np.ndarray, " N"],
+        reference: Float[np.ndarray, "N Q"],
+    ) -> Float[np.ndarray, "N Q"]:
+        """As `PriorConditioner.predict_rotations`, for joints of the file; `reference` for joints without a counterpart."""
+        file_joints = self.alignment.file_joints[1:]
+        observed, occluded = (1 + np.flatnonzero(np.isin(file_joints, joints)) for joints in (observed_joints, occluded_joints))
+        if not len(observed) or not len(occluded):
+            return reference
+        file_rotations = local_rotations[frames]
+        _, world_rotations = compose_transforms(self.parents, np.zeros(file_rotations.shape[:3]), file_rotations)
+        model_rotations = retarget.convert_rotations_to_cmu31(world_rotations, self.alignment)
+        any_sign = np.ones((len(frames), 4 * len(occluded)))
+        predicted = super().predict_rotations(model_rotations, observed, occluded, np.arange(len(frames)), any_sign)
+        for i, joint in enumerate(occluded):
+            model_rotations[:, joint] = Rotation.from_quat(predicted[:, 4 * i : 4 * i + 4]).as_matrix()
+            file_rotations[:, self.alignment.file_joints[joint]] = retarget.compute_file_rotation(
+                self.parents, file_rotations, self.alignment, int(joint), model_rotations
+            )
+        result = reference.reshape(len(frames), len(occluded_joints), 4).copy()
+        for i, joint in enumerate(occluded_joints):
+            if joint in self.alignment.file_joints[occluded]:
+                all_frames = np.ones(len(frames), bool)
+                joint_quaternions = 2 * quaternions.extract_joint_quaternions(file_rotations, int(joint), all_frames)
+                is_opposite = (joint_quaternions * result[:, i]).sum(1, keepdims=True) < 0
+                result[:, i] = np.where(is_opposite, -joint_quaternions, joint_quaternions)
+        return result.reshape(reference.shape)
 
 
 @dataclass(frozen=True, kw_only=True)

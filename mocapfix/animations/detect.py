@@ -4,22 +4,243 @@ An animation has N = J + 1 tracks: the rotations of its J joints relative to the
 hips where a reference node that does not move is above them).
 Gaps are detected first, because the values that a file holds in a gap resemble every other fault. Pops and flips follow, and
 then jitter in what remains.
+
+Detection of gaps in an animation: intervals without values, of zeros, or of one repeated value.
+
+A moving body does not repeat a value to the last digit, and after a gap in which the last value was held it is somewhere else:
+an interval of one value is a gap if it ends in a jump. A figure that stands still on purpose, as in keyframe animation, does not
+jump, and a knee at its joint limit arrives and leaves at its own speed. Zeros are a gap if the joint jumps to them and back.
+Zeros of the whole figure at the start or end of a file are its rest pose.
+
+Detection of jitter in a joint's rotation: noise that is independent from frame to frame, for some time.
+
+Fourth differences contain almost nothing of a body's motion and amplify noise by a factor of eight. Two properties distinguish
+jitter from fast motion where they are large. Second differences give the same size of jitter as fourth differences do, but a far
+greater one of motion. And jitter is about all axes, whereas a kick, a landing or a clap jerks a joint about one axis.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import binary_closing, median_filter
 
-from mocapfix.animation import AXIS_LETTERS, Animation
-from mocapfix.animations import gaps, jitter, offsets
-from mocapfix.animations.gaps import AnimationGap, GapAppearance, TrackMotion
-from mocapfix.animations.joint_points import list_track_names
+from mocapfix.animations import offsets
+from mocapfix.animations.joint_mapping import list_track_names
 from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
-from mocapfix.faults import Fault, FaultKind
-from mocapfix.kernels import quaternions
+from mocapfix.kernels import lie as quaternions
+from mocapfix.model.animation import AXIS_LETTERS, Animation
+from mocapfix.model.faults import Fault, FaultKind
 from mocapfix.stats import constant_offsets
+from mocapfix.stats.constant_offsets import multiply_quaternions
+from mocapfix.stats.sequences import find_runs
+
+MIN_HELD_DURATION_S = 0.1  # of one value in one track; if several tracks are held together, one frame is enough
+MIN_HELD_FRAMES = 2
+MAX_REPEATED_DIFFERENCE = 1e-9  # radians or metres between two frames that hold the same value
+MIN_JUMP = np.radians(1.0)  # radians, or metres: a smaller jump is not visible
+MIN_JUMP_RATIO = 2.0  # of a jump to the largest step in the frames next to it
+JUMP_CONTEXT_FRAMES = 3  # frames that a jump is compared with
+MAX_HELD_SHARE = 0.5  # a track that is held in a larger share of all frames is at rest, so holding is not a fault
+WHOLE_FIGURE_SHARE = 0.8  # of the moving tracks: if more are lost at once, the whole figure is
+
+
+class GapAppearance(StrEnum):
+    """What a file holds in a gap."""
+
+    ABSENT = "no values"
+    ZERO = "all values are zero"
+    HELD = "held at one value"
+
+
+class AnimationGap(NamedTuple):
+    """Tracks that are lost in the frames first..last, inclusive."""
+
+    tracks: tuple[int, ...]
+    first: int
+    last: int
+    appearance: GapAppearance
+
+
+class TrackMotion(NamedTuple):
+    """Motion of N tracks over T frames, NaN where unknown.
+
+    steps  (T - 1, N) distance from each frame to the next, radians or metres
+    rest_distances  (T, N) distance from the rest pose, likewise
+    """
+
+    steps: Float[np.ndarray, "S N"]
+    rest_distances: Float[np.ndarray, "T N"]
+
+
+def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"], rate: float) -> list[AnimationGap]:
+    """Detect the gaps of N tracks, ordered by first frame. `is_absent` marks frames without a value."""
+    steps, last_frame = motion.steps, len(motion.rest_distances) - 1
+    is_held = np.vstack([np.zeros((1, steps.shape[1]), bool), steps < MAX_REPEATED_DIFFERENCE])
+    is_zero = motion.rest_distances < MAX_REPEATED_DIFFERENCE
+    is_moving = is_held.mean(0) < MAX_HELD_SHARE
+    is_held, is_zero = is_held & is_moving, is_zero & is_moving
+    min_held_frames = max(MIN_HELD_FRAMES, round(MIN_HELD_DURATION_S * rate))
+    gaps = [
+        AnimationGap(tracks, first, last, GapAppearance.ABSENT)
+        for (first, last), tracks in _group_tracks(is_absent, np.ones_like(is_moving))
+    ]
+    for (first, last), tracks in _group_tracks(is_zero, is_moving):
+        is_inside = first > 0 and last < last_frame
+        if is_inside and (_detect_jumps(steps[first - 1 :: -1], tracks) & _detect_jumps(steps[last:], tracks)).any():
+            gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
+    for (first, last), tracks in _group_tracks(is_held & ~is_zero & ~_build_gap_mask(gaps, is_zero.shape), is_moving):
+        # Two moving joints do not stop in the same frame, to the last digit.
+        is_long_enough = last - first + 1 >= min_held_frames or len(tracks) > 1
+        if is_long_enough and last < last_frame and _detect_jumps(steps[last:], tracks).any():
+            gaps.append(AnimationGap(tracks, first, last, GapAppearance.HELD))
+    return sorted(gaps, key=lambda gap: gap.first)
+
+
+def _detect_jumps(steps: Float[np.ndarray, "S N"], tracks: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+    """Return, for each of the tracks, whether the first step is a jump compared with the steps that follow."""
+    context = np.nanmax(steps[1 : 1 + JUMP_CONTEXT_FRAMES][:, tracks], axis=0, initial=0.0)
+    return steps[0, tracks] > MIN_JUMP + MIN_JUMP_RATIO * context
+
+
+def _group_tracks(
+    mask: Bool[np.ndarray, "T N"], is_moving: Bool[np.ndarray, " N"]
+) -> Iterator[tuple[tuple[int, int], tuple[int, ...]]]:
+    """Yield the (first, last) frames of each run of True, and the tracks that have it.
+
+    Where nearly as many tracks as are moving are True, the run is of all tracks.
+    """
+    track_count = mask.shape[1]
+    is_whole_figure = mask.sum(1) >= max(WHOLE_FIGURE_SHARE * is_moving.sum(), 1)
+    tracks_by_run: dict[tuple[int, int], list[int]] = {run: list(range(track_count)) for run in find_runs(is_whole_figure)}
+    for track in range(track_count):
+        for first, last in find_runs(mask[:, track]):
+            if not is_whole_figure[first : last + 1].any():
+                tracks_by_run.setdefault((first, last), []).append(track)
+    yield from ((run, tuple(tracks)) for run, tracks in sorted(tracks_by_run.items()))
+
+
+def _build_gap_mask(gaps: list[AnimationGap], shape: tuple[int, ...]) -> Bool[np.ndarray, "T N"]:
+    """Return a mask (T, N) of the gaps and of the frame after each."""
+    mask = np.zeros(shape, bool)
+    for gap in gaps:
+        mask[gap.first : gap.last + 2, list(gap.tracks)] = True
+    return mask
+
+
+POWER_WINDOW_S = 0.2  # over which the size of jitter is measured
+MIN_POWER_WINDOW_FRAMES = 7  # a kink, as of a foot that lands, shows in three differences
+MIN_JITTER_DURATION_S = 0.15
+MIN_JITTER_FRAMES = 5
+MIN_JITTER_RAD = np.radians(1.0)  # standard deviation about each axis
+MAX_MOTION_RAD_PER_S2 = 7.0  # times the squared frame time: contribution of motion, which matters at low frame rates
+MEAN_TO_MEDIAN_RATIO = 1.27  # of the squared length of a normally distributed vector with three components
+MIN_BACKGROUND_RATIO = 4.0  # to the usual jitter of the joint, the median over the animation
+MIN_WINDOW_WHITENESS = 0.35  # ratio of the powers by fourth and by second differences in a window
+MIN_BURST_WHITENESS = 0.7  # the same over a whole burst
+MIN_MEDIAN_SHARE_ALL_AXES = 0.4  # ratio of the power by the median to that by the mean, for jitter about all axes
+MIN_MEDIAN_SHARE_FEW_AXES = 0.15  # the same for jitter about fewer axes
+MIN_AXIS_RATIO = 0.14  # of the weakest axis to the strongest, for jitter about all axes
+MIN_ELSEWHERE_RATIO = 2.0  # of jitter about fewer axes to the 99th percentile of the same joint's differences elsewhere
+ELSEWHERE_QUANTILE = 0.99
+MIN_SINGLE_AXIS_FRAMES = 8  # for jitter about a single axis
+MAX_SINGLE_AXIS_RATIO = 0.33  # of the second strongest axis to the strongest, for jitter about a single axis
+FAINT_POWER_SHARE = 0.15  # of the minimum power, which a burst keeps up where it begins and ends
+FAINT_GAP_FRAMES = 4  # length of the window in which gaps of a faint burst are closed
+STENCIL_POWER_BY_ORDER = {2: 6.0, 4: 70.0}  # sums of the squared binomial coefficients
+
+
+class JitterBurst(NamedTuple):
+    """Jitter in the frames first..last, inclusive, with the standard deviation about each axis."""
+
+    first: int
+    last: int
+    sd_rad: float
+
+
+def detect_rotation_jitter(track: Float[np.ndarray, "T 4"], is_usable: Bool[np.ndarray, " T"], rate: float) -> list[JitterBurst]:
+    """Detect the jitter bursts of a joint. `track` is twice its quaternions (x, y, z, w), without sign changes."""
+    if len(track) < 2 * MIN_JITTER_FRAMES:
+        return []
+    known = np.where(is_usable[:, None], track, np.nan)
+    differences = {order: _compute_axis_differences(known, order) for order in STENCIL_POWER_BY_ORDER}
+    fourth_power, second_power = ((differences[order] ** 2).sum(1) / (3 * STENCIL_POWER_BY_ORDER[order]) for order in (4, 2))
+    is_known = ~np.isnan(fourth_power)
+    if not is_known.any():
+        return []
+    window = max(MIN_POWER_WINDOW_FRAMES, round(POWER_WINDOW_S * rate)) | 1
+    power, reference = (
+        MEAN_TO_MEDIAN_RATIO * median_filter(np.nan_to_num(each), window) for each in (fourth_power, second_power)
+    )
+    usual_sd = np.sqrt(MEAN_TO_MEDIAN_RATIO * np.median(fourth_power[is_known]))
+    min_power = max(MIN_JITTER_RAD + MAX_MOTION_RAD_PER_S2 / rate**2, MIN_BACKGROUND_RATIO * usual_sd) ** 2
+    is_strong = (power > min_power) & (power > MIN_WINDOW_WHITENESS * reference)
+    min_faint_power = max(FAINT_POWER_SHARE * min_power, MIN_BACKGROUND_RATIO * usual_sd**2)
+    is_faint = binary_closing(np.nan_to_num(fourth_power) > min_faint_power, np.ones(FAINT_GAP_FRAMES))
+    bursts: list[JitterBurst] = []
+    min_frames = max(MIN_JITTER_FRAMES, round(MIN_JITTER_DURATION_S * rate))
+    for run_first, run_last in find_runs(is_strong | is_faint):
+        first, last = run_first + 1, run_last - 1  # the outermost differences extend one frame beyond the burst
+        if is_strong[run_first : run_last + 1].any() and last - first + 1 >= min_frames:
+            burst = JitterBurst(first, last, float(np.sqrt(np.nanmean(fourth_power[first : last + 1]))))
+            if burst.sd_rad**2 > min_power and _is_jitter(differences, burst):
+                bursts.append(burst)
+    return _merge_overlapping(bursts)
+
+
+def _compute_axis_differences(track: Float[np.ndarray, "T 4"], order: int) -> Float[np.ndarray, "T 3"]:
+    """Compute the differences of an order around each frame, in radians about the joint's axes; NaN where unknown."""
+    half = order // 2
+    rotated = multiply_quaternions(track[half:-half] / 2 * [-1, -1, -1, 1], np.diff(track, order, axis=0))
+    return np.pad(rotated[:, :3], ((half, half), (0, 0)), constant_values=np.nan)
+
+
+def _is_jitter(differences: dict[int, Float[np.ndarray, "T 3"]], burst: JitterBurst) -> bool:
+    """Return True if a burst is white, steady, and either about all axes or unlike the rest of the joint's motion.
+
+    differences  by their order, 2 and 4
+    """
+    covariance: dict[int, Float[np.ndarray, "3 3"]] = {}
+    for order, margin in ((4, 0), (2, 1)):
+        rows = differences[order][max(0, burst.first - margin) : burst.last + 1 + margin]
+        rows = rows[~np.isnan(rows[:, 0])]
+        covariance[order] = rows.T @ rows / max(len(rows), 1) / STENCIL_POWER_BY_ORDER[order]
+    power = np.trace(covariance[4])
+    inside = _compute_squared_amplitudes(differences[4][burst.first : burst.last + 1])
+    axis_power = np.linalg.eigvalsh(covariance[4])  # ascending
+    is_about_all_axes = axis_power[0] > MIN_AXIS_RATIO**2 * axis_power[2]
+    min_median_share = MIN_MEDIAN_SHARE_ALL_AXES if is_about_all_axes else MIN_MEDIAN_SHARE_FEW_AXES
+    if power < MIN_BURST_WHITENESS * np.trace(covariance[2]):
+        return False
+    if MEAN_TO_MEDIAN_RATIO * np.median(inside) < min_median_share * power:
+        return False
+    if is_about_all_axes:
+        return True
+    elsewhere = _compute_squared_amplitudes(np.delete(differences[4], slice(max(0, burst.first - 4), burst.last + 5), axis=0))
+    is_long_enough = len(inside) >= MIN_SINGLE_AXIS_FRAMES or axis_power[1] > MAX_SINGLE_AXIS_RATIO**2 * axis_power[2]
+    if not is_long_enough or not len(elsewhere):
+        return False
+    return bool(power > MIN_ELSEWHERE_RATIO**2 * np.quantile(elsewhere, ELSEWHERE_QUANTILE))
+
+
+def _compute_squared_amplitudes(fourth_differences: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " m"]:
+    """Compute the squared jitter amplitudes of the fourth differences that are known."""
+    return (fourth_differences[~np.isnan(fourth_differences[:, 0])] ** 2).sum(1) / STENCIL_POWER_BY_ORDER[4]
+
+
+def _merge_overlapping(bursts: list[JitterBurst]) -> list[JitterBurst]:
+    """Merge bursts that overlap or adjoin."""
+    merged: list[JitterBurst] = []
+    for burst in bursts:
+        if merged and burst.first <= merged[-1].last + 1:
+            previous = merged.pop()
+            burst = JitterBurst(previous.first, max(previous.last, burst.last), max(previous.sd_rad, burst.sd_rad))
+        merged.append(burst)
+    return merged
+
 
 ROTATION_THRESHOLDS = OffsetThresholds(min_difference=np.radians(0.5), min_amount=np.radians(8.0))  # radians
 POSITION_THRESHOLDS = OffsetThresholds(min_difference=0.005, min_amount=0.04)  # metres
@@ -73,7 +294,7 @@ def detect_pose_faults(
     joint_count, track_names = len(names), list_track_names(tuple(names), moving_joint)
     is_absent = np.column_stack([np.isnan(local_rotations).any((2, 3)), np.isnan(root_position).any(1)])
     is_lost, faults = np.zeros(is_absent.shape, bool), []
-    for gap in gaps.detect_animation_gaps(compute_track_motion(root_position, local_rotations), is_absent, rate):
+    for gap in detect_animation_gaps(compute_track_motion(root_position, local_rotations), is_absent, rate):
         is_lost[gap.first : gap.last + 1, list(gap.tracks)] = True
         faults.append(_build_gap_fault(gap, track_names, rate))
     for joint in range(joint_count):
@@ -130,7 +351,7 @@ def _detect_joint_faults(
         reason = f"{name} {verb} by {np.degrees(offset.amount):.0f} degrees {duration}."
         faults.append(Fault(kind, joint, offset.first, offset.last, offset.amount, reason, _compute_confidence(offset)))
         is_steady[[offset.first - 1, offset.first, offset.last, offset.last + 1]] = False
-    for burst in jitter.detect_rotation_jitter(track, is_steady, rate):
+    for burst in detect_rotation_jitter(track, is_steady, rate):
         duration = _format_duration(burst.first, burst.last, rate)
         reason = f"{name} jitters by {np.degrees(burst.sd_rad):.1f} degrees about each axis {duration}."
         faults.append(Fault("jitter", joint, burst.first, burst.last, burst.sd_rad, reason))

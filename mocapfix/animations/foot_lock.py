@@ -13,20 +13,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix import changes
-from mocapfix.animation import Animation
-from mocapfix.animations import joint_points
+from mocapfix.animations import joint_mapping as joint_points
 from mocapfix.animations.apply_repairs import RepairedAnimation
 from mocapfix.animations.retarget import SkeletonAlignment, compute_file_rotation
+from mocapfix.contacts.body_contacts import hold_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
-from mocapfix.contacts.hold_feet import hold_feet
-from mocapfix.faults import Fault
-from mocapfix.files.option_choices import FEET_LOCK
 from mocapfix.fill.gap_filling import compute_editable_mask
-from mocapfix.motion import Motion
-from mocapfix.options import FillOptions
-from mocapfix.review.declined_changes import ReviewedChange
-from mocapfix.skeleton import Skeleton
+from mocapfix.model import changes
+from mocapfix.model.animation import Animation
+from mocapfix.model.faults import Fault
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.options import FEET_LOCK, FillOptions
+from mocapfix.review.changes_file import ReviewedChange
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 

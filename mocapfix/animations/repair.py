@@ -13,18 +13,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import body_interpolation, rotation_repair
-from mocapfix.animations.body_interpolation import InterpolatedBody
-from mocapfix.animations.rotation_repair import FrameSpan
-from mocapfix.faults import Fault, build_fault_mask
-from mocapfix.kernels import quaternions
-from mocapfix.motion_prior.gap_combination import (
+from mocapfix.animations import body_interpolation
+from mocapfix.animations import body_interpolation as rotation_repair
+from mocapfix.animations.body_interpolation import FrameSpan, InterpolatedBody
+from mocapfix.kernels import lie as quaternions
+from mocapfix.model.faults import Fault, build_fault_mask
+from mocapfix.solve import occluded_joints
+from mocapfix.solve.gap_combination import (
     GapContext,
     combine_rotations,
     compute_combined_variance,
     compute_prediction_weight,
 )
-from mocapfix.solve import occluded_joints
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import find_runs
 

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import Animation
 from mocapfix.animations.joint_mapping import find_ancestor, find_descendants, find_path
-from mocapfix.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 SIDE_PREFIXES = ("Left", "Right")

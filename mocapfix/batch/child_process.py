@@ -18,8 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import BinaryIO, Literal, cast
 
-from mocapfix.batch.fork_server import kill_group
-from mocapfix.batch.job_messages import ChildReply, ForkRequest, JobEnd, read_message, write_message
+from mocapfix.batch.fork_server import ChildReply, ForkRequest, JobEnd, kill_group, read_message, write_message
 from mocapfix.errors import MocapfixError
 
 WATCH_INTERVAL_S = 0.1

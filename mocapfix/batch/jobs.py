@@ -11,16 +11,24 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mocapfix.batch.child_process import JobLimits, JobOutcome, run_in_child
-from mocapfix.batch.content_hash import hash_file, hash_options
-from mocapfix.batch.folder_lock import hold_take
-from mocapfix.batch.records import FailureReason, TakeRecord, get_record_path, get_take_folder, read_record, write_record
+from mocapfix.batch.records import (
+    FailureReason,
+    TakeRecord,
+    get_record_path,
+    get_take_folder,
+    hash_file,
+    hash_options,
+    hold_take,
+    read_record,
+    write_record,
+)
 from mocapfix.errors import MocapfixError
 from mocapfix.options import CleanOptions
 
 CLEAN_FUNCTION = "mocapfix.batch.jobs:clean_recorded_take"
 WARM_UP_DURATION_S, WARM_UP_RATE_HZ = 2.0, 60.0  # of the composed take that is cleaned once in each server
 PRELOADED_MODULES = (
-    "mocapfix.batch.worst_picture",
+    "mocapfix.batch.take_figures",
     "mocapfix.report.html_report",
     "mocapfix.report.recording",
     "pyarrow.compute",
@@ -214,9 +222,9 @@ def load_everything() -> None:
     from importlib import import_module
 
     from mocapfix import pipeline, synthetic
+    from mocapfix.io.output_formats import list_output_formats
     from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
     from mocapfix.solve.parallel import get_thread_pool
-    from mocapfix.write.output_formats import list_output_formats
 
     for name in PRELOADED_MODULES:
         import_module(name)

@@ -1,6 +1,8 @@
 """What the children of a batch's workers do before takes are cleaned: measure and survey takes, and calibrate people.
 
 Each job writes a record with its result, which is used again while its key is the same.
+
+The people of a session, people.yaml in the folder of a batch: who they are, their takes, and the markers that moved.
 """
 
 import json
@@ -9,15 +11,62 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from pydantic import Field
+
 from mocapfix.batch.child_process import JobLimits, run_in_child
-from mocapfix.batch.content_hash import hash_options
 from mocapfix.batch.jobs import CleanRequest, get_version, try_to_hash
-from mocapfix.batch.people_file import PersonEntry
+from mocapfix.batch.records import hash_options
 from mocapfix.errors import MocapfixError
-from mocapfix.files.output_files import make_output_folder, replace_atomically
+from mocapfix.io.files import make_output_folder, replace_atomically
+from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 
 if TYPE_CHECKING:
     from mocapfix.state import CleaningState
+
+
+PEOPLE_FILE_NAME = "people.yaml"
+
+
+class PersonEntry(StrictModel):
+    """One person of a session. Paths are relative to the folder of the batch.
+
+    basis          from what it is known which takes are this person's, in words such as "subject prefix" or "body"
+    takes          by id of a take, the name of the subject in it; "" if it has only one
+    subject_file   calibrated from all takes
+    take_files     by id of a take, the subject file with which it was cleaned, where marker places differ
+    moved_markers  a sentence for each marker that moved between takes
+    rejected       by id of a take, why it is not this person's although the names agree
+    """
+
+    name: str
+    basis: str = ""
+    takes: dict[str, str] = Field(default_factory=dict)
+    subject_file: str = ""
+    take_files: dict[str, str] = Field(default_factory=dict)
+    moved_markers: tuple[str, ...] = ()
+    rejected: dict[str, str] = Field(default_factory=dict)
+
+
+class SessionPeople(StrictModel):
+    """All people of a session, and sentences on how takes were assigned to them."""
+
+    people: tuple[PersonEntry, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def write_people_file(output_folder: Path, people: SessionPeople) -> Path:
+    """Write people.yaml into the folder of a batch and return its path. Raises WriteError."""
+    path = output_folder / PEOPLE_FILE_NAME
+    with replace_atomically(path) as part:
+        part.write_text(dump_yaml(people.model_dump(mode="json")), encoding="utf-8")
+    return path
+
+
+def read_people_file(output_folder: Path) -> SessionPeople | None:
+    """Return the people of a batch, None if the session has no such file. Raises SceneError if it cannot be read."""
+    path = output_folder / PEOPLE_FILE_NAME
+    return read_yaml_model(SessionPeople, path) if path.exists() else None
+
 
 PEOPLE_FOLDER = "people"
 RECORDS_FOLDER = ".records"
@@ -73,7 +122,7 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
     is surveyed at once, since that is most of the work.
     """
     from mocapfix import pipeline
-    from mocapfix.calibrate.body_measurements import measure_body
+    from mocapfix.subject.body_size import measure_body
 
     def measure(key: str) -> dict[str, Any]:
         try:
@@ -109,7 +158,7 @@ def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
 def _write_surveys(request: SurveyRequest, key: str, states: "Sequence[CleaningState]") -> dict[str, Any]:
     """Write the calibration frames of the subjects of a take; return the record. Raises MocapfixError."""
     from mocapfix import pipeline
-    from mocapfix.calibrate.calibration_frames import write_calibration_frames
+    from mocapfix.subject.calibration import write_calibration_frames
 
     path, take = locate_record(request)[0], request.take
     found = [pipeline.survey_subject(state, take.options, take.take) for state in states]
@@ -122,9 +171,9 @@ def _write_surveys(request: SurveyRequest, key: str, states: "Sequence[CleaningS
 
 def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
     """Write the subject files of a person, unless they are there, and return the person's entry. Run in a child."""
-    from mocapfix.calibrate.calibration_frames import read_calibration_frames
-    from mocapfix.calibrate.person_calibration import calibrate_person
-    from mocapfix.calibrate.person_files import locate_person_files, write_person_files
+    from mocapfix.subject.calibration import read_calibration_frames
+    from mocapfix.subject.people import locate_person_files, write_person_files
+    from mocapfix.subject.person_calibration import calibrate_person
 
     folder = request.output_folder / PEOPLE_FOLDER
 

@@ -2,17 +2,27 @@
 
 The records are the whole state of a batch. A take whose record agrees with its input, the options and the version, and whose
 outputs exist, is not cleaned again.
+
+Locks on the folder of a batch and on the outputs of a take, which end with the process that holds them, however it ends.
+
+Hashes of what determines the outputs of a take: the bytes of its file, and the options with the files that they name.
 """
 
+import hashlib
+import json
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Any, Literal, cast
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from mocapfix.batch.take_figures import SubjectFigures
-from mocapfix.files.output_files import make_output_folder, replace_atomically
-from mocapfix.files.yaml_models import StrictModel
+from mocapfix.io.files import LOCK_TEXT_ENCODING, hold_process_lock, lock_open_file, make_output_folder, replace_atomically
+from mocapfix.io.yaml_files import StrictModel
+from mocapfix.options import STAGE_OF_OPTION, CleanOptions
 
 RECORD_SUFFIX = ".record.json"
 
@@ -92,3 +102,114 @@ def list_record_paths(output_folder: Path) -> list[Path]:
     """Return the paths of all records in the folder of a batch. Folders that appear or vanish at this moment do no harm."""
     walk = os.walk(output_folder, followlinks=True)
     return sorted(Path(folder, name) for folder, _, names in walk for name in names if name.endswith(RECORD_SUFFIX))
+
+
+BATCH_LOCK_NAME = ".batch.lock"
+ATTEMPTS_SUFFIX = ".attempts"
+
+
+@contextmanager
+def lock_batch_folder(folder: Path) -> Generator[None]:
+    """Hold the lock of a batch's output folder, so that no other batch writes there.
+
+    Raises WriteError, with the computer and the process that hold it, if another batch does.
+    """
+    make_output_folder(folder)
+
+    def describe_refusal(holder: str) -> str:
+        return f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
+
+    with hold_process_lock(folder / BATCH_LOCK_NAME, describe_refusal):
+        yield
+
+
+class TakeAttempts:
+    """The attempts at a take, one line for each, in a file that only the process holds which cleans the take."""
+
+    def __init__(self, path: Path, lines: list[str]) -> None:
+        self._path, self._lines = path, lines
+
+    def count_all(self) -> int:
+        """Return the number of attempts with any key."""
+        return len(self._lines)
+
+    def count(self, key: str) -> int:
+        """Return how many attempts with this key were begun since the take was last done or failed."""
+        return self._lines.count(key)
+
+    def begin(self, key: str) -> int:
+        """Note that an attempt begins; return how many with this key have begun."""
+        self._lines.append(key)
+        self._path.write_text("".join(f"{line}\n" for line in self._lines), encoding=LOCK_TEXT_ENCODING)
+        return self.count(key)
+
+    def clear(self) -> None:
+        """Forget the attempts, after their number was written into the record."""
+        self._lines.clear()
+        self._path.unlink(missing_ok=True)
+
+
+@contextmanager
+def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
+    """Hold the lock on a take's outputs; wait until no other process does."""
+    folder = get_take_folder(output_folder, take)
+    make_output_folder(folder)
+    path = folder / f".{PurePosixPath(take).stem}{ATTEMPTS_SUFFIX}"
+    while True:
+        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            lock_open_file(number, wait=True)
+            try:
+                is_current = os.fstat(number).st_ino == path.stat().st_ino
+            except FileNotFoundError:  # the process that held the lock before has removed the file
+                is_current = False
+            if is_current:
+                attempts = TakeAttempts(path, path.read_text(encoding=LOCK_TEXT_ENCODING).splitlines())
+                yield attempts
+                if not attempts.count_all():
+                    attempts.clear()
+                return
+        finally:
+            os.close(number)
+
+
+FILE_OPTION_NAMES = ("marker_set", "subject", "like", "hierarchy", "review_files", "rigs", "characters", "character_map")
+"""options that may name files"""
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def hash_options(options: CleanOptions) -> str:
+    """Return a hash of all options and of the contents of the files that they name."""
+    values = asdict(options)
+    del values["purpose"]["given"]  # who set a value does not matter
+    return hashlib.sha256(json.dumps(_describe(values), sort_keys=True).encode()).hexdigest()
+
+
+def _describe(value: Any) -> Any:
+    """Return a value of an option as JSON has it, a file by its content: it may have another name for another worker."""
+    if isinstance(value, dict):
+        return {str(key): _describe(each) for key, each in cast("dict[Any, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        return [_describe(each) for each in cast("list[Any]", value)]
+    if isinstance(value, Path) and value.is_file():
+        return {"sha256": hash_file(value)}
+    return value if isinstance(value, int | float | str | bool | None) else str(value)
+
+
+def resolve_option_files(options: CleanOptions) -> CleanOptions:
+    """Return the options with absolute paths of the files that they name: workers have another current folder."""
+    values = {
+        name: getattr(getattr(options, stage), name) for name, stage in STAGE_OF_OPTION.items() if name in FILE_OPTION_NAMES
+    }
+    return options.change(**{name: _resolve(value) for name, value in values.items() if value})
+
+
+def _resolve(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_resolve(each) for each in cast("tuple[Any, ...]", value))
+    return Path(value).resolve() if isinstance(value, str | Path) and Path(value).is_file() else value

@@ -13,25 +13,27 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.jobs import CleanRequest
-from mocapfix.batch.people_file import PersonEntry, SessionPeople, write_people_file
 from mocapfix.batch.people_jobs import (
     CALIBRATE_FUNCTION,
     COMPARE_FUNCTION,
     SURVEY_FUNCTION,
+    PersonEntry,
     PersonRequest,
+    SessionPeople,
     SurveyRequest,
     locate_record,
     locate_records,
     read_people_record,
     run_people_job,
+    write_people_file,
 )
-from mocapfix.batch.progress import BatchProgress
-from mocapfix.batch.task_window import Task, run_tasks
+from mocapfix.batch.task_window import BatchProgress, Task, run_tasks
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from mocapfix.calibrate.people import Person
+    from mocapfix.subject.people import Person
+
 
 COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE = "compare", "survey", "calibrate"
 MIN_PERSON_TAKES = 2
@@ -52,8 +54,8 @@ def assign_subjects(
 
     Takes that cannot be surveyed, and people with one take, keep their options.
     """
-    from mocapfix.calibrate.body_measurements import BodyMeasurements
-    from mocapfix.calibrate.people import group_people
+    from mocapfix.subject.body_size import BodyMeasurements
+    from mocapfix.subject.people import group_people
 
     by_id = {request.take: request for request in requests}
     measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)

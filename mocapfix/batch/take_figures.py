@@ -1,15 +1,31 @@
-"""The figures of one subject in a cleaned take, which its record keeps and the session page shows."""
+"""The figures of one subject in a cleaned take, which its record keeps and the session page shows.
+
+A small picture of the worst moment of a take: the body and the markers in one frame, the lost ones marked.
+
+It is drawn by the style sheet of the session page. The coordinates are whole centimetres and the markers of one state are one
+path, so that a picture takes about one kilobyte and a page can have thousands.
+"""
 
 from collections import Counter
+from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float
 from pydantic import Field, NonNegativeFloat, NonNegativeInt
 
-from mocapfix.files.yaml_models import StrictModel
+from mocapfix.io.yaml_files import StrictModel
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.take import Take
+from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
+from mocapfix.report.stick_figures import FigureView, find_worst_frame, fit_figure_view, select_shown_body
+from mocapfix.result import CleaningResult
+from mocapfix.solve.kinematics import predict_markers
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
+
 
 AXIS_COUNT = 3
 """axes of a position, whose errors are alike: the predicted distance error is the root of their sum of squares"""
@@ -58,7 +74,6 @@ def measure_result(result: "CleaningResult") -> list[SubjectFigures]:
 def measure_subject(result: "CleaningResult") -> SubjectFigures:
     """Return the figures of a take of at most one subject, with the picture of its worst moment."""
     # Drawing needs the solver's kernels; what reads records does not.
-    from mocapfix.batch.worst_picture import draw_worst_moment, find_worst_moment
 
     report, take = result.subject_report, result.input_take
     fill, solve = report["fill"], report["solve"]
@@ -89,3 +104,112 @@ def _compute_worst_error_mm(result: "CleaningResult") -> float | None:
     sample_sd = result.take.sample_sd
     known = np.zeros(0) if sample_sd is None else sample_sd[np.isfinite(sample_sd)]
     return round(float(AXIS_COUNT**0.5 * known.max()) * 1e3, 1) if known.size else None
+
+
+MAX_TITLE_MARKERS = 4
+"""labels of lost markers in the title of a picture"""
+MAX_TITLE_LABEL_LENGTH = 24
+"""letters of a label in the title of a picture"""
+MAX_PICTURE_MARKERS = 200
+"""markers of one state in a picture"""
+CROSS_RADIUS_CM = 3
+"""half the width of the cross at a marker that stays empty"""
+
+
+def find_worst_moment(result: CleaningResult) -> int:
+    """Return the index of the frame with the least certain filled sample.
+
+    Without filled samples it is the frame with the most empty or corrected ones.
+    """
+    sample_sd = result.take.sample_sd
+    if sample_sd is not None and np.isfinite(sample_sd).any():
+        return int(np.argmax(np.where(np.isfinite(sample_sd), sample_sd, -1.0).max(axis=1)))
+    comparison = result.comparison
+    return find_worst_frame(comparison.sample_states, comparison.joint_position_world)
+
+
+def draw_worst_moment(result: CleaningResult, frame: int) -> str:
+    """Return the SVG of a frame after cleaning; "" if it has neither a marker nor a body.
+
+    Estimated, faulty and empty samples are marked. An empty one is drawn where the body carries its marker.
+    """
+    comparison, after = result.comparison, result.take
+    outcome = comparison.sample_states[frame]
+    body = select_shown_body(comparison, frame)
+    shown = np.isfinite(after.markers[frame]).all(axis=1)
+    if not shown.any() and not len(body):
+        return ""
+    view = fit_figure_view(comparison, frame, body)
+    left, top, width, height = view.box_cm
+    position = after.markers[frame].copy()
+    if len(body):
+        position[~shown] = _predict_positions(result, frame)[~shown]
+    content = ""
+    if comparison.skeleton is not None and len(body):
+        content += _draw_bones(view, comparison.skeleton, body)
+    estimated, empty = find_estimated_samples(outcome), ~shown
+    relabelled, suspect = outcome == SampleOutcome.RELABELLED, outcome == SampleOutcome.SUSPECT
+    groups = (
+        ("ok", shown & ~estimated & ~relabelled & ~suspect),
+        ("label", shown & relabelled),
+        ("filled", shown & estimated),
+        ("suspect", shown & suspect),
+    )
+    for css_class, mask in groups:
+        content += _draw_dots(css_class, view, position[mask])
+    content += _draw_crosses(view, position[empty])
+    title = describe_moment(after, frame, (("estimated", estimated), ("faulty", suspect), ("empty", empty)))
+    box = f"{int(left)} {int(top)} {int(width) + 1} {int(height) + 1}"
+    return f'<svg class="moment" viewBox="{box}" role="img"><title>{escape(title)}</title>{content}</svg>'
+
+
+def describe_moment(take: Take, frame: int, groups: Sequence[tuple[str, Bool[np.ndarray, " M"]]]) -> str:
+    """Return a text such as "Frame 120: 2 estimated (LFHD, RFHD)." from the states of the markers in a frame and their masks."""
+    parts: list[str] = []
+    for state, mask in groups:
+        labels = [take.labels[m][-MAX_TITLE_LABEL_LENGTH:] for m in np.flatnonzero(mask)]
+        more = ", …" if len(labels) > MAX_TITLE_MARKERS else ""
+        parts += [f"{len(labels)} {state} ({', '.join(labels[:MAX_TITLE_MARKERS])}{more})"] if labels else []
+    return f"Frame {take.get_frame_number(frame)}: {', '.join(parts) or 'nothing was corrected'}."
+
+
+def _predict_positions(result: CleaningResult, frame: int) -> Float[np.ndarray, "M 3"]:
+    """Return where the body carries the markers in a frame, in metres, NaN for markers that it lacks."""
+    position = np.full((len(result.take.labels), 3), np.nan)
+    if result.subject is None or result.motion is None or not result.subject.labels:
+        return position
+    motion = result.motion.select_frames(np.array([frame]))
+    predicted = predict_markers(result.subject, (motion.root_position, motion.local_rotations))[0]
+    index = {label: k for k, label in enumerate(result.subject.labels)}
+    for m, label in enumerate(result.take.bare_labels):
+        if (k := index.get(label, index.get(result.take.labels[m]))) is not None:
+            position[m] = predicted[k]
+    return position
+
+
+def _draw_bones(view: FigureView, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> str:
+    child = np.flatnonzero(skeleton.parents >= 0)
+    ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]])
+    starts, stops = (_round_positions(view, each) for each in ends[:, np.isfinite(ends).all(axis=(0, 2))])
+    lines = zip(starts, stops, strict=True)
+    path = "".join(f"M{a[0]} {a[1]}l{b[0] - a[0]} {b[1] - a[1]}" for a, b in lines if a != b)
+    return f'<path class="bones" d="{path}"/>' if path else ""
+
+
+def _draw_dots(css_class: str, view: FigureView, position: Float[np.ndarray, "N 3"]) -> str:
+    """Return the path of round dots: lines without length that have round ends."""
+    points = _round_positions(view, position[np.isfinite(position).all(axis=1)][:MAX_PICTURE_MARKERS])
+    path = "".join(f"M{x} {y}h0" for x, y in points)
+    return f'<path class="dot {css_class}" d="{path}"/>' if path else ""
+
+
+def _draw_crosses(view: FigureView, position: Float[np.ndarray, "N 3"]) -> str:
+    points = _round_positions(view, position[np.isfinite(position).all(axis=1)][:MAX_PICTURE_MARKERS])
+    r = CROSS_RADIUS_CM
+    path = "".join(f"M{x - r} {y - r}l{2 * r} {2 * r}m0-{2 * r}l-{2 * r} {2 * r}" for x, y in points)
+    return f'<path class="lost" d="{path}"/>' if path else ""
+
+
+def _round_positions(view: FigureView, position_world: Float[np.ndarray, "*batch 3"]) -> list[list[int]]:
+    """Return the positions in the picture, right and down, in whole centimetres."""
+    return view.project_points(position_world)[..., :2].round().astype(int).tolist()

@@ -1,15 +1,23 @@
-"""The takes of a batch: the files in a folder, those that patterns match, or those that a caller names."""
+"""The takes of a batch: the files in a folder, those that patterns match, or those that a caller names.
+
+Session files: YAML files that name the takes of a session, the people in them, and the options of cleaning.
+"""
 
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Literal
 
-from mocapfix.batch.folder_lock import ATTEMPTS_SUFFIX
-from mocapfix.batch.records import RECORD_SUFFIX
-from mocapfix.errors import ReadError
-from mocapfix.files.output_files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX
-from mocapfix.read.file_content import check_path_encoding
+from pydantic import Field
+
+from mocapfix.batch.records import ATTEMPTS_SUFFIX, RECORD_SUFFIX
+from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.file_content import check_path_encoding
+from mocapfix.io.files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths, has_wildcards
+from mocapfix.options import CleanOptions
 
 TAKE_SUFFIXES = (".c3d", ".trc", ".tsv", ".csv", ".bvh", ".amc")
 """suffixes of captures; of files in a folder that differ only by them, the first of this order is the take"""
@@ -175,3 +183,57 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
                 f"{take.path}: its outputs would be in the same folder as those of {other.path.name}; name one of the two only."
             )
     return tuple(takes)
+
+
+class SessionHeader(StrictModel):
+    """The keys of a session file that are not options. Paths are relative to its folder and may have wildcards.
+
+    title   one line
+    takes   the takes
+    people  by name of a person, the takes that show them; other takes are grouped by their subjects and names
+    """
+
+    kind: Literal["session"]
+    title: str = ""
+    takes: tuple[str, ...] = Field(min_length=1)
+    people: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session that was read: its title, its takes, the ids of the takes by name of a person, and its options."""
+
+    title: str
+    takes: tuple[BatchTake, ...]
+    people: dict[str, tuple[str, ...]]
+    options: CleanOptions
+
+
+def read_session_file(path: Path) -> Session:
+    """Read a session file. Raises SceneError with the file and the first wrong key, or the pattern that matches no file."""
+    header = read_yaml_model(SESSION_MODEL, path)
+    options = build_job_options(path, header)
+    takes = build_take_list(expand_takes(path, header.takes, "takes"))
+    ids = {take.path: take.id for take in takes}
+    shown = {name: expand_takes(path, patterns, f"people.{name}") for name, patterns in header.people.items()}
+    people = {name: tuple(ids[each] for each in map(make_absolute, paths) if each in ids) for name, paths in shown.items()}
+    return Session(header.title, takes, people, options)
+
+
+def expand_takes(path: Path, names: Sequence[str], key: str) -> list[Path]:
+    """Return the takes that names and patterns mean beside the session file at `path`.
+
+    Raises SceneError, naming `key`, if a pattern matches no take.
+    """
+    takes: list[Path] = []
+    for name in names:
+        found = expand_paths(path, [name], key)
+        if has_wildcards(name) and not (path.parent / name).is_file():
+            found = select_matched_takes(found, path.parent / name)
+            if not found:
+                raise SceneError(f"{path}: {key}: {name!r} matches no take ({', '.join(TAKE_SUFFIXES)}).")
+        takes += found
+    return takes
+
+
+SESSION_MODEL = build_job_model("SessionFile", SessionHeader)

@@ -1,4 +1,7 @@
-"""Tasks on a Dask cluster: handed over a few at a time, and repeated when their worker is lost."""
+"""Tasks on a Dask cluster: handed over a few at a time, and repeated when their worker is lost.
+
+What a batch reports while it runs: its stages, the jobs that begin and end, and messages.
+"""
 
 import time
 from collections.abc import Callable, Generator, Iterable
@@ -9,6 +12,7 @@ from mocapfix.errors import MocapfixError
 
 if TYPE_CHECKING:
     from distributed import Client
+
 
 TASKS_PER_THREAD = 2  # handed over: one that runs and one that waits, so that no worker waits for the client
 POLL_INTERVAL_S = 0.02
@@ -113,3 +117,26 @@ def is_worker_loss(result: object) -> bool:
         "FuturesCancelledError",
         "TimeoutError",
     )
+
+
+class BatchProgress:
+    """Receiver of a batch's progress. This one ignores everything; the command line draws it.
+
+    The stages follow one another, and each has jobs: takes to survey, people to calibrate, takes to clean. A job that is repeated
+    on another worker may begin several times; it ends once.
+    """
+
+    def start_stage(self, stage: str, job_count: int, done_count: int = 0) -> None:
+        """Begin a stage such as "clean", of which `done_count` of the `job_count` jobs were done by an earlier batch."""
+
+    def start_job(self, name: str) -> None:
+        """Report that a job was handed to a worker. `name` is the id of the take, or the name of the person."""
+
+    def finish_job(self, name: str, error: str = "") -> None:
+        """Report that a job ended, and the sentence on its failure; "" if it is done."""
+
+    def show_dashboard(self, address: str) -> None:
+        """Show the address of Dask's dashboard."""
+
+    def show_message(self, message: str) -> None:
+        """Show a sentence on the batch, for example that a worker was lost."""

@@ -2,6 +2,10 @@
 
 Inside the program lengths are metres, Y is up and axes are right-handed. A bone's local rotation maps its axes to its parent's
 and includes the rest rotation: in the rest pose the local rotations are `rest_rotations`, not the identity.
+
+Tails of bones whose file does not give them: where their children are.
+
+The 31-joint skeleton of a subject as a character, which is the source of retargeted motion.
 """
 
 from collections.abc import Mapping
@@ -10,7 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.stats.transform_trees import compose_transforms
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.stats.rigid_alignment import compose_transforms
 
 SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -135,3 +141,59 @@ def compute_character_poses(
     positions = np.tile(character.rest_positions, (motion.frame_count, 1, 1))
     positions[:, character.mapping.bones["pelvis"][0]] = motion.pelvis_position
     return compose_transforms(character.parents, positions, motion.local_rotations)
+
+
+MIN_TAIL_FRACTION = 0.5
+"""of the distance of a bone's farthest child: nearer children, such as a thumb, do not count for its tail"""
+
+
+def compute_tail(children: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
+    """Return the tail of a bone with children at these positions in its axes: the mean of those that are far from its head.
+
+    It is NaN if no child is at a distance from the head.
+    """
+    distances = np.linalg.norm(children, axis=1)
+    is_far = (distances > MIN_TAIL_FRACTION * distances.max(initial=0.0)) & (distances > 0)
+    return children[is_far].mean(0) if is_far.any() else np.full(3, np.nan)
+
+
+SEGMENT_JOINTS = {
+    "clavicle": "Shoulder", "upper_arm": "Arm", "forearm": "ForeArm", "hand": "Hand",
+    "thigh": "UpLeg", "shin": "Leg", "foot": "Foot", "toe": "ToeBase",
+}  # fmt: skip
+"""The joint of each segment of a side, without the side."""
+TRUNK_JOINTS = {"pelvis": ("Hips",), "spine": ("LowerBack", "Spine", "Spine1"), "neck": ("Neck", "Neck1"), "head": ("Head",)}
+
+
+def build_cmu31_character(skeleton: Skeleton) -> Character:
+    """Return the 31-joint skeleton as a character. Its joints have the axes of the world in the rest pose."""
+    bones = {segment: tuple(map(skeleton.find_joint, joints)) for segment, joints in TRUNK_JOINTS.items()}
+    for side in SIDES:
+        for segment, joint in SEGMENT_JOINTS.items():
+            bones[f"{side}_{segment}"] = (skeleton.find_joint(side.capitalize() + joint),)
+    count = len(skeleton.names)
+    return Character(
+        name="cmu31",
+        names=skeleton.names,
+        parents=skeleton.parents,
+        rest_positions=skeleton.offsets,
+        rest_rotations=np.tile(np.eye(3), (count, 1, 1)),
+        tails=_find_tails(skeleton),
+        mapping=BoneMapping(bones, reason="the 31 joints of the solved body"),
+        scales=np.ones(count),
+        has_feet_flat=False,
+    )
+
+
+def convert_motion(motion: Motion, rate: float) -> CharacterMotion:
+    """Return the motion of the 31-joint skeleton as that of its character; `rate` in frames per second."""
+    return CharacterMotion(motion.root_position, motion.local_rotations, rate)
+
+
+def _find_tails(skeleton: Skeleton) -> np.ndarray:
+    """Return the end of each joint's bone in its axes: the mean of its children, or its end site."""
+    tails = skeleton.ends.copy()
+    for joint in range(len(skeleton.names)):
+        if len(children := np.flatnonzero(skeleton.parents == joint)):
+            tails[joint] = skeleton.offsets[children].mean(0)
+    return tails

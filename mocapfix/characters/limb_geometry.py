@@ -1,13 +1,24 @@
 """The joints of two legs or two arms on a pair of paths of bones, by their positions alone.
 
 Both sides are judged together: lengths and heights are means of the left and the right path.
+
+The tree of a skeleton's bones, and the pairs of chains in it that are alike on two sides.
+
+Chains of two sisters are followed together: at each step children are paired whose distances from their parents and heights are
+equal. What is on one side only, such as a weapon in a hand, is in no pair.
+
+Twist bones beside the chain of a limb: children that lie on its axis and carry a share of its twist.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from mocapfix.characters.character import SIDES, TWISTING_SEGMENTS
 
 MAX_ANKLE_HEIGHT_SHARE = 0.2
 """height of the ankle above the lowest bone of the leg, as a share of the height of its first bone"""
@@ -157,3 +168,157 @@ def _judge_distance(between: np.ndarray, length: np.ndarray, expected_ratio: flo
     """Return the cost of distances between two hips or shoulders for limbs of given lengths, none for those large enough."""
     ratio = np.maximum(between / np.maximum(length, MIN_COMPARED_LENGTH_M), MIN_DISTANCE_RATIO)
     return NARROW_LIMB_COST * np.maximum(0.0, np.log(expected_ratio / ratio))
+
+
+MAX_PAIR_DIFFERENCE_SHARE = 0.03
+"""difference of the lengths and of the rises of paired bones, as a share of the skeleton's height"""
+MAX_PAIRED_BONES = 24
+"""bones of a paired path: chains of more are hair or ropes, and their ends are no joints of a limb"""
+MAX_PAIRED_SISTERS = 64
+"""bones with more children carry hair or clothes; their children are not paired"""
+
+
+@dataclass(frozen=True)
+class PairedPaths:
+    """Two paths of bones of equal lengths from two sisters outwards, to the end of what is alike."""
+
+    first: tuple[int, ...]
+    second: tuple[int, ...]
+
+
+class SkeletonTree:
+    """The children of each bone and what is below it.
+
+    parents    (J,) index of each bone's parent, -1 for roots; parents come before children
+    positions  (J, 3) m, world, Y up
+    children   the children of each bone
+    reach      (J,) length of the longest path below each bone
+    top, bottom  (J,) greatest and least height of each bone and those below it
+    height     from the lowest to the highest bone
+    """
+
+    def __init__(self, parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"]) -> None:
+        self.parents, self.positions = parents, positions
+        self.children: list[list[int]] = [[] for _ in parents]
+        self.reach = np.zeros(len(parents))
+        self.top, self.bottom = positions[:, 1].copy(), positions[:, 1].copy()
+        self.height = float(np.ptp(positions[:, 1]))
+        steps = positions - positions[parents] * (parents >= 0)[:, None]
+        self._lengths: list[float] = np.linalg.norm(steps, axis=1).tolist()
+        self._rises: list[float] = steps[:, 1].tolist()
+        for bone in range(len(parents) - 1, -1, -1):
+            parent = int(parents[bone])
+            if parent >= 0:
+                self.children[parent].insert(0, bone)
+                self.reach[parent] = max(self.reach[parent], self.reach[bone] + self._lengths[bone])
+                self.top[parent] = max(self.top[parent], self.top[bone])
+                self.bottom[parent] = min(self.bottom[parent], self.bottom[bone])
+
+    @cached_property
+    def paired_paths(self) -> list[PairedPaths]:
+        """The longest paths of all paired sisters, one for each end of the paired bones below them."""
+        paths: list[PairedPaths] = []
+        for sisters in self.children:
+            if len(sisters) <= MAX_PAIRED_SISTERS:
+                carriers = [bone for bone in sisters if self.children[bone]]
+                for a, b in combinations(carriers, 2):
+                    if self._measure_difference(a, b) is not None:
+                        paths += [PairedPaths(first, second) for first, second in self._follow(a, b)]
+        return paths
+
+    def _follow(self, a: int, b: int) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """Return the paired paths from two bones outwards."""
+        finished: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+        growing = [((a,), (b,))]
+        while growing:
+            first, second = growing.pop()
+            pairs = self._pair_children(first[-1], second[-1]) if len(first) < MAX_PAIRED_BONES else []
+            growing += [((*first, left), (*second, right)) for left, right in pairs]
+            if not pairs:
+                finished.append((first, second))
+        return finished
+
+    def _pair_children(self, a: int, b: int) -> list[tuple[int, int]]:
+        """Return the pairs of children of two bones, the most similar ones first, each child in one pair."""
+        differences = [
+            (difference + abs(self.reach[left] - self.reach[right]), left, right)
+            for left in self.children[a][:MAX_PAIRED_SISTERS]
+            for right in self.children[b][:MAX_PAIRED_SISTERS]
+            if (difference := self._measure_difference(left, right)) is not None
+        ]
+        pairs: list[tuple[int, int]] = []
+        used: set[int] = set()
+        for _, left, right in sorted(differences):
+            if not used & {left, right}:
+                used |= {left, right}
+                pairs.append((left, right))
+        return pairs
+
+    def _measure_difference(self, a: int, b: int) -> float | None:
+        """Return how much two bones differ in distance from their parents and in rise, None if too much for a pair."""
+        difference = max(abs(self._lengths[a] - self._lengths[b]), abs(self._rises[a] - self._rises[b]))
+        return difference if difference <= MAX_PAIR_DIFFERENCE_SHARE * self.height else None
+
+
+NEXT_SEGMENTS = {
+    f"{side}_{name}": f"{side}_{following}"
+    for side in SIDES
+    for name, following in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
+}
+"""the segment at the end of each segment that may have twist bones"""
+MIN_TWIST_SHARE, MAX_TWIST_SHARE = 0.05, 0.98
+"""positions along the segment between which a bone without a telling name is a twist bone; others are helpers of the joints"""
+NAMED_TWIST_MARGIN = 0.1
+"""share of the segment by which a bone named as a twist bone may lie outside it"""
+MAX_AXIS_DISTANCE_SHARE = 0.1
+"""distance of a twist bone from the axis, as a share of the segment's length"""
+TWIST_WORDS = ("twist", "roll")
+CORRECTIVE_WORDS = ("cor", "corrective", "drv")
+"""ends of the names of bones that correct the skin at a twist bone"""
+
+
+def find_side_twists(
+    names: Sequence[str],
+    parents: Int[np.ndarray, " J"],
+    positions: Float[np.ndarray, "J 3"],
+    bones: Mapping[str, tuple[int, ...]],
+) -> dict[str, tuple[int, ...]]:
+    """Find the twist bones beside the chains of the limbs.
+
+    Args:
+        names: Names of the bones; those with "twist" or "roll" may lie a little outside their segment.
+        parents: (J,) index of each bone's parent.
+        positions: (J, 3) m, world, in the rest pose.
+        bones: Segment to the bones of its chain.
+
+    Returns:
+        Segment to its twist bones, from near to far; segments without any are missing.
+    """
+    used = {bone for chain in bones.values() for bone in chain}
+    found: dict[str, tuple[int, ...]] = {}
+    for segment in TWISTING_SEGMENTS:
+        chain, following = bones.get(segment, ()), bones.get(NEXT_SEGMENTS[segment], ())
+        if not chain or not following:
+            continue
+        start, axis = positions[chain[0]], positions[following[0]] - positions[chain[0]]
+        length = float(np.linalg.norm(axis))
+        shares: dict[int, float] = {}
+        for bone in np.flatnonzero(np.isin(parents, chain)).tolist():
+            if bone in used or length == 0.0:
+                continue
+            share = float((positions[bone] - start) @ axis) / length**2
+            distance = float(np.linalg.norm(positions[bone] - start - share * axis))
+            if distance <= MAX_AXIS_DISTANCE_SHARE * length and _is_twist(names[bone], share):
+                shares[bone] = share
+        if shares:
+            found[segment] = tuple(sorted(shares, key=shares.__getitem__))
+    return found
+
+
+def _is_twist(name: str, share: float) -> bool:
+    name = name.lower()
+    if any(word in name for word in TWIST_WORDS):
+        stem = name.removesuffix(")").rstrip("_.0123456789lr")
+        is_corrective = any(stem.endswith(word) for word in CORRECTIVE_WORDS) or "twistcor" in name
+        return not is_corrective and -NAMED_TWIST_MARGIN < share < 1 + NAMED_TWIST_MARGIN
+    return MIN_TWIST_SHARE < share < MAX_TWIST_SHARE

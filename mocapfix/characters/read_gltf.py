@@ -5,24 +5,321 @@ The rest pose is the transforms of the nodes: what a viewer shows without an ani
 their inverse bind matrices, in which the mesh has its original shape. Exporters may set the nodes to another pose, for example
 to the first frame of an animation. The nodes are used nevertheless: bones without skin and preset characters have no other
 pose, and bones that an animation leaves out are in this pose in every program. Meshes are not decoded.
+
+Pack a glTF with embedded or side files into one GLB, and check the lists of its document that a writer extends.
+
+The bytes of buffers and images are kept. A GLB without buffers in other files stays as it is.
+
+The humanoid bones that a VRM file names, as the segments of a body.
+
+Sources: VRM Consortium, VRM 0.0 (extension VRM) and VRM 1.0 (extension VRMC_vrm), section humanoid.
 """
 
+import base64
+import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.characters.bone_tails import compute_tail
-from mocapfix.characters.character import BoneMapping, Character, CharacterSource
-from mocapfix.characters.gltf_nodes import GltfNodes, are_numbers, compute_bone_transforms, read_gltf_nodes, read_indices
-from mocapfix.characters.gltf_packing import read_packed_gltf
-from mocapfix.characters.side_twists import find_side_twists
-from mocapfix.characters.vrm_bones import build_vrm_mapping, list_spring_nodes, read_vrm_bones
-from mocapfix.errors import ReadError
-from mocapfix.files.glb import is_glb
+from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, compute_tail
+from mocapfix.characters.gltf_nodes import (
+    GltfNodes,
+    are_numbers,
+    compute_bone_transforms,
+    read_gltf_nodes,
+    read_index,
+    read_indices,
+)
+from mocapfix.characters.limb_geometry import find_side_twists
+from mocapfix.characters.segment_bones import build_bone_mapping
+from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.glb import MAX_GLB_BYTES, GlbContent, build_glb, is_glb, parse_glb, parse_gltf_document
+
+ALIGNMENT_BYTES = 16
+"""of a buffer that is appended to another: enough for every component and for compressed data"""
+EXTENDED_LISTS = ("accessors", "bufferViews", "buffers", "animations", "nodes", "meshes", "skins", "scenes")
+"""lists of the document in which every entry must be an object"""
+COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+"""extensions of a bufferView that refer to a buffer of their own"""
+IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\xabKTX": "image/ktx2", b"RIFF": "image/webp"}
+"""beginning of an image to its type"""
+
+
+def read_packed_gltf(path: Path, data: bytes) -> tuple[GlbContent, bytes]:
+    """Return a glTF, binary or text, as one GLB whose binary chunk holds its buffers: its content and its bytes.
+
+    Buffers in data URIs and side files, and images in side files, are appended to the binary chunk. An image that is missing is
+    left as it is: a viewer shows the mesh without it.
+
+    Raises:
+        ReadError: If the container, the document or a buffer is damaged or missing. The message names the file.
+    """
+    content = parse_glb(path, data) if is_glb(data) else GlbContent(parse_gltf_document(path, data), b"")
+    _check_document(path, content.document)
+    buffers = content.document.get("buffers", [])
+    if content.binary and buffers and "uri" not in buffers[0]:
+        if buffers[0]["byteLength"] > len(content.binary):
+            sizes = f"{buffers[0]['byteLength']} bytes, its binary chunk {len(content.binary)}"
+            raise ReadError(f"{path}: its first buffer has {sizes}; the file was cut off, so export it again.")
+        if not any("uri" in each for each in buffers) and not _list_side_images(content.document):
+            return content, data
+    content = _pack(path, content)
+    return content, build_glb(content)
+
+
+def _check_document(path: Path, document: dict[str, Any]) -> None:
+    """Raise ReadError unless the version is 2 and the lists that are read or extended have objects in them."""
+    asset = document.get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not isinstance(version, str) or not version.startswith("2."):
+        raise ReadError(f"{path}: is glTF version {str(version)[:9]}, and only version 2 is read; export it as glTF 2.0.")
+    for name in EXTENDED_LISTS:
+        entries = document.get(name, [])
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise ReadError(f"{path}: {name} is no list of objects; the file is damaged, so export it again.")
+    for index, buffer in enumerate(document.get("buffers", [])):
+        length = buffer.get("byteLength")
+        if not isinstance(length, int) or isinstance(length, bool) or not 1 <= length <= MAX_GLB_BYTES:
+            raise ReadError(f"{path}: buffers[{index}] has no valid byteLength; the file is damaged, so export it again.")
+
+
+def _pack(path: Path, content: GlbContent) -> GlbContent:
+    """Append all buffers to the binary chunk. Those without data (fallbacks of compressed ones) stay entries of their own."""
+    document, packed = content.document, bytearray()
+    places: dict[int, tuple[int, int]] = {}  # index of an old buffer: index of its new one, and its first byte there
+    kept: list[dict[str, Any]] = []
+    for index, buffer in enumerate(document.get("buffers", [])):
+        data = _load_buffer(path, index, buffer, content.binary)
+        if data is None:
+            kept.append(buffer)
+            places[index] = (len(kept), 0)
+        else:
+            places[index] = (0, _append(packed, data))
+    for view in document.get("bufferViews", []):
+        extensions = view.get("extensions")
+        compressions = [extensions.get(name) for name in COMPRESSION_EXTENSIONS] if isinstance(extensions, dict) else []
+        for entry in (view, *(each for each in compressions if isinstance(each, dict))):
+            _move_view(path, entry, places)
+    for image, data, kind in _load_side_images(path, document):
+        start = _append(packed, data)
+        document.setdefault("bufferViews", []).append({"buffer": 0, "byteOffset": start, "byteLength": len(data)})
+        del image["uri"]
+        image |= {"bufferView": len(document["bufferViews"]) - 1, "mimeType": kind}
+    if packed:
+        document["buffers"] = [{"byteLength": len(packed)}, *kept]
+    return GlbContent(document, bytes(packed), content.other_chunks)
+
+
+def _append(packed: bytearray, data: bytes) -> int:
+    """Append data at an aligned byte, and return that."""
+    packed.extend(bytes(-len(packed) % ALIGNMENT_BYTES))
+    start = len(packed)
+    packed.extend(data)
+    return start
+
+
+def _move_view(path: Path, view: dict[str, Any], places: dict[int, tuple[int, int]]) -> None:
+    """Let a view refer to the place that its buffer has now."""
+    index, start = view.get("buffer"), view.get("byteOffset", 0)
+    if not isinstance(index, int) or index not in places or not isinstance(start, int):
+        raise ReadError(f"{path}: a bufferView refers to buffer {str(index)[:9]}, which is not there; export the file again.")
+    view["buffer"] = places[index][0]
+    if places[index][1] + start or "byteOffset" in view:
+        view["byteOffset"] = places[index][1] + start
+
+
+def _load_buffer(path: Path, index: int, buffer: dict[str, Any], binary: bytes) -> bytes | None:
+    """Return the bytes of a buffer, None if it has none of its own."""
+    uri, length = buffer.get("uri"), buffer["byteLength"]
+    if uri is None:
+        if index > 0 or not binary:
+            if isinstance(buffer.get("extensions"), dict):
+                return None
+            raise ReadError(f"{path}: buffers[{index}] has no data; export the file again, best as .glb.")
+        data = binary
+    else:
+        data = _load_uri(path, f"buffers[{index}]", uri)
+    if len(data) < length:
+        raise ReadError(f"{path}: buffers[{index}] has {len(data)} of {length} bytes; copy or export its file again.")
+    return data[:length]
+
+
+def _load_uri(path: Path, place: str, uri: object) -> bytes:
+    """Return the bytes of a data URI or of a file in the folder of the glTF."""
+    if not isinstance(uri, str):
+        raise ReadError(f"{path}: the uri of {place} is no text; the file is damaged, so export it again.")
+    if uri.startswith("data:"):
+        try:
+            return base64.b64decode(uri.partition(",")[2], validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise ReadError(f"{path}: the data of {place} is not valid base64; export the file again.") from error
+    side_path = _find_side_file(path, uri)
+    if side_path is None:
+        problem = "is no file in the folder of the glTF"
+        raise ReadError(f"{path}: {uri[:60]!r} of {place} {problem}; put it beside the glTF, or export it as .glb.")
+    try:
+        return side_path.read_bytes()
+    except (OSError, ValueError) as error:
+        problem = "cannot be read" if side_path.exists() else "is missing"
+        raise ReadError(f"{path}: its file {uri[:60]!r} {problem}; put it beside the glTF, or export it as .glb.") from error
+
+
+def _find_side_file(path: Path, uri: str) -> Path | None:
+    """Return the path of a relative URI within the folder of the glTF, None for all others."""
+    try:
+        parts = urlsplit(uri)
+        side_path = (path.parent / unquote(parts.path)).resolve()
+        side_path.exists()
+    except (OSError, ValueError):
+        return None
+    is_inside = not parts.scheme and not parts.netloc and side_path.is_relative_to(path.parent.resolve())
+    return side_path if is_inside else None
+
+
+def _list_side_images(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the images that are in files of their own."""
+    images = document.get("images", [])
+    images = [image for image in images if isinstance(image, dict)] if isinstance(images, list) else []
+    return [image for image in images if isinstance(image.get("uri"), str) and not image["uri"].startswith("data:")]
+
+
+def _load_side_images(path: Path, document: dict[str, Any]) -> list[tuple[dict[str, Any], bytes, str]]:
+    """Return the images in files of their own that can be embedded, with their bytes and types."""
+    found: list[tuple[dict[str, Any], bytes, str]] = []
+    for image in _list_side_images(document):
+        side_path = _find_side_file(path, image["uri"])
+        try:
+            data = side_path.read_bytes() if side_path else b""
+        except OSError:
+            data = b""
+        kind = next((kind for beginning, kind in IMAGE_TYPES.items() if data.startswith(beginning)), None)
+        if kind:
+            found.append((image, data, kind))
+    return found
+
+
+VRM_TRUNK_BONES = {"hips": "pelvis", "spine": "spine", "chest": "spine", "upperChest": "spine", "neck": "neck", "head": "head"}
+"""humanoid bones of the trunk, from the pelvis outwards, and their segments"""
+VRM_LIMB_BONES = {
+    "Shoulder": "clavicle", "UpperArm": "upper_arm", "LowerArm": "forearm", "Hand": "hand",
+    "UpperLeg": "thigh", "LowerLeg": "shin", "Foot": "foot", "Toes": "toe",
+}  # fmt: skip
+"""ends of the names of humanoid bones of a side, and their segments"""
+SEGMENTS_OF_VRM_BONES = VRM_TRUNK_BONES | {
+    f"{side}{end}": f"{side}_{segment}" for side in SIDES for end, segment in VRM_LIMB_BONES.items()
+}
+SEGMENTS_BELOW = {
+    "spine": ("spine", "neck", "head"),
+    "neck": ("neck", "head"),
+    **{f"{side}_{upper}": (f"{side}_{lower}",) for side in SIDES for upper, lower in (
+        ("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"),
+    )},
+}  # fmt: skip
+"""segments of several bones to those that they carry; bones between the two are theirs"""
+
+
+def read_vrm_bones(path: Path, document: Mapping[str, Any], node_count: int) -> dict[str, int]:
+    """Return the humanoid bones of a VRM and their nodes, nothing for a glTF without that extension.
+
+    Raises:
+        ReadError: If the extension is damaged.
+    """
+    extensions = document.get("extensions")
+    extensions = extensions if isinstance(extensions, dict) else {}
+    extension = extensions.get("VRMC_vrm", extensions.get("VRM"))
+    if extension is None:
+        return {}
+    humanoid = extension.get("humanoid") if isinstance(extension, dict) else None
+    bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+    if isinstance(bones, dict):  # VRM 1.0
+        bones = [{"bone": name, **entry} for name, entry in bones.items() if isinstance(entry, dict)]
+    if not isinstance(bones, list) or not all(isinstance(entry, dict) for entry in bones):
+        raise ReadError(f"{path}: its VRM extension names no humanoid bones; export it again as a VRM avatar.")
+    found: dict[str, int] = {}
+    for entry in bones:
+        name, node = entry.get("bone"), entry.get("node")
+        if isinstance(name, str) and name in SEGMENTS_OF_VRM_BONES and node != -1:  # -1: not assigned
+            found[name] = read_index(path, f"the humanoid bone {name}", node, node_count)
+    return found
+
+
+def list_spring_nodes(document: Mapping[str, Any]) -> set[int]:
+    """Return the nodes that a VRM moves as springs, such as sleeves: the first of each chain (VRM 0.x) or all (VRM 1.0)."""
+    found: set[int] = set()
+    remaining: list[Any] = [_get_part(document, ("extensions", "VRM", "secondaryAnimation", "boneGroups"))]
+    remaining.append(_get_part(document, ("extensions", "VRMC_springBone", "springs")))
+    while remaining:
+        part = remaining.pop()
+        if isinstance(part, list):
+            remaining += part
+        elif isinstance(part, dict):
+            remaining += [part.get("bones"), part.get("joints"), part.get("node")]
+        elif isinstance(part, int):
+            found.add(part)
+    return found
+
+
+def _get_part(document: Any, keys: tuple[str, ...]) -> Any:
+    """Return a part of a document, None if it lacks it."""
+    for key in keys:
+        document = document.get(key) if isinstance(document, dict) else None
+    return document
+
+
+def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str, int]) -> BoneMapping:
+    """Build the mapping of the humanoid bones of a VRM.
+
+    A bone between two humanoid bones of one limb belongs to the segment of the upper one, and takes a share of its rotation.
+    Between spine and head the bones above the arms belong to the neck.
+
+    Args:
+        nodes: The nodes of the file.
+        bones: The nodes that are bones of the character, parents before children.
+        vrm_bones: Humanoid bone to node.
+
+    Raises:
+        ReadError: If a bone is missing or used twice, or not below the one before it.
+    """
+    segment_of = {node: SEGMENTS_OF_VRM_BONES[name] for name, node in vrm_bones.items()}
+    arms = [vrm_bones[f"{side}UpperArm"] for side in SIDES if f"{side}UpperArm" in vrm_bones]
+    arm_carriers = {above for arm in arms for above in nodes.list_ancestors(arm)}
+    segments: dict[str, list[int]] = {}
+    for name, segment in SEGMENTS_OF_VRM_BONES.items():
+        if name in vrm_bones:
+            segments.setdefault(segment, []).append(vrm_bones[name])
+    for node, segment in segment_of.items():
+        between: list[int] = []
+        for above in nodes.list_ancestors(node):
+            if above in segment_of:
+                if segment in SEGMENTS_BELOW.get(segment_of[above], ()):
+                    for bone in between:
+                        segments.setdefault(_choose_segment(segment_of[above], bone, arm_carriers), []).append(bone)
+                break
+            between.append(above)
+    place = {node: bone for bone, node in enumerate(bones)}
+    chains = {segment: sorted(chain, key=place.__getitem__) for segment, chain in segments.items()}
+    try:
+        return build_bone_mapping(
+            [nodes.names[node] for node in bones],
+            np.array([place.get(int(nodes.parents[node]), -1) for node in bones]),
+            {segment: [nodes.names[node] for node in chain] for segment, chain in chains.items()},
+            {},
+            reason="The humanoid bones that the VRM file names.",
+            source=str(nodes.path),
+        )
+    except SceneError as error:
+        raise ReadError(str(error)) from error
+
+
+def _choose_segment(upper_segment: str, bone: int, arm_carriers: set[int]) -> str:
+    """Return the segment of a bone between a humanoid bone of `upper_segment` and the next one."""
+    return "neck" if upper_segment == "spine" and arm_carriers and bone not in arm_carriers else upper_segment
+
 
 MIN_BODY_NODES = 12
 """of a file without skin: fewer nodes form no body"""

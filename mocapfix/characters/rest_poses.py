@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES, Character
 from mocapfix.errors import SceneError
-from mocapfix.skeleton import load_cmu31_skeleton
+from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 MAX_BACKWARD_COSINE = -0.5

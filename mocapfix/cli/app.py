@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -19,9 +20,7 @@ from rich.table import Table
 
 from mocapfix.cli.arguments import join_axis_arguments
 from mocapfix.cli.batch import run_batch
-from mocapfix.cli.bench_commands import BENCH_COMMANDS
-from mocapfix.cli.calibrate import run_calibrate
-from mocapfix.cli.clean import print_summary, run_clean
+from mocapfix.cli.clean import print_summary, run_clean, run_inspect, run_scene
 from mocapfix.cli.console import (
     DEBUG_VARIABLE,
     EXIT_BROKEN_PIPE,
@@ -37,12 +36,8 @@ from mocapfix.cli.console import (
     stderr_console,
     stdout_console,
 )
-from mocapfix.cli.inspect import run_inspect
-from mocapfix.cli.label import run_label
-from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS
+from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS, run_calibrate, run_label
 from mocapfix.cli.review import run_review, run_status
-from mocapfix.cli.run import run_scene
-from mocapfix.cli.train import TRAIN_COMMANDS
 from mocapfix.errors import OptionError, ReadError, describe_error
 
 
@@ -58,8 +53,8 @@ def run_demo(
     spikes. It is written as demo.c3d and cleaned like any other file; the output files are in demo.mocapfix/.
     """
     from mocapfix import pipeline, synthetic
-    from mocapfix.bench.demo import compute_fill_errors
-    from mocapfix.files.output_files import make_output_folder
+    from mocapfix.io.files import make_output_folder
+    from mocapfix.synthetic.demo_errors import compute_fill_errors
 
     make_output_folder(output_folder)
     truth, path = synthetic.compose_take(seed=seed), output_folder / "demo.c3d"
@@ -115,8 +110,11 @@ COMMANDS = {
 }
 COMMAND_GROUPS = {
     "marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS),
-    "bench": ("Measure mocapfix against known truth.", BENCH_COMMANDS),
-    "train": ("Train the pose priors and the twist model on motion.", TRAIN_COMMANDS),
+}
+# The commands that measure and train, with the module of mocapfix.lab that holds them: no other command needs it.
+LAB_COMMANDS = {
+    "bench": ("Measure mocapfix against known truth.", "command", "BENCH_COMMANDS"),
+    "train": ("Train the pose priors and the twist model on motion.", "train_command", "TRAIN_COMMANDS"),
 }
 
 
@@ -153,7 +151,10 @@ def run_command(arguments: list[str]) -> int:
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
         app.command(name=name)(command)
-    for group_name, (help_text, commands) in COMMAND_GROUPS.items():
+    groups = dict(COMMAND_GROUPS)
+    for name, (help_text, module, commands) in LAB_COMMANDS.items():
+        groups[name] = (help_text, getattr(import_module(f"mocapfix.lab.{module}"), commands) if arguments[:1] == [name] else {})
+    for group_name, (help_text, commands) in groups.items():
         group = tyro.extras.SubcommandApp()
         for name, command in commands.items():
             group.command(name=name)(command)

@@ -11,9 +11,7 @@ from typing import Annotated, Any, cast, get_args
 import tyro
 
 from mocapfix.errors import OptionError
-from mocapfix.files.option_choices import UP_AXES
-from mocapfix.files.option_definitions import Option, StageOptions
-from mocapfix.options import PURPOSE_OPTIONS, CleanOptions, build_clean_options, list_stages
+from mocapfix.options import PURPOSE_OPTIONS, UP_AXES, CleanOptions, Option, StageOptions, build_clean_options, list_stages
 
 UP_FLAG = "--up"
 FRAME_LIMIT = 2**62

@@ -1,4 +1,9 @@
-"""The command `mocapfix clean`: clean takes one after the other and summarise what was changed."""
+"""The command `mocapfix clean`: clean takes one after the other and summarise what was changed.
+
+The command `mocapfix inspect`: list the faults of a take without cleaning it.
+
+The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoint scene.
+"""
 
 import json
 import shlex
@@ -11,10 +16,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.markup import escape
+from rich.table import Table
 
 from mocapfix.cli.arguments import (
     FlagOption,
     OverwriteOption,
+    TakeArgument,
     TakesArgument,
     build_options_argument,
     describe_option,
@@ -29,9 +36,10 @@ from mocapfix.cli.console import (
     print_note,
     print_usage_error,
     show_progress,
+    stdout_console,
 )
-from mocapfix.errors import MocapfixError, WriteError
-from mocapfix.files.output_files import OUTPUT_FOLDER_SUFFIX
+from mocapfix.errors import MocapfixError, SceneError, WriteError
+from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5
@@ -71,7 +79,7 @@ def run_clean(
 
     Writes the cleaned file, a BVH, the list of changes, a report and a before/after recording.
     """
-    from mocapfix.write.output_formats import list_output_formats
+    from mocapfix.io.output_formats import list_output_formats
 
     if not takes:
         return print_usage_error("clean: name at least one take.")
@@ -246,3 +254,126 @@ def print_output_files(outputs: Mapping[str, Path]) -> None:
 def format_take_name(take: "TakeSection") -> str:
     """Return the name of the take in a report: its file's, with the subject's if the file has several."""
     return f"{take['file']} ({take['person']})" if "person" in take else take["file"]
+
+
+if TYPE_CHECKING:
+    from mocapfix.report.report import FaultEntry, InspectionReport
+
+    InspectArguments = object
+else:
+    InspectArguments = build_options_argument(("read", "subject"))
+
+
+def run_inspect(
+    take: TakeArgument,
+    options: InspectArguments,
+    as_json: Annotated[FlagOption, tyro.conf.arg(name="json", help="print JSON (an array for several subjects)")] = False,
+) -> int:
+    """List the faults of a take: all that clean would detect. Writes nothing."""
+    from mocapfix import pipeline
+
+    parsed = parse_options(options)
+    with show_progress(take.name) as progress:
+        inspections = pipeline.inspect(take, parsed, progress=progress)
+    if as_json:
+        print_json(inspections if len(inspections) > 1 else inspections[0])
+        return EXIT_DONE
+    for inspection in inspections:
+        print_faults(inspection)
+    return EXIT_DONE
+
+
+def print_faults(inspection: "InspectionReport") -> None:
+    """Print the faults of a take, or of one subject in it, as a table."""
+    take = inspection["take"]
+    last_frame = take["first_frame"] + take["frames"] - 1
+    is_animation = "animation" in take
+    point = "joint" if is_animation else "marker"
+    size = f"{take['markers']} {point}s, frames {take['first_frame']} to {last_frame} at {take['rate_hz']:g} Hz"
+    print_line(f"{escape(format_take_name(take))}: {size}.")
+    print_notes(inspection["notes"], "with --json")
+    if not inspection["faults"]:
+        stdout_console.print("No faults were detected.")
+        return
+    severity_heading = "severity" if is_animation else "severity, mm"
+    table = Table(point, "kind", "frames", severity_heading, "confidence", "reason")
+    for fault in inspection["faults"]:
+        table.add_row(
+            escape(fault["marker"]),
+            fault["kind"],
+            f"{fault['first']}-{fault['last']}",
+            _format_severity(fault, is_animation),
+            f"{fault['confidence']:.0%}",
+            escape(fault["reason"]),
+        )
+    stdout_console.print(table)
+
+
+def _format_severity(fault: "FaultEntry", with_unit: bool) -> str:
+    if (severity_deg := fault.get("severity_deg")) is not None:
+        return f"{severity_deg:.0f} degrees"
+    if fault["severity_m"] is None:
+        return ""
+    return f"{fault['severity_m'] * 1e3:.0f}{' mm' if with_unit else ''}"
+
+
+def run_scene(
+    scene: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or the name of a shipped scene")
+    ],
+    output_folder: Annotated[
+        Path | None, describe_option("DIR", "folder for the output files", "SCENE.mocapfix/", name="out", aliases=["-o"])
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> int:
+    """Run a scene: clean takes as a job file describes, or estimate motion and camera from 2-D keypoints."""
+    from mocapfix.io.shipped import find_shipped_folder, read_yaml
+
+    shipped_folder = find_shipped_folder("scenes")
+    path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped_folder / f"{Path(scene).name}.yaml"
+    if path.parent == shipped_folder and not path.is_file():
+        names = ", ".join(sorted(each.stem for each in shipped_folder.glob("*.yaml")))
+        raise SceneError(f"There is no scene named {scene!r}; choose one of: {names}; or name a .yaml file.")
+    kind = read_yaml(path).get("kind")
+    if not isinstance(kind, str) or kind not in SCENE_RUNNERS:
+        raise SceneError(f"{path}: kind: must be one of {', '.join(SCENE_RUNNERS)}, not {kind!r}.")
+    return SCENE_RUNNERS[kind](path, output_folder or Path(f"{path.stem}.mocapfix"), overwrite)
+
+
+def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
+    """Clean the takes of the job at `path`; return the exit status."""
+    from mocapfix import pipeline
+    from mocapfix.io.files import make_output_folder
+    from mocapfix.jobs.cleaning_job import read_cleaning_job
+
+    job = read_cleaning_job(path)
+    takes = job.list_takes(output_folder)
+    print_line(f"[bold]{escape(job.header.title)}[/]: {len(takes)} {'take' if len(takes) == 1 else 'takes'}.")
+    make_output_folder(output_folder)
+    job.write_composed_takes(output_folder, overwrite)
+    subject = job.get_subject_file()
+    if calibration_takes := job.list_calibration_takes():
+        with show_progress(path.name, needs_kernels=True) as progress:
+            progress("calibrate")
+            subject = pipeline.calibrate_takes(calibration_takes, job.options)
+    return clean_takes(takes, output_folder, job.options.change(subject=subject), overwrite=overwrite)
+
+
+def run_keypoints_job(path: Path, output_folder: Path, overwrite: bool) -> int:
+    """Estimate poses and camera of the keypoint scene at `path`; return the exit status."""
+    from mocapfix.keypoints import keypoint_scene
+
+    with show_progress(path.name) as progress:
+        result = keypoint_scene.run_keypoint_scene(path, progress)
+        outputs = result.write(output_folder, overwrite)
+    report = result.report
+    print_line(
+        f"[bold]{escape(result.title)}[/]: {report['frames']} frames, mean reprojection error "
+        f"{report['reprojection_px']['mean']:.1f} px; camera scale {report['camera']['pixels_per_metre']:.1f} pixels per metre. "
+        f"{report['seconds']['total']:.1f} s."
+    )
+    print_output_files(outputs)
+    return EXIT_DONE
+
+
+SCENE_RUNNERS = {"clean": run_cleaning_job, "keypoints-2d": run_keypoints_job}

@@ -1,4 +1,9 @@
-"""The commands about marker sets: `mocapfix marker-set list`, `show` and `learn`."""
+"""The commands about marker sets: `mocapfix marker-set list`, `show` and `learn`.
+
+The command `mocapfix calibrate`: bones and marker places of one person, or of all people in takes.
+
+The command `mocapfix label`: give the trajectories of a take the labels of a marker set.
+"""
 
 import shlex
 from pathlib import Path
@@ -8,11 +13,28 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import OverwriteOption, TakeArgument, build_options_argument, describe_option, parse_options
-from mocapfix.cli.console import EXIT_DONE, print_line, show_progress, stdout_console
+from mocapfix.cli.arguments import (
+    OverwriteOption,
+    TakeArgument,
+    TakesArgument,
+    build_options_argument,
+    describe_option,
+    parse_options,
+)
+from mocapfix.cli.console import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    TakeAttempts,
+    print_line,
+    print_note,
+    print_usage_error,
+    show_progress,
+    stdout_console,
+)
+from mocapfix.errors import WriteError
 
 if TYPE_CHECKING:
-    from mocapfix.marker_set import MarkerSet
+    from mocapfix.model.marker_set import MarkerSet
 
     ReadArguments = object
 else:
@@ -21,7 +43,7 @@ else:
 
 def run_marker_set_list() -> int:
     """List the shipped marker sets."""
-    from mocapfix.marker_sets import load_shipped_marker_sets
+    from mocapfix.subject.library import load_shipped_marker_sets
 
     table = Table("name", "title", "markers", "of them optional")
     for each in load_shipped_marker_sets():
@@ -34,7 +56,7 @@ def run_marker_set_show(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE", help="a shipped set, or a YAML file")],
 ) -> int:
     """Show the markers of a set by segment, and their other names."""
-    from mocapfix.marker_sets import load_marker_set
+    from mocapfix.subject.library import load_marker_set
 
     marker_set = load_marker_set(name)
     stdout_console.print(f"[bold]{escape(marker_set.name)}[/]: {escape(marker_set.title)}, {len(marker_set.labels)} markers.")
@@ -67,9 +89,9 @@ def run_marker_set_learn(
     listed. If the labels contain no known words, the body is located by the positions and the motion of the markers; then at
     least one frame must show the person standing.
     """
-    from mocapfix.files.output_files import check_outputs_absent
-    from mocapfix.marker_sets import write_marker_set
-    from mocapfix.marker_sets.own_set import learn_marker_set
+    from mocapfix.io.files import check_outputs_absent
+    from mocapfix.subject.library import write_marker_set
+    from mocapfix.subject.own_set import learn_marker_set
 
     check_outputs_absent([output_path], overwrite)
     with show_progress(take.name) as progress:
@@ -99,7 +121,7 @@ def run_marker_set_learn(
 
 def _print_segments(marker_set: "MarkerSet") -> None:
     """Print the markers of each segment."""
-    from mocapfix.skeleton import load_cmu31_body
+    from mocapfix.model.skeleton import load_cmu31_body
 
     table = Table("segment", "markers")
     for joint in sorted(set(marker_set.joints.tolist())):
@@ -109,3 +131,107 @@ def _print_segments(marker_set: "MarkerSet") -> None:
 
 
 MARKER_SET_COMMANDS = {"list": run_marker_set_list, "show": run_marker_set_show, "learn": run_marker_set_learn}
+
+
+SUBJECT_FILE_SUFFIXES = (".yaml", ".yml")
+
+if TYPE_CHECKING:
+    CalibrateArguments = object
+else:
+    CalibrateArguments = build_options_argument(
+        ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
+    )
+
+
+def run_calibrate(
+    takes: TakesArgument,
+    output: Annotated[
+        Path,
+        tyro.conf.arg(aliases=["-o"], metavar="SUBJECT.yaml|DIR", help="subject file, or folder for a file for each person"),
+    ],
+    options: CalibrateArguments,
+    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",
+    overwrite: OverwriteOption = False,
+) -> int:
+    """Calibrate a person's bones and marker positions from takes, for `clean --subject`.
+
+    With a file for output all takes show one person. With a folder, people are recognised by the names in the labels or by the
+    folders of the takes, and each gets a file. A take that cannot be used does not stop the others.
+    """
+    from mocapfix.io.files import check_outputs_absent, make_output_folder
+    from mocapfix.subject.people import (
+        PersonFiles,
+        calibrate_one_person,
+        calibrate_people,
+        locate_person_files,
+        write_person_files,
+    )
+
+    if not takes:
+        return print_usage_error("calibrate: name at least one take.")
+    parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
+    if is_file:
+        check_outputs_absent([output], overwrite)
+    attempts = TakeAttempts()
+    with show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
+        progress("calibrate")
+        if is_file:
+            people = calibrate_one_person(takes, parsed, prior, attempts.attempt)
+            files = [PersonFiles(output, {}) for _ in people]
+        else:
+            people = calibrate_people(takes, parsed, prior, attempts.attempt)
+            files = [locate_person_files(output, person.name, person.calibration) for person in people]
+            check_outputs_absent([path for each in files for path in (each.main, *each.by_take.values())], overwrite)
+            if people:
+                make_output_folder(output)
+        for person, of_person in zip(people, files, strict=True):
+            write_person_files(of_person, person.calibration)
+    for person, of_person in zip(people, files, strict=True):
+        subject = person.calibration.subject
+        size = f"{len(subject.labels)} markers on {len(subject.skeleton.names)} joints, from {subject.frame_count} frames"
+        print_line(f"{escape(str(of_person.main))}: {size}.")
+        for note in person.describe():
+            print_note(note)
+        for take, path in of_person.by_take.items():
+            print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
+    return EXIT_FAILED if attempts.failed else EXIT_DONE
+
+
+if TYPE_CHECKING:
+    LabelArguments = object
+else:
+    LabelArguments = build_options_argument(("read", "subject"), without=("hierarchy", "subject_prefix"))
+
+
+def run_label(
+    take: TakeArgument,
+    options: LabelArguments,
+    output_path: Annotated[
+        Path | None,
+        describe_option("FILE", "the labelled file", "TAKE.labelled with the suffix of the take", name="output", aliases=["-o"]),
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> int:
+    """Label a take whose trajectories have no labels, or whose points are not yet trajectories.
+
+    Name the markers with --marker-set, the person with --subject, or a labelled take of the same person with --like; otherwise
+    the shipped marker set that fits the points clearly is assumed, and if none does, the markers are numbered. The output is the
+    input with the names of the markers; trajectories of the same marker are joined in one column. Nothing else is changed.
+    """
+    from mocapfix import pipeline
+    from mocapfix.io.files import check_outputs_absent, replace_atomically
+
+    target = output_path or take.with_name(f"{take.stem}.labelled{take.suffix}")
+    if target.exists() and take.exists() and target.samefile(take):
+        raise WriteError(f"{take}: would be replaced by its labelled copy; name another file with --output.")
+    check_outputs_absent([target], overwrite)
+    parsed = parse_options(options)
+    with show_progress(take.name, needs_kernels=True) as progress:
+        labelled = pipeline.label(take, parsed, progress=progress)
+    assert labelled.labelled_file is not None
+    with replace_atomically(target) as part:
+        part.write_bytes(labelled.labelled_file)
+    print_line(f"[bold]{escape(str(target))}[/]")
+    for note in labelled.notes:
+        print_note(note)
+    return EXIT_DONE

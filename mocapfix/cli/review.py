@@ -35,8 +35,8 @@ def run_review(
     """
     if missing := [name for name in REVIEW_PACKAGES if importlib.util.find_spec(name) is None]:
         raise ReadError(f"The review needs {' and '.join(missing)}; install it with: pip install 'mocapfix[review]'.")
-    from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
-    from mocapfix.files.process_lock import hold_process_lock
+    from mocapfix.batch.records import BATCH_LOCK_NAME
+    from mocapfix.io.files import hold_process_lock
     from mocapfix.review.review_session import ReviewSession, describe_other_review
     from mocapfix.review.server import ReviewServer, check_server_installed
 

@@ -1,4 +1,7 @@
-"""The contacts of a body with the floor, as later stages, reports and files use them."""
+"""The contacts of a body with the floor, as later stages, reports and files use them.
+
+The floor on which a person stands: its height, its tilt, and further levels such as steps, from the places of the toes.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -6,9 +9,131 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.contacts.floor import NO_FLOOR, Floor
-from mocapfix.files.option_choices import FEET_OFF
+from mocapfix.options import FEET_OFF
 from mocapfix.stats.sequences import find_runs
+
+TOE_HEIGHT_M = 0.025
+"""Height of the toe joint above the sole of a person of average size, standing flat."""
+MAX_LEVEL_DEVIATION_M = 0.06
+"""Largest height of a standing joint above its level; half a low step."""
+MAX_SUPPORT_ABOVE_OTHER_M = 0.02
+"""Height of a toe above that of the other foot, where both stand, up to which its foot may bear the weight on a level."""
+MIN_LEVEL_STEP_M = 0.1
+"""Smallest height of a step between two levels."""
+MIN_LEVEL_S = 0.3
+"""Time for which feet stand on a level, all together, at least."""
+BASE_PERCENTILE = 10.0
+"""The share of standing frames, in percent, that may be below a level: noise, and feet that roll."""
+MIN_TILT_PLACES = 6
+MIN_TILT_EXTENT_M = 1.5
+"""Number of places, and their extent in a direction, from which a tilt is estimated."""
+MIN_TILT_RAD = np.deg2rad(0.3)
+"""Smallest tilt that is distinguished from a level floor."""
+MIN_RAMP_RAD = np.deg2rad(1.5)
+"""The same where the places extend in one direction only: few of them then decide."""
+MAX_TILT_RAD = np.deg2rad(12.0)
+"""Largest tilt of a floor, that of steep ramps; stairs, of which each step is trodden on once, rise by 20 degrees or more."""
+MAX_TILT_RESIDUAL_M = 0.03
+"""Largest deviation of nine of ten places from a tilted floor; otherwise it has levels."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The surfaces on which a person stands.
+
+    slope_x, slope_z  rise in metres per metre along X and Z; 0 for a level floor
+    level_heights_m   heights of the levels at the origin, rising; a flat floor has one
+    """
+
+    slope_x: float
+    slope_z: float
+    level_heights_m: tuple[float, ...]
+
+    @property
+    def height_m(self) -> float:
+        """The height of the lowest level at the origin, 0 if no floor was found."""
+        return self.level_heights_m[0] if self.level_heights_m else 0.0
+
+    @property
+    def tilt_deg(self) -> float:
+        """The angle between the floor and the horizontal."""
+        return float(np.degrees(np.arctan(np.hypot(self.slope_x, self.slope_z))))
+
+    def compute_height_above(self, position: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, "*T"]:
+        """Return the height in metres above the highest level that is not more than MAX_LEVEL_DEVIATION_M above a position."""
+        height = position[..., 1] - self.slope_x * position[..., 0] - self.slope_z * position[..., 2]
+        above = np.array(height - self.height_m)
+        for level in self.level_heights_m[1:]:
+            above = np.where(height - level > -MAX_LEVEL_DEVIATION_M, height - level, above)
+        return above
+
+
+NO_FLOOR = Floor(0.0, 0.0, ())
+
+
+def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[np.ndarray, "T N"], rate: float) -> Floor:
+    """Estimate the floor from the toes of a person's feet; NO_FLOOR if they never stand.
+
+    A level that is higher than the lowest one counts if a foot stands on it while the other does not stand lower: a foot that is
+    held still in the air, beside a foot on the floor, is on no level.
+
+    toe_position, is_standing  of both feet
+    rate                       frames per second
+    """
+    if not is_standing.any():
+        return NO_FLOOR
+    places = _average_places(toe_position, is_standing)
+    slope_x, slope_z = _fit_slope(places)
+    height = toe_position[..., 1] - slope_x * toe_position[..., 0] - slope_z * toe_position[..., 2]
+    lowest_standing = np.where(is_standing, height, np.inf).min(1, keepdims=True)
+    is_support = is_standing & (height <= lowest_standing + MAX_SUPPORT_ABOVE_OTHER_M)
+    levels: list[float] = []
+    remaining = np.sort(height[is_support])
+    while len(remaining) >= (MIN_LEVEL_S * rate if levels else 1):
+        near = remaining[remaining <= remaining[0] + 2 * MAX_LEVEL_DEVIATION_M]
+        base = float(np.percentile(near, BASE_PERCENTILE))
+        is_on_level = remaining <= base + MAX_LEVEL_DEVIATION_M
+        is_new = not levels or (base - TOE_HEIGHT_M - levels[-1] >= MIN_LEVEL_STEP_M and is_on_level.sum() >= MIN_LEVEL_S * rate)
+        if is_new:
+            levels.append(base - TOE_HEIGHT_M)
+        remaining = remaining[~is_on_level]
+    return Floor(slope_x, slope_z, tuple(levels))
+
+
+def _average_places(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "P 3"]:
+    """Return the mean position of each run in which a toe stands."""
+    places = [
+        toe_position[first : last + 1, n].mean(0)
+        for n in range(is_standing.shape[1])
+        for first, last in find_runs(is_standing[:, n])
+    ]
+    return np.array(places)
+
+
+def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
+    """Return the rise of the floor along X and Z, robust against a few places elsewhere; 0 if the places show no tilt.
+
+    Across a straight walk the floor is level: it shows the tilt along the walk alone.
+    """
+    if len(places) < MIN_TILT_PLACES:
+        return 0.0, 0.0
+    flat = places[:, [0, 2]] - places[:, [0, 2]].mean(0)
+    _, _, directions = np.linalg.svd(flat, full_matrices=False)
+    directions = directions[np.ptp(flat @ directions.T, axis=0) >= MIN_TILT_EXTENT_M]
+    design = np.column_stack([flat @ directions.T, np.ones(len(places))])
+    weight = np.ones(len(places))
+    solution = np.zeros(design.shape[1])
+    for _ in range(10):  # iteratively reweighted least squares of absolute deviations
+        solution = np.linalg.lstsq(design * weight[:, None], places[:, 1] * weight, rcond=None)[0]
+        weight = np.sqrt(1 / np.maximum(np.abs(places[:, 1] - design @ solution), 1e-3))
+    residual = np.abs(places[:, 1] - design @ solution)
+    slope = solution[:-1] @ directions
+    smallest = MIN_TILT_RAD if len(directions) == len(slope) else MIN_RAMP_RAD
+    is_tilted = np.tan(smallest) < np.hypot(*slope) < np.tan(MAX_TILT_RAD)
+    if not is_tilted or np.percentile(residual, 90) > MAX_TILT_RESIDUAL_M:
+        return 0.0, 0.0
+    return float(slope[0]), float(slope[1])
+
 
 FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
 """the joints of each foot that can be in contact: the ankle stands for the heel, the toe base for the ball of the foot"""

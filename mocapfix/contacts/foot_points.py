@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS
-from mocapfix.motion import Motion
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.subject import Subject
 
 HEEL_PER_FOOT = -0.35
 """The heel along the foot, as a share of the length from the ankle to the toe base; negative is behind the ankle."""

@@ -17,10 +17,9 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, binary_opening
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from mocapfix.contacts.contacts import GaitEvent
-from mocapfix.contacts.floor import MAX_LEVEL_DEVIATION_M, Floor
+from mocapfix.contacts.contacts import MAX_LEVEL_DEVIATION_M, Floor, GaitEvent
+from mocapfix.contacts.find_contacts import compute_speed
 from mocapfix.contacts.foot_points import FootPoints
-from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 
 NEAR_FLOOR_M = 0.05

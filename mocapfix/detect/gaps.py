@@ -9,11 +9,11 @@ same bone is visible.
 
 import numpy as np
 
-from mocapfix.faults import Fault, FaultKind
-from mocapfix.marker_set import LIMB_JOINT_NAMES, MarkerSet
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.faults import Fault, FaultKind
+from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
-from mocapfix.take import Take
 
 # Longest flicker. A gap of one frame is always one.
 MAX_FLICKER_DURATION_S = 0.02

@@ -17,7 +17,6 @@ import numpy as np
 
 from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
 from mocapfix.detect.trajectory_segments import build_trajectories
-from mocapfix.faults import Fault
 from mocapfix.kernels.label_evidence import (
     CONTRADICTION_S_PER_LEAP,
     MAX_SMOOTH_LEAP,
@@ -25,8 +24,9 @@ from mocapfix.kernels.label_evidence import (
     compute_own_contradictions,
     compute_own_leaps,
 )
+from mocapfix.model.faults import Fault
+from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
-from mocapfix.take import Take
 
 # Fraction of the take in which a marker is assumed to be in place. It is larger than for swaps: a rare pose is no ghost.
 GHOST_CORRECT_FRACTION = 0.8

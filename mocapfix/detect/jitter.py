@@ -16,9 +16,9 @@ from scipy.ndimage import binary_closing, median_filter
 from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.shared_motion import compute_weighted_deviations, remove_shared_noise
-from mocapfix.faults import Fault
+from mocapfix.model.faults import Fault
+from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
-from mocapfix.take import Take
 
 # The neighbours of a sample through which the cubic goes.
 NEIGHBOUR_OFFSETS = (-2, -1, 1, 2)

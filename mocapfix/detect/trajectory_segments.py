@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 # A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
 NUMBERED_LABEL = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.stats.residual_process import interpolate_residual
+from mocapfix.stats.gaussian_process import interpolate_residual
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
 from mocapfix.stats.sequences import find_runs, sample_evenly
 

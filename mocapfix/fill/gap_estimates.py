@@ -3,34 +3,219 @@
 A gap is filled from the marker's own trajectory, from rigid clusters of its neighbours, by a regression on their deformation and,
 where these leave it uncertain, by a Gaussian process over all markers. Short gaps come first: what is filled precisely is a
 neighbour for longer ones.
+
+Hidden stretches: visible parts of the take that are treated as missing, to measure the errors of estimates.
+
+A stretch imitates a gap: it is as long, the same markers are hidden together, and the samples beside it are visible. Where the
+take shows no stretch that long, a shorter one is used, which is worth less.
+
+How well the visible markers are interpolated in the very gap of a lost one.
+
+Stretches of a take in which a marker is visible are often those in which it rests, and a short take has few of them. The markers
+that are visible throughout the gap are treated as missing there: they show how the person moves during the gap, and whether
+velocities at its edges help.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.changing_clusters import build_changing_axes, remove_steps, select_changing_cluster
 from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M, MIN_CLUSTER_MARKERS
-from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, estimate_from_edges
-from mocapfix.fill.edge_motion import EdgeMotion, compare_edge_motion
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MarkerEstimate, MovingAxes, build_marker_estimate
-from mocapfix.fill.gaussian_process_fill import MAX_SETTLED_SD_M, MIN_VISIBLE_SHARE
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
-from mocapfix.fill.marker_processes import MarkerProcesses
-from mocapfix.fill.marker_speeds import SpeedLimit, measure_speed_limit, measure_velocity_variation
+from mocapfix.fill.edge_interpolation import (
+    ACTIVITY_POWER,
+    EdgeMotion,
+    MethodRatios,
+    build_edge_maps,
+    compare_edge_motion,
+    compute_expected_sd,
+    estimate_from_edges,
+)
+from mocapfix.fill.fill_methods import (
+    FillMethod,
+    GapEstimate,
+    GapWindow,
+    MarkerEstimate,
+    MovingAxes,
+    SpeedLimit,
+    build_marker_estimate,
+    measure_speed_limit,
+    measure_velocity_variation,
+)
+from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MIN_VISIBLE_SHARE, MarkerProcesses
 from mocapfix.fill.neighbour_clusters import (
     MIN_KEPT_FRAME_SHARE,
+    build_changing_axes,
     build_cluster_axes,
     estimate_by_regression,
     measure_distance_changes,
+    remove_steps,
+    select_changing_cluster,
     select_regression_cluster,
 )
-from mocapfix.fill.neighbour_errors import NeighbourActivity, NeighbourErrors, measure_neighbour_errors
 from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_gap_estimates
 from mocapfix.stats.sequences import group_gaps, sample_evenly
+
+MAX_HIDDEN_STRETCHES = 12
+"""Stretches that are hidden for one gap."""
+MIN_STRETCH_STARTS = 2
+"""First frames that must be possible for stretches of a length."""
+MIN_STARTS_PER_LENGTH = 0.05
+"""The same, relative to the length."""
+SHORTER_STRETCH_RATIO = 0.7
+"""Ratio by which stretches are shortened at a time while too few first frames are possible."""
+MAX_EXAMINED_STARTS = 4000
+"""First frames that are examined."""
+MAX_GAP_POINTS = 7
+"""Points along a gap at which errors are measured."""
+MAX_EDGE_SAMPLES = 4
+"""Samples at each edge of a gap that are used."""
+EDGE_CONTEXT_S = 0.06
+"""Time on either side of a gap whose samples determine position and velocity at its edge."""
+
+
+def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> GapWindow:
+    """Return the window of a gap first..last.
+
+    is_usable  frames in which all markers are visible that the gap hides
+    rate       frame rate in Hz
+    """
+    length, reach = last - first + 1, max(1, round(EDGE_CONTEXT_S * rate))
+    before = -1 - find_adjacent_samples(is_usable[max(0, first - reach) : first][::-1])[::-1]
+    steps = find_adjacent_samples(is_usable[last + 1 : last + 1 + reach])
+    lead, tail = (-int(before[0]) if len(before) else 0), (int(steps[-1]) + 1 if len(steps) else 0)
+    hidden_length, starts = find_stretches(is_usable, length, lead, tail)
+    count = min(length, MAX_GAP_POINTS)
+    return GapWindow(
+        first, length, before, length + steps, space_points(length, count),
+        starts, hidden_length, hidden_length + steps, space_points(hidden_length, count),
+    )  # fmt: skip
+
+
+def find_adjacent_samples(is_usable: Bool[np.ndarray, " N"]) -> Int[np.ndarray, " A"]:
+    """Return indices of usable samples, the first and some others, if the first is usable; otherwise none."""
+    usable = np.flatnonzero(is_usable)
+    return usable[sample_evenly(len(usable), MAX_EDGE_SAMPLES)] if len(usable) and usable[0] == 0 else usable[:0]
+
+
+def space_points(length: int, count: int) -> Int[np.ndarray, " S"]:
+    """Return the offsets of evenly spaced points from the first to the last frame of a gap."""
+    return np.round(np.linspace(0, length - 1, count)).astype(int)
+
+
+def find_stretches(is_usable: Bool[np.ndarray, " T"], length: int, lead: int, tail: int) -> tuple[int, Int[np.ndarray, " K"]]:
+    """Return the length of the stretches, the gap's own if the take has enough of them, and their first frames.
+
+    lead, tail  frames before and after a stretch that must be usable too
+    """
+    missing_before = np.concatenate([[0], np.cumsum(~is_usable)])
+    while True:
+        span = lead + length + tail
+        step = 1 + max(0, len(is_usable) - span) // MAX_EXAMINED_STARTS
+        starts = np.arange(0, len(is_usable) - span + 1, step)
+        starts = starts[missing_before[starts + span] == missing_before[starts]] + lead
+        if length == 1 or len(starts) * step >= max(MIN_STRETCH_STARTS, MIN_STARTS_PER_LENGTH * length):
+            return length, starts[sample_evenly(len(starts), MAX_HIDDEN_STRETCHES)] if len(starts) else starts
+        length = max(1, int(length * SHORTER_STRETCH_RATIO))
+
+
+MAX_RATIO_NEIGHBOURS = 8
+"""Number of neighbours, the steadiest first, whose errors are compared with the expected ones."""
+COMPARED_ERROR_MARGIN_M = 0.001
+"""Length that is added to both errors: smaller ones count as equal."""
+VELOCITY_SPAN_S = 0.1
+"""Time over which speeds are measured."""
+MIN_COMPARED_SPEED_M_S = 0.02
+"""Speed below which neighbours count as equally at rest."""
+MIN_COMPARED_STEPS = 5
+"""Steps in which a neighbour must be visible while the marker is."""
+MIN_KNOWN_GAP_SHARE = 0.8
+"""Share of a gap in which a neighbour must be visible."""
+MAX_ACTIVITY_RATIO = 30.0
+"""Largest ratio of the neighbours' speeds."""
+
+
+class NeighbourActivity:
+    """The speeds of all markers, which show whether a marker is visible mainly while the person rests.
+
+    markers  in metres, NaN if not visible
+    rate     frame rate in Hz
+    """
+
+    def __init__(self, markers: Float[np.ndarray, "T M 3"], rate: float) -> None:
+        self.lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
+        square = (((markers[self.lag :] - markers[: -self.lag]) * (rate / self.lag)) ** 2).sum(-1)
+        self.is_known, self.square = ~np.isnan(square), np.nan_to_num(square)
+        self.is_visible = ~np.isnan(markers[self.lag // 2 :, :, 0][: len(square)])
+        self._square_with_marker: dict[int, np.ndarray] = {}
+
+    def compare(self, marker: int, window: GapWindow, neighbours: Int[np.ndarray, " N"]) -> float:
+        """Return how many times as fast neighbours are in a gap as while the marker is visible, at least one.
+
+        neighbours  the steadiest first
+        """
+        if not len(self.square):
+            return 1.0
+        first = min(max(0, window.first - self.lag // 2), len(self.square) - 1)
+        steps = slice(first, max(first + 1, window.first + window.length - self.lag // 2))
+        in_gap = self._average(neighbours, self.square[steps][:, neighbours], self.is_known[steps][:, neighbours])
+        with_marker = self._compute_squares_with(marker)[neighbours]
+        both = np.stack([in_gap, with_marker])[:, ~np.isnan(in_gap + with_marker)][:, :MAX_RATIO_NEIGHBOURS]
+        if not both.size:
+            return 1.0
+        difference = np.diff(np.log(both + MIN_COMPARED_SPEED_M_S**2), axis=0).mean()
+        return float(np.exp(np.clip(-difference / 2, 0, np.log(MAX_ACTIVITY_RATIO))))
+
+    @staticmethod
+    def _average(neighbours: np.ndarray, square: np.ndarray, is_known: np.ndarray) -> np.ndarray:
+        mean = np.full(len(neighbours), np.nan)
+        return np.divide(square.sum(0), is_known.sum(0), out=mean, where=is_known.mean(0) > MIN_KNOWN_GAP_SHARE)
+
+    def _compute_squares_with(self, marker: int) -> np.ndarray:
+        """Return the mean square speed of all markers while one is visible; NaN where unknown."""
+        if marker not in self._square_with_marker:
+            weight = self.is_visible[:, marker].astype(float)
+            count = weight @ self.is_known
+            mean = np.full(len(count), np.nan)
+            np.divide(weight @ self.square, count, out=mean, where=count >= MIN_COMPARED_STEPS)
+            self._square_with_marker[marker] = mean
+        return self._square_with_marker[marker]
+
+
+class NeighbourErrors(NamedTuple):
+    """The errors of K methods for M markers in one gap.
+
+    log_ratio  (K, M) logarithms of the errors relative to that expected of the straight method; NaN where a marker is not visible
+    """
+
+    log_ratio: np.ndarray
+
+    def compute_ratios(self, neighbours: Int[np.ndarray, " N"]) -> MethodRatios | None:
+        """Return the mean ratios of some markers, the steadiest first; None if none of them is visible.
+
+        neighbours  markers in descending order of how constant their distance to the lost one is
+        """
+        known = neighbours[~np.isnan(self.log_ratio[:, neighbours]).any(0)][:MAX_RATIO_NEIGHBOURS]
+        return MethodRatios(self.log_ratio[:, known].mean(1), len(known)) if len(known) else None
+
+
+def measure_neighbour_errors(
+    markers: Float[np.ndarray, "T M 3"], window: GapWindow, rate: float, velocity_sd: Float[np.ndarray, " M"]
+) -> NeighbourErrors:
+    """Return the errors of the markers that are visible at the points of a gap and beside it.
+
+    markers      in metres, NaN if not visible
+    velocity_sd  variation of each marker's velocity in m/s
+    """
+    w = window
+    maps = np.stack(build_edge_maps(w.before, w.after, w.length, w.points, rate))
+    error = np.einsum("kpc,cma->kpma", maps, markers[w.context_frames]) - markers[w.first + w.points]
+    size = np.sqrt((error**2).sum(-1).mean(1))
+    expected = np.sqrt(3 * (compute_expected_sd(w, rate, 1.0, None) ** 2).mean()) * velocity_sd
+    return NeighbourErrors(np.log((size + COMPARED_ERROR_MARGIN_M) / (expected + COMPARED_ERROR_MARGIN_M)))
+
 
 CLUSTER_SIZES = (4, 8)
 """Numbers of the steadiest neighbours that define axes."""

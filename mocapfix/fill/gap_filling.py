@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
-from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.fill import body_fill
-from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
+from mocapfix.fill import marker_estimates as body_fill
+from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate, measure_speed_limit
 from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
 from mocapfix.fill.marker_estimates import (
     MIN_COMBINED_SD_M,
@@ -19,14 +18,14 @@ from mocapfix.fill.marker_estimates import (
     compute_gap_inflation,
     estimate_missing_samples,
 )
-from mocapfix.fill.marker_speeds import measure_speed_limit
 from mocapfix.fill.requested_fills import FillRequest, explain_requested_fills, locate_requested_fills, use_requested_methods
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
+from mocapfix.model.changes import UnfilledRun, expand_unfilled_reasons
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
 from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
-from mocapfix.take import Take
 
 MAX_SETTLED_GAP_SD_M = 0.002
 """Standard deviation of the estimates over the whole take up to which a gap is not estimated by itself; it holds throughout."""
@@ -92,7 +91,7 @@ def find_rigid_groups_outside(state: CleaningState) -> tuple[RigidGroup, ...]:
     is_on_body |= np.isin(epochs.column_marker, [*state.detection.donor_markers, *epochs.column_marker[is_on_body]])
     if (~is_on_body).sum() < MIN_GROUP_MARKERS:
         return ()
-    from mocapfix.marker_sets.props import find_props  # few takes need it
+    from mocapfix.subject.props import find_props  # few takes need it
 
     return find_props(
         epochs.take.masked(epochs.split_mask(state.detection.inlier_mask)), is_on_body, marker_set.props if marker_set else {}

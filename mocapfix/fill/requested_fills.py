@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from mocapfix.detect.moved_markers import MarkerEpochs
 from mocapfix.fill.cluster_fill import fill_from_clusters
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate
 from mocapfix.fill.spline_fill import (
@@ -15,9 +16,7 @@ from mocapfix.fill.spline_fill import (
     group_gap_patterns,
     measure_spline_error,
 )
-from mocapfix.repair.moved_markers import MarkerEpochs
-from mocapfix.review.corrections import Correction
-from mocapfix.review.file_models import RequestedFill
+from mocapfix.review.changes_file import Correction, RequestedFill
 
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"

@@ -13,13 +13,12 @@ from typing import Annotated, Any, Literal, TypeVar, cast
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
 from mocapfix.errors import MocapfixError, OptionError, SceneError
-from mocapfix.files.option_definitions import Option
-from mocapfix.files.output_files import check_outputs_absent, make_output_folder
-from mocapfix.files.shipped import is_existing_file
-from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.options import PURPOSE_DEFAULTS, CleanOptions, build_clean_options, list_stages
+from mocapfix.io.files import check_outputs_absent, make_output_folder
+from mocapfix.io.output_formats import list_output_formats
+from mocapfix.io.shipped import is_existing_file
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.options import PURPOSE_DEFAULTS, CleanOptions, Option, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
-from mocapfix.write.output_formats import list_output_formats
 
 HeaderModel = TypeVar("HeaderModel", bound=StrictModel)
 WILDCARD_CHARACTERS = set("*?[")

@@ -15,7 +15,7 @@ from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kine
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.small_matrices import copy_array
 from mocapfix.kernels.workspace import allocate_workspace, copy_pose, load_pose, store_pose
-from mocapfix.motion import FrameStatus
+from mocapfix.model.motion import FrameStatus
 
 # Numba compiles these as plain integers.
 CONVERGED = int(FrameStatus.CONVERGED)

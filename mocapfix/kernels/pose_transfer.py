@@ -12,6 +12,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import FramePose, compute_forward_kinematics
+from mocapfix.kernels.hybrik import compute_swing
 from mocapfix.kernels.lie import compute_exponential, orthonormalise_rotation
 from mocapfix.kernels.rigid_registration import (
     accumulate_cross_covariance,
@@ -27,7 +28,6 @@ from mocapfix.kernels.small_matrices import (
     store_matrix,
     transpose_matrix,
 )
-from mocapfix.kernels.swing_twist import compute_swing
 
 FEATURES_PER_JOINT = 17  # see `_write_features`
 START_ROTATION_WEIGHT = 1.0  # 1/rad^2: weight of the start rotation beside measured joints in a registration

@@ -4,7 +4,7 @@ SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K + 3 F unkn
 markers' offsets along given deformations, linearly. The next 3 K are the K markers' offsets themselves, in their joints' axes.
 The last 3 F are the mean pose of the frames: the rotation of each of F joints from its target, in its parent's axes.
 
-`calibrate.refinement` runs these loops and sums over frames.
+`subject.refinement` runs these loops and sums over frames.
 """
 
 import numpy as np

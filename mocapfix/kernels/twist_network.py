@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.hybrik import add_scaled, compute_dot, compute_square_root, compute_swing
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector, transpose_matrix
-from mocapfix.kernels.swing_twist import add_scaled, compute_dot, compute_square_root, compute_swing
 
 SINGLE_PRECISION_ZERO = np.float32(0)
 

@@ -24,12 +24,12 @@ from mocapfix.keypoints.reprojection_problem import (
     solve_camera_scale,
     subtract_weighted_mean,
 )
-from mocapfix.motion import Motion, PoseUncertainty
+from mocapfix.model.motion import Motion, PoseUncertainty
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.model import PoseModel
-from mocapfix.skeleton import Skeleton
-from mocapfix.solve.constraints import Camera
+from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.pose_solver import PoseSolution
+from mocapfix.solve.single_pose import Camera
 from mocapfix.solve.smoothing import smooth_poses
 from mocapfix.stats.sequences import find_cheapest_states
 

@@ -18,9 +18,9 @@ from jaxtyping import Float, Int
 from pydantic import PositiveFloat
 
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.skeleton import Skeleton
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.model.skeleton import Skeleton
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,18 @@ from pydantic import Field, PositiveFloat
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
-from mocapfix.calibrate.subject_file import read_subject
 from mocapfix.errors import SceneError
-from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_atomically
-from mocapfix.files.yaml_models import StrictModel, read_yaml_model
+from mocapfix.io.files import check_outputs_absent, make_output_folder, replace_atomically
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.keypoints.film_solver import solve_film
 from mocapfix.keypoints.keypoint_file import Keypoints, load_detector, read_keypoints
 from mocapfix.keypoints.reprojection_problem import build_camera, build_camera_rotation
-from mocapfix.motion import FrameStatus, Motion
+from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
-from mocapfix.skeleton import Skeleton, load_cmu31_body
-from mocapfix.solve.constraints import Camera
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.solve.single_pose import resolve_pose_model
+from mocapfix.solve.single_pose import Camera, resolve_pose_model
+from mocapfix.subject.subject_file import read_subject
 
 if TYPE_CHECKING:
     from mocapfix.report.keypoint_report import KeypointReport
@@ -97,8 +96,8 @@ class KeypointResult:
 
         Raises WriteError if one exists already (and overwrite is False), or cannot be written.
         """
+        from mocapfix.io.bvh import write_bvh
         from mocapfix.report.keypoint_report import KeypointFilm, write_keypoint_page, write_keypoint_recording
-        from mocapfix.write.bvh import write_bvh
 
         outputs = {kind: folder / f"{self.name}.{kind}" for kind in KEYPOINT_OUTPUT_KINDS}
         check_outputs_absent(outputs.values(), overwrite)

@@ -15,11 +15,11 @@ from jaxtyping import Float, Int
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import ReprojectionTerm, TrackingTerm
 from mocapfix.keypoints.keypoint_file import KeypointDetector
-from mocapfix.pose_prior.model import PoseModel
-from mocapfix.skeleton import Skeleton
-from mocapfix.solve.constraints import Camera
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.pose_solver import PoseSolution, solve_poses
+from mocapfix.solve.single_pose import Camera
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
 MAX_SCALE_STEP = 0.2  # of the scale's logarithm

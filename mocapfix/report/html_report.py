@@ -1,13 +1,20 @@
-"""The HTML report: a self-contained page on the faults of a take, the changes, and what remains."""
+"""The HTML report: a self-contained page on the faults of a take, the changes, and what remains.
+
+Rendering of self-contained HTML pages from the templates of this package.
+"""
 
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mocapfix.io.files import replace_atomically
+from mocapfix.model.take import Take
 from mocapfix.report.change_list import (
     Figure,
     TableList,
@@ -16,16 +23,54 @@ from mocapfix.report.change_list import (
     build_left_list,
     build_unchanged_list,
     build_unfilled_list,
+    describe_changes,
+    describe_faults,
+    describe_remaining,
 )
-from mocapfix.report.contact_timeline import ContactPart, build_contact_part
-from mocapfix.report.html_page import write_page
 from mocapfix.report.report import ErrorSummary, Report, SolveSection, SubjectSection
-from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import (
+    AMBER,
+    BLUE,
+    GREEN,
+    RED,
+    VIOLET,
+    CleaningComparison,
+    SampleOutcome,
+    classify_input_samples,
+    find_estimated_samples,
+)
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
-from mocapfix.report.summary import describe_changes, describe_faults, describe_remaining
 from mocapfix.report.terms import FAULT_GROUPS, JOINT_TERMS, format_number, get_fault_group
-from mocapfix.report.timeline import ResidualPlot, TimelineRow, TimeTick, build_fault_rows, build_residual_plot, build_time_ticks
-from mocapfix.take import Take
+from mocapfix.report.timeline import (
+    ContactPart,
+    ResidualPlot,
+    TimelineRow,
+    TimeTick,
+    build_contact_part,
+    build_fault_rows,
+    build_residual_plot,
+    build_time_ticks,
+)
+
+PAGE_COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "blue": BLUE}
+
+
+def write_page(target: Path, template: str, **values: object) -> None:
+    """Render a template to a file. Values are escaped unless they are Markup.
+
+    Raises WriteError if `target` cannot be written.
+    """
+    text = _load_environment().get_template(template).render(colours=PAGE_COLOURS, **values)
+    with replace_atomically(target) as part:
+        part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+@cache
+def _load_environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("mocapfix.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption
 MIN_BAR_SCALE = 1e-9  # mm or m; avoids a division by zero if all values are zero

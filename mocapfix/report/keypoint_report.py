@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from markupsafe import Markup
 
-from mocapfix.files.output_files import replace_atomically
+from mocapfix.io.files import replace_atomically
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.report.change_list import Figure
-from mocapfix.report.html_page import write_page
+from mocapfix.report.html_report import write_page
 from mocapfix.report.recording import check_recording_complete
-from mocapfix.skeleton import Skeleton
 
 KEYPOINT_FIGURE_COUNT = 4  # frames on the page, evenly spaced
 KEYPOINT_FIGURE_MARGIN = 0.12  # around the body, relative to its height

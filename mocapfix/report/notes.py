@@ -6,18 +6,25 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.contacts.contacts import PLATE_SOURCE
+from mocapfix.detect.moved_markers import MarkerEpochs
 from mocapfix.errors import format_name_list, join_names, join_words
-from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
-from mocapfix.marker_set import ARMS, MarkerSet
-from mocapfix.repair import MarkerEpochs
+from mocapfix.model.faults import (
+    EXTERNAL_FILL_KINDS,
+    LABEL_KINDS,
+    MIN_LABEL_CONFIDENCE,
+    REPLACED_SAMPLE_KINDS,
+    Fault,
+    build_fault_mask,
+)
+from mocapfix.model.marker_set import ARMS, MarkerSet
+from mocapfix.model.skeleton import BODY_SECTIONS
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range
-from mocapfix.skeleton import BODY_SECTIONS
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
 from mocapfix.state import BodyFit, DetectionState
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import Subject
-from mocapfix.take import Take
 
 MAX_RELIABLE_FILL_SD_M = 0.06  # per axis; fills with a larger predicted standard deviation are listed
 MIN_STRAY_DISTANCE_M = 0.1  # from the body; a marker this far for MIN_STRAY_DURATION_S is reported with its frames

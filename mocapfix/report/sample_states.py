@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.changes import Change, list_affected_markers
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.faults import Fault, Faults, Fragment
+from mocapfix.model.changes import Change, list_affected_markers
+from mocapfix.model.faults import Fault, Faults, Fragment
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.take import Take
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
-from mocapfix.skeleton import Skeleton
-from mocapfix.take import Take
 
 
 class SampleOutcome(IntEnum):

@@ -1,4 +1,7 @@
-"""Wall-clock time of each processing stage."""
+"""Wall-clock time of each processing stage.
+
+Lines by which a command reports its stages to a program that has started it.
+"""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -43,3 +46,13 @@ class StageTimer:
             return
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + perf_counter() - start, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)
+
+
+STAGE_LINES_VARIABLE = "MOCAPFIX_STAGE_LINES"
+"""environment variable: if it is set, commands write a line at the beginning of each stage to standard error"""
+STAGE_LINE_PREFIX = "stage: "
+
+
+def parse_stage_line(line: str) -> str | None:
+    """Return the stage that a line reports, None for any other line."""
+    return line.removeprefix(STAGE_LINE_PREFIX).strip() if line.startswith(STAGE_LINE_PREFIX) else None

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from markupsafe import Markup
 
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
-from mocapfix.skeleton import Skeleton
 
 VIEW_YAW_RAD = np.radians(25)
 VIEW_PITCH_RAD = np.radians(8)

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from mocapfix.errors import join_words
-from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
-from mocapfix.take import Take
+from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
+from mocapfix.model.take import Take
 
 # CSS classes of the HTML report with their legend.
 FAULT_GROUPS = (

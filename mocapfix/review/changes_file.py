@@ -1,26 +1,270 @@
 """The changes file: all changes of a take as YAML, with a decision for each and the reviewer's own corrections.
 
 It is written by a cleaning, edited by hand or in the browser, and read by the next cleaning.
+
+The models of a changes file: the changes of a take with a decision for each, and the corrections of the reviewer.
+
+Corrections by a reviewer: faults that mocapfix did not detect, and how gaps are to be filled.
+
+Changes that a reviewer declined, and the faults to which they belong.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Bool
+from pydantic import Field, model_validator
 
-from mocapfix.changes import Change, list_affected_markers
 from mocapfix.errors import SceneError, format_name_list
-from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, Fragment
-from mocapfix.files.output_files import replace_atomically
-from mocapfix.files.yaml_lists import dump_yaml_list
-from mocapfix.files.yaml_models import InlineSequence, dump_yaml, read_yaml_model
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, dump_yaml_list, read_yaml_model
+from mocapfix.model.changes import Change, SampleState, list_affected_markers
+from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, Fragment
+from mocapfix.model.take import Take
 from mocapfix.report.report import ChangeEntry
-from mocapfix.review.corrections import Correction, build_corrected_label_mask, locate_correction
-from mocapfix.review.declined_changes import ReviewedChange, ReviewIndex
-from mocapfix.review.file_models import ChangeModel, ChangesFileModel, CorrectionModel
-from mocapfix.take import Take
+
+CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
+RequestedFill = Literal["spline", "cluster", "body", "empty"]
+MARKER_COUNTS: dict[CorrectionKind, int] = {"wrong": 1, "missing": 1, "swap": 2, "assign": 2, "fill": 1}
+"""how many markers, or trajectories, a correction of each kind names"""
+MAX_NOTE_LENGTH = 2000
+
+NoteText = Annotated[str, Field(max_length=MAX_NOTE_LENGTH)]
+
+
+class _IntervalStateModel(StrictModel):
+    missing: int
+    off_body_mm: float | None
+
+
+class ChangeModel(StrictModel):
+    """A change in a changes file; see mocapfix.model.changes.Change.
+
+    reviewed  whether a person has decided
+    note      what the reviewer wrote about it
+    """
+
+    id: str
+    kind: FaultKind
+    markers: list[str] = Field(min_length=1)
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: _IntervalStateModel
+    after: _IntervalStateModel
+    predicted_mm: float | None
+    decision: Decision
+    reviewed: bool = False
+    note: NoteText = ""
+
+
+class CorrectionModel(StrictModel):
+    """A correction by the reviewer, over frames in the file's own numbers, inclusive.
+
+    kind     wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled.
+             swap: the labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the
+             marker, which is named first. fill: the missing or wrong samples are filled by `method`
+    markers  labels
+    method   how to fill; null unless the kind is fill
+    """
+
+    kind: CorrectionKind
+    markers: list[str]
+    first: int
+    last: int
+    method: RequestedFill | None = None
+    note: NoteText = ""
+
+    @model_validator(mode="after")
+    def _check_markers_and_method(self) -> "CorrectionModel":
+        count = MARKER_COUNTS[self.kind]
+        if len(set(self.markers)) != count or len(self.markers) != count:
+            names = {"swap": "two markers", "assign": "a marker and an unlabelled trajectory"}.get(self.kind, "one marker")
+            raise ValueError(f"{self.kind} must name {names}")
+        if (self.method is not None) != (self.kind == "fill"):
+            text = "fill must have a method: spline, cluster, body or empty" if self.kind == "fill" else "only fill has a method"
+            raise ValueError(text)
+        return self
+
+
+class ChangesFileModel(StrictModel):
+    """A changes file.
+
+    take         name of the take
+    frames       its first and last frame
+    corrections  those of the reviewer, in the order in which they are applied
+    """
+
+    take: str
+    frames: tuple[int, int]
+    changes: list[ChangeModel]
+    corrections: list[CorrectionModel] = Field(default_factory=list)
+
+
+MARK_REASONS = {"wrong": "A reviewer marked the samples as wrong.", "missing": "A reviewer marked the samples as missing."}
+SWAP_REASON = "A reviewer exchanged the labels."
+ASSIGNMENT_REASON = "A reviewer assigned the trajectory to the marker."
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A correction of a take.
+
+    entry        the correction as in the file
+    markers      indices of its markers and of an unlabelled trajectory in the take
+    first, last  frame indices, inclusive
+    """
+
+    entry: CorrectionModel
+    markers: tuple[int, ...]
+    first: int
+    last: int
+
+    @property
+    def label_fault(self) -> Fault | None:
+        """The fault of a swap or an assignment, None for other corrections."""
+        marker, frames = self.markers[0], (self.first, self.last)
+        if self.entry.kind == "swap":
+            return Fault("swap", marker, *frames, np.nan, SWAP_REASON, other_markers=self.markers[1:])
+        if self.entry.kind == "assign":
+            reason, donor = ASSIGNMENT_REASON, self.markers[1]
+            return Fragment("fragment", marker, *frames, np.nan, reason, donor=donor, relation="replaces")
+        return None
+
+    @property
+    def marked_fault(self) -> Fault | None:
+        """The fault of a stretch that is wrong or missing, None for other corrections."""
+        reason = MARK_REASONS.get(self.entry.kind)
+        return Fault("marked", self.markers[0], self.first, self.last, np.nan, reason) if reason else None
+
+
+def list_label_corrections(corrections: Sequence[Correction]) -> list[Fault]:
+    """Return the faults of labels that corrections name, in their order."""
+    return [fault for each in corrections if (fault := each.label_fault)]
+
+
+def list_marked_faults(corrections: Sequence[Correction]) -> list[Fault]:
+    """Return the faults of samples that corrections name, in their order."""
+    return [fault for each in corrections if (fault := each.marked_fault)]
+
+
+def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correction:
+    """Return a correction with the indices of its markers and frames.
+
+    place  where the entry is, for the message of an error
+
+    Raises SceneError if the take does not have the markers or the frames.
+    """
+    trajectories = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    index_by_label = {take.get_label(index): index for index in reversed(range(trajectories))}  # the first of equal labels
+    if unknown := [label for label in entry.markers if label not in index_by_label]:
+        raise SceneError(f"{place}.markers: {take.name} has no marker {format_name_list(unknown)}.")
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    if not first <= entry.first <= entry.last <= last:
+        raise SceneError(f"{place}: frames {entry.first} to {entry.last} are not in {take.name}, which has {first} to {last}.")
+    markers = tuple(index_by_label[label] for label in entry.markers)
+    labelled = markers[:1] if entry.kind == "assign" else markers
+    if any(marker >= len(take.labels) for marker in labelled):
+        raise SceneError(f"{place}.markers: {entry.kind} must name labelled markers; assign gives a trajectory to a marker.")
+    if entry.kind == "assign" and markers[1] < len(take.labels):
+        raise SceneError(f"{place}.markers: {entry.markers[1]} is a labelled marker; exchange labels with swap.")
+    return Correction(entry, markers, entry.first - first, entry.last - first)
+
+
+def build_corrected_label_mask(corrections: Sequence[Correction], shape: tuple[int, int]) -> Bool[np.ndarray, "T M"]:
+    """Return the mask of the samples, of `shape` (T, M), whose labels the reviewer corrected."""
+    mask = np.zeros(shape, bool)
+    for fault in list_label_corrections(corrections):
+        mask[fault.frame_slice, list(fault.markers)] = True
+    return mask
+
+
+@dataclass(frozen=True)
+class ReviewedChange:
+    """A change that a review declined.
+
+    entry        the change as in the file
+    markers      indices of its markers and unlabelled trajectories in the take
+    first, last  frame indices, inclusive
+    """
+
+    entry: ChangeModel
+    markers: tuple[int, ...]
+    first: int
+    last: int
+
+    @property
+    def decision(self) -> Decision:
+        """ "reject" or "keep"."""
+        return self.entry.decision
+
+    def matches(self, fault: Fault) -> bool:
+        """Return whether the change corrected this fault: the same kind and marker, and overlapping frames."""
+        return fault.kind == self.entry.kind and fault.marker == self.markers[0] and self._overlaps(fault)
+
+    def keeps(self, fault: Fault) -> bool:
+        """Return whether the review declares the samples of this fault correct."""
+        return self.decision == "keep" and self.matches(fault)
+
+    def rejects(self, fault: Fault) -> bool:
+        """Return whether the review leaves this fault uncorrected."""
+        return self.decision == "reject" and self.matches(fault)
+
+    def to_change(self) -> Change:
+        """Return the change with its decision, as an entry of a report in which it is not applied."""
+        entry = self.entry
+        state = SampleState(entry.before.missing, entry.before.off_body_mm)
+        return Change(
+            id=entry.id,
+            kind=entry.kind,
+            markers=tuple(entry.markers),
+            first=entry.first,
+            last=entry.last,
+            samples=0,
+            why=entry.why,
+            method=entry.method,
+            before=state,
+            after=state,
+            predicted_mm=entry.predicted_mm,
+            decision=entry.decision,
+        )
+
+    def _overlaps(self, fault: Fault) -> bool:
+        return fault.first <= self.last and self.first <= fault.last
+
+
+class ReviewIndex:
+    """Declined changes by kind and marker and in order of time, so that those that match a fault are found without a search."""
+
+    def __init__(self, reviewed_changes: Sequence[ReviewedChange]) -> None:
+        groups: dict[tuple[str, int], list[int]] = {}
+        for n, each in enumerate(reviewed_changes):
+            groups.setdefault((each.entry.kind, each.markers[0]), []).append(n)
+        self._changes = reviewed_changes
+        self._groups = {key: self._order_by_time(numbers) for key, numbers in groups.items()}
+
+    def find_matches(self, fault: Fault) -> list[ReviewedChange]:
+        """Return the changes that corrected this fault, in the order of the review file."""
+        group = self._groups.get((fault.kind, fault.marker))
+        if group is None:
+            return []
+        numbers, first, latest = group
+        nearby = numbers[bisect_left(latest, fault.first) : bisect_right(first, fault.last)]
+        return [self._changes[n] for n in sorted(nearby) if self._changes[n].matches(fault)]
+
+    def _order_by_time(self, numbers: list[int]) -> tuple[list[int], list[int], list[int]]:
+        """Return the numbers of changes in order of time, their first frames, and the latest frame that any so far reaches."""
+        ordered = sorted(numbers, key=lambda n: self._changes[n].first)
+        latest = accumulate((self._changes[n].last for n in ordered), max)
+        return ordered, [self._changes[n].first for n in ordered], list(latest)
+
 
 CHANGES_SUFFIX = "changes.yaml"
 CHANGES_KEY = "changes"

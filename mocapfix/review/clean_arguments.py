@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from mocapfix.files.option_definitions import Option, list_options
-from mocapfix.options import CleanOptions, ReadOptions, list_stages
+from mocapfix.options import CleanOptions, Option, ReadOptions, list_options, list_stages
 
 
 def build_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: str) -> list[str]:

@@ -10,8 +10,8 @@ from itertools import pairwise
 from typing import Any, Literal
 
 from mocapfix.errors import SceneError
-from mocapfix.files.option_choices import EXTRA_FORMAT_NAMES, RIG_NAMES
-from mocapfix.files.progress_lines import STAGE_LINES_VARIABLE, parse_stage_line
+from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.report.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.review.take_files import CleanedTake
 
 MAX_MESSAGE_LENGTH = 1000

@@ -8,11 +8,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
-from mocapfix.faults import Decision
-from mocapfix.files.output_files import replace_atomically
-from mocapfix.files.yaml_models import read_yaml_model
-from mocapfix.review.changes_file import format_change, join_changes_file
-from mocapfix.review.file_models import MAX_NOTE_LENGTH, ChangesFileModel, CorrectionModel
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.model.faults import Decision
+from mocapfix.review.changes_file import MAX_NOTE_LENGTH, ChangesFileModel, CorrectionModel, format_change, join_changes_file
 
 MAX_UNDO_STEPS = 1000
 

@@ -9,15 +9,21 @@ from typing import Any, cast
 import numpy as np
 
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.files.option_choices import EXTRA_FORMAT_NAMES, RIG_NAMES
-from mocapfix.review.approvals import Approval, determine_state, read_approval, withdraw_approval, write_approval
+from mocapfix.model.take import Take
+from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.review.changes_file import ChangeModel, ChangesFileModel, CorrectionModel, locate_correction
 from mocapfix.review.cleaning_run import CleaningRun, RunStatus, build_clean_command, explain_why_not, list_values
-from mocapfix.review.corrections import locate_correction
 from mocapfix.review.decision_store import DecisionStore
-from mocapfix.review.file_models import ChangeModel, ChangesFileModel, CorrectionModel
-from mocapfix.review.take_files import CleanedTake, read_cleaned_take
+from mocapfix.review.take_files import (
+    Approval,
+    CleanedTake,
+    determine_state,
+    read_approval,
+    read_cleaned_take,
+    withdraw_approval,
+    write_approval,
+)
 from mocapfix.review.take_view import TakeView, load_take_view
-from mocapfix.take import Take
 
 MAX_LISTED_DIFFERENCES = 200
 """markers and changes in the list of what differs from the cleaning before"""

@@ -9,13 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from mocapfix.errors import MocapfixError, ReadError
-from mocapfix.files.process_lock import hold_process_lock
-from mocapfix.files.yaml_models import read_yaml_model
-from mocapfix.review.approvals import determine_state, hash_changes, read_approval
+from mocapfix.io.files import hold_process_lock
+from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.review.changes_file import ChangesFileModel
 from mocapfix.review.cleaning_run import RunStatus
-from mocapfix.review.file_models import ChangesFileModel
 from mocapfix.review.open_take import OpenTake
-from mocapfix.review.take_files import CleanedTake, find_cleaned_takes, find_takes_of_one_file
+from mocapfix.review.take_files import (
+    CleanedTake,
+    determine_state,
+    find_cleaned_takes,
+    find_takes_of_one_file,
+    hash_changes,
+    read_approval,
+)
 
 Event = dict[str, Any]
 REVIEW_LOCK_NAME = ".review.lock"

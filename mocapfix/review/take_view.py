@@ -9,20 +9,20 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
-from mocapfix.animation import Animation
-from mocapfix.animations.joint_points import build_tip_take
+from mocapfix.animations.joint_mapping import build_tip_take
 from mocapfix.errors import MocapfixError, ReadError
-from mocapfix.files.free_memory import return_free_memory
+from mocapfix.io.c3d import read_fill_sd
+from mocapfix.io.capture import read_capture
+from mocapfix.io.conventions import change_convention
+from mocapfix.io.files import return_free_memory
+from mocapfix.model.animation import Animation
+from mocapfix.model.take import Take
 from mocapfix.options import ReadOptions
-from mocapfix.read.c3d import read_fill_sd
-from mocapfix.read.capture import read_capture
-from mocapfix.read.conventions import change_convention
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
+from mocapfix.review.changes_file import ChangeModel
 from mocapfix.review.clean_arguments import find_argument, parse_read_options
-from mocapfix.review.file_models import ChangeModel
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.take import Take
 
 JOINT_BLOCK_FRAMES = 1000
 MAX_SAMPLES_COMPARED_AT_ONCE = 20_000

@@ -1,1 +1,12 @@
-"""The solve: the pose of every frame from markers, priors and time, and single poses from constraints."""
+"""Poses: a first pose in closed form, the optimiser, smoothing, and what the markers do not show.
+
+initial_motion    first poses: hybrik, twist_regressor, segment_registration, learned_ik
+motion_solver     solve all frames of a take, and how certain they are
+window_solver     the frames of one window: markers, prior and time
+pose_problem      one least-squares problem of poses; pose_solver, latent_solver
+smoothing         poses over time
+occluded_joints   joints without markers; lost_in_sight, gap_combination
+pose_prior        trained priors: mean_pose, autoencoder, motion_prior, prior_conditioner, prior_files
+single_pose       a pose under given constraints
+kinematics        positions of joints and markers; frame_windows, parallel
+"""

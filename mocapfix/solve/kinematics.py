@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_marker_frames, compute_world_frames
-from mocapfix.motion import Motion
-from mocapfix.skeleton import Skeleton, find_common_joint
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton, find_common_joint
+from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.subject import Subject
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]
 """root positions in metres and local rotations"""

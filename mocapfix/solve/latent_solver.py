@@ -16,9 +16,9 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import MIN_COST_DECREASE, compute_cost_frames, solve_frames
 from mocapfix.kernels.terms import LatentCodeTerm, count_rows
 from mocapfix.kernels.terms.latent_code import update_code_curvature, update_linearisations
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.model import PoseModel
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve.parallel import order_independently
+from mocapfix.solve.pose_prior import PoseModel
 
 INITIAL_CODE_DAMPING = 1e-3
 """Initial damping relative to the largest curvature, from a start that may be far from the solution."""

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.skeleton import Skeleton
-from mocapfix.subject import Subject
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.subject import Subject
 
 MIN_CONSISTENT_MARKERS = 3
 """the number of seen, mutually consistent markers that show where a part of the body is"""

@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
-from mocapfix.motion import Motion
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.subject import Subject
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""

@@ -2,6 +2,27 @@
 
 A take is solved in windows (`window_solver`), and again only where it changed. Limbs that no marker shows are interpolated at
 first, which is all that detection needs. They are inferred from the rest of the take once the faults are known.
+
+Motion uncertainty: the standard deviations of the joints and markers of a solved motion.
+
+It is the posterior covariance of the poses, computed from the root to the leaves. The solver weights its terms for
+robustness: it assumes a large marker error, and applies the prior only once in a while, since neighbouring frames are correlated.
+The error of its result is a different question. It is computed from the same curvature and factorisation, with the actual
+uncertainty of each term:
+
+- markers: estimated from their distances to the solved body, corrected for the part of the error that the poses absorbed, as in
+  the a posteriori variance of least squares;
+- the pose prior: applied in every frame, since it constrains one frame's pose no less if it is applied to its neighbours too
+  (joint limits stay as in the solve; inside them they have no effect);
+- joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
+- joints that are not solved, as in the fingers: the variation of people's poses;
+- the calibration error, which no frame shows: taken from the subject.
+
+Unobserved joints: the poses of limbs that no marker shows, in a motion whose other joints are solved.
+
+The cost of such joints depends on nothing that a marker shows: they are leaves of the body, and prior, joint limits and tracking
+hold for each joint by itself. So they are inferred last, once, from the solved rest of the take (`occluded_joints`), and the
+other joints keep their poses.
 """
 
 from dataclasses import replace
@@ -9,22 +30,193 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.files.option_choices import PRIOR_EVERY_FRAME
-from mocapfix.motion import FrameStatus, Motion, PoseEvidence
-from mocapfix.options import CleanOptions, SolveOptions
-from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.skeleton import BodyModel
-from mocapfix.solve import kinematics
+from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels.terms import TrackingTerm
+from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
+from mocapfix.model.skeleton import BodyModel, load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
+from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
+from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
-from mocapfix.solve.motion_uncertainty import update_motion_sd
-from mocapfix.solve.pose_problem import MotionProblem, build_motion_problem
+from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_motion_problem, build_pose_prior_term
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.solve.unobserved_joints import infer_unobserved_joints
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.state import BodyFit, CleaningState
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
+
+MIN_ESTIMATED_MARKER_SD_M = 0.001
+"""Smallest estimate of the marker error per axis."""
+MAX_ABSORBED_SHARE = 0.9
+"""Share of its squared error that the pose absorbs above which a marker does not enter the estimate."""
+UNCERTAINTY_BLOCK_FRAMES = 4096
+"""Frames whose problem is held at a time."""
+MIN_TRACKING_SD_RAD = 0.01
+"""Smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result."""
+GAP_VARIANCE_INFLATION = 3.0
+"""Variance with which the solve tracks a joint's trajectory across a gap, over the mean squared error of the result, measured on
+CMU's training subjects: the solve must not trust a trajectory too much."""
+
+
+def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvidence, frames: Int[np.ndarray, " N"]) -> Motion:
+    """Return the motion with the standard deviations of its joints and markers computed for some frames.
+
+    motion  its deviations in the other frames are kept, unless markers were added
+    """
+    if not len(frames):
+        return motion
+    gap_variance = np.where(problem.is_unobserved, evidence.rotation_variance, evidence.gap_variance)
+    actual_variance = np.maximum(gap_variance / GAP_VARIANCE_INFLATION, MIN_TRACKING_SD_RAD**2)
+    actual_marker_sd = estimate_actual_marker_sd(
+        problem.pose_problem, (motion.root_position, motion.local_rotations), problem.subject, evidence.marker_sd
+    )
+    marker_sd, joint_sd = motion.marker_sd.copy(), motion.joint_sd.copy()
+    if marker_sd.shape != evidence.marker_sd.shape:
+        frames, marker_sd = np.arange(motion.frame_count), np.empty(evidence.marker_sd.shape)
+    for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
+        pose = motion.root_position[block], motion.local_rotations[block]
+        weight = problem.is_uncertain[block] / actual_variance[block]
+        marker_sd[block], joint_sd[block] = compute_pose_sd(
+            problem.pose_problem.select_frames(block),
+            pose,
+            problem.subject,
+            problem.prior,
+            actual_marker_sd,
+            TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block]),
+            problem.options.robust_scales_m[-1],
+        )
+    return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
+
+
+def compute_pose_sd(
+    problem: PoseProblem,
+    pose: Poses,
+    subject: Subject,
+    prior: MeanPosePrior,
+    actual_marker_sd: float,
+    tracking: TrackingTerm,
+    robust_scale_m: float,
+) -> tuple[Float[np.ndarray, "T K"], Float[np.ndarray, "T J"]]:
+    """Return the standard deviations per axis, in metres, of the markers as the body places them, and of the joints.
+
+    That of a joint that the subject's markers do not show is NaN.
+
+    problem           as it was solved
+    actual_marker_sd  standard deviation of a measured marker about its place, see `estimate_actual_marker_sd`, in metres
+    tracking          the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
+    robust_scale_m    the last robust scale of the solve
+    """
+    actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
+    uncertainty = actual.compute_uncertainty(*pose, tracking, robust_scale_m)
+    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, load_cmu31_body().free_joints)
+    joint_sd = np.where(subject.solved_joints, np.sqrt(uncertainty.joint_sd**2 + constant_variance), np.nan)
+    return np.hypot(uncertainty.marker_sd, subject.marker_sd), joint_sd
+
+
+def estimate_actual_marker_sd(
+    problem: PoseProblem, pose: Poses, subject: Subject, nominal_marker_sd: Float[np.ndarray, "T K"]
+) -> float:
+    """Return the standard deviation per axis, in metres, of a measured marker about its place on the solved body.
+
+    problem            as it was solved
+    nominal_marker_sd  standard deviation of the markers predicted with the weights of the solve, in metres
+    """
+    absorbed_share = (nominal_marker_sd / problem.marker_sd) ** 2
+    distance = kinematics.compute_marker_distances(subject, pose, problem.marker_positions)
+    is_usable = problem.solver_mask & (absorbed_share < MAX_ABSORBED_SHARE)
+    return estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
+
+
+def compute_unsolved_joint_variance(
+    subject: Subject, prior: MeanPosePrior, free_joints: Bool[np.ndarray, " J"]
+) -> Float[np.ndarray, " J"]:
+    """Return the variance per axis, in square metres, of joints whose parent rotates in people but not in the solve.
+
+    No marker shows the rotation of a finger's base, so that it varies as in the prior. Axes about which the skeleton does not
+    rotate do not count.
+    """
+    variance = np.zeros(len(free_joints))
+    for j, parent in enumerate(subject.skeleton.parents):
+        if parent < 1 or free_joints[parent]:
+            continue
+        rotated = np.eye(3) - np.linalg.pinv(prior.locked_information[parent]) @ prior.locked_information[parent]
+        covariance = rotated @ np.linalg.inv(prior.information[parent]) @ rotated
+        x, y, z = subject.skeleton.offsets[j]
+        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        variance[j] = variance[parent] + np.trace(lever @ covariance @ lever.T) / 3
+    return variance
+
+
+def estimate_marker_sd(
+    distance: Float[np.ndarray, "T K"],
+    absorbed_share: Float[np.ndarray, "T K"],
+    is_usable: Bool[np.ndarray, "T K"],
+    default_sd: float,
+) -> float:
+    """Return the error of markers in metres per axis, from their distances to the body that was fitted to them.
+
+    absorbed_share  part of a marker's squared error that the pose absorbed: 0 none, 1 all
+    is_usable       samples that enter the estimate; without any, `default_sd` is returned
+    """
+    if not is_usable.any():
+        return default_sd
+    corrected = distance[is_usable] ** 2 / (1 - absorbed_share[is_usable])
+    return max(float(np.sqrt(np.median(corrected) / CHI2_MEDIAN_3_DOF)), MIN_ESTIMATED_MARKER_SD_M)
+
+
+FIXED_JOINT_WEIGHT = 1e5
+"""Weight, in 1/rad^2 or 1/m^2, that keeps solved joints and the root where they are, compared with those of prior and limits."""
+
+
+def infer_unobserved_joints(
+    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
+) -> tuple[Motion, PoseEvidence]:
+    """Return the motion with the unobserved joints inferred from the rest of the take, and the evidence with their variance."""
+    frames = np.flatnonzero(problem.is_unobserved.any(1))
+    local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
+    occluded_joints.infer_occluded_joints(
+        motion.root_position,
+        local_rotations,
+        variance,
+        problem.is_unobserved,
+        problem.pose_problem.tree.free,
+        problem.rate,
+        conditioner=conditioner,
+        solved=motion.local_rotations,
+    )
+    inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
+    is_unobserved = problem.is_unobserved[frames]
+    local_rotations[:] = motion.local_rotations
+    rows, joints = np.nonzero(is_unobserved)
+    local_rotations[frames[rows], joints] = inferred[rows, joints]
+    return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance)
+
+
+def _solve_inferred_joints(
+    problem: MotionProblem, pose: Poses, variance: Float[np.ndarray, "T J"], frames: Int[np.ndarray, " N"]
+) -> Float[np.ndarray, "N J 3 3"]:
+    """Return the local rotations of some frames in which the unobserved joints track smooth trajectories through `pose`.
+
+    variance  of the rotations in `pose`, in rad^2
+    """
+    root_position, start = pose[0][frames], pose[1][frames]
+    weight = np.full(start.shape[:2], FIXED_JOINT_WEIGHT)
+    for j in np.flatnonzero(problem.is_unobserved.any(0)).tolist():
+        is_gap = problem.is_unobserved[:, j]
+        trajectory = smoothing.smooth_joint_rotations(pose[1], j, variance[:, j], problem.is_uncertain[:, j], problem.rate)
+        rotations = np.empty((int(is_gap.sum()), 1, 3, 3))
+        quaternions.store_joint_quaternions(trajectory[is_gap], 0, rotations)
+        start[is_gap[frames], j] = rotations[:, 0]
+        weight[is_gap[frames], j] = smoothing.compute_tracking_weight(variance[is_gap, j], problem.options)
+    tracking = TrackingTerm(start.copy(), weight, root_position.copy(), np.full(len(frames), FIXED_JOINT_WEIGHT))
+    part = problem.pose_problem.select_frames(frames)
+    unmarked = replace(part, solver_mask=np.zeros_like(part.solver_mask))
+    unmarked.solve(root_position, start, tracking, problem.options.robust_scales_m[-1:])
+    return start
+
 
 MAX_MEAN_MARKER_DISTANCE_M = 0.03
 """Mean distance of a frame's markers from the body above which the frame's status is POOR_FIT."""

@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import quaternions
-from mocapfix.motion_prior.gap_combination import GapContext, combine_rotations
+from mocapfix.kernels import lie as quaternions
+from mocapfix.solve.gap_combination import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process

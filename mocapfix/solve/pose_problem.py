@@ -1,4 +1,7 @@
-"""The pose problem of a take: a body, its measured markers, and the prior on its poses; and the motion problem, with time."""
+"""The pose problem of a take: a body, its measured markers, and the prior on its poses; and the motion problem, with time.
+
+Observability: which marker samples the solver uses, and which joints they determine.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,16 +15,71 @@ from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
 from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
-from mocapfix.motion import PoseUncertainty
+from mocapfix.model.motion import PoseUncertainty
+from mocapfix.model.skeleton import BodyModel
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
-from mocapfix.skeleton import BodyModel
-from mocapfix.solve import observability
+from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_independently, order_sequentially, run_over_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+
+MIN_GAP_DURATION_S = 0.025
+"""Gaps up to this duration are flicker and have no borders."""
+
+
+def find_gap_borders(
+    is_inlier: Bool[np.ndarray, "T K"], is_unobserved: Bool[np.ndarray, "T K"], rate: float, max_border_s: float
+) -> Bool[np.ndarray, "T K"]:
+    """Find the samples on either side of each marker's gaps, for up to `max_border_s` seconds, with the gaps themselves.
+
+    The solver must not use them. A marker attracts the body, so the pose would jump where a gap begins, and the residual that is
+    interpolated across the gap would be that of another pose. Samples next to a gap are also the least accurate. Flicker has no
+    borders, and neither has a gap in which the marker's joint is unobserved throughout: the pose does not change there, since
+    the trajectory of an unobserved joint continues from its last pose.
+
+    is_inlier      samples that are visible and no outliers
+    is_unobserved  whether the joint of the marker is unobserved
+    """
+    mask = np.zeros_like(is_inlier)
+    for k in range(is_inlier.shape[1]):
+        for first, last in find_runs(~is_inlier[:, k]):
+            border = round(rate * min(max_border_s, (last - first + 1) / rate - MIN_GAP_DURATION_S))
+            if border > 0 and not is_unobserved[first : last + 1, k].all():
+                mask[max(0, first - border) : last + 1 + border, k] = True
+    return mask
+
+
+def find_partly_observed_joints(is_used: Bool[np.ndarray, "T K"], subject: Subject) -> Bool[np.ndarray, "T J"]:
+    """Find the joints that lack a marker of their own or of a child which other frames show.
+
+    is_used  samples of the subject's markers that the solver uses
+    """
+    is_partly_observed = np.zeros((len(is_used), len(subject.skeleton.names)), bool)
+    for k in np.flatnonzero(is_used.any(0)):
+        joint = subject.joints[k]
+        is_partly_observed[:, joint] |= ~is_used[:, k]
+        is_partly_observed[:, max(subject.skeleton.parents[joint], 0)] |= ~is_used[:, k]
+    is_partly_observed[:, 0] = False
+    return is_partly_observed
+
+
+def find_unobserved_joints(
+    is_used: Bool[np.ndarray, "T K"], subject: Subject, free_joints: Bool[np.ndarray, " J"]
+) -> Bool[np.ndarray, "T J"]:
+    """Find the free joints below the root without any used marker on them or on their descendants, if other frames have one.
+
+    is_used  samples of the subject's markers that the solver uses
+    """
+    is_observed = np.zeros((len(is_used), len(free_joints)), bool)
+    for k, joint in enumerate(subject.joints):
+        is_observed[:, joint] |= is_used[:, k]
+    for j in range(len(free_joints) - 1, 0, -1):
+        is_observed[:, subject.skeleton.parents[j]] |= is_observed[:, j]
+    is_ever_observed = is_observed.any(0)
+    return ~is_observed & free_joints & is_ever_observed & (np.arange(len(free_joints)) > 0)
+
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
 PRIOR_HUBER_SCALE_SD = 1.0
@@ -216,8 +274,8 @@ def build_motion_problem(
 ) -> MotionProblem:
     """Return the problem of a take whose markers are in the subject's order, NaN where missing or rejected."""
     problem = build_pose_problem(take, subject, body, prior, limits, options)
-    is_unobserved = observability.find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
-    is_partly_observed = observability.find_partly_observed_joints(problem.solver_mask, subject)
+    is_unobserved = find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
+    is_partly_observed = find_partly_observed_joints(problem.solver_mask, subject)
     is_uncertain = (is_partly_observed | is_unobserved) & body.free_joints
     return MotionProblem(problem, subject, prior, is_unobserved, is_uncertain, take.rate, options)
 
@@ -226,8 +284,8 @@ def build_pose_problem(
     take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, limits: JointLimits, options: SolveOptions
 ) -> PoseProblem:
     """Return the pose problem of a take: markers, prior and joint limits, with the arguments of `build_motion_problem`."""
-    is_unobserved = observability.find_unobserved_joints(take.visible, subject, body.free_joints)
-    is_border = observability.find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, options.gap_border_s)
+    is_unobserved = find_unobserved_joints(take.visible, subject, body.free_joints)
+    is_border = find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, options.gap_border_s)
     # neighbouring frames show the same pose, so the prior applies once in `pose_persistence_s`, not in every frame
     frames_per_pose = options.pose_persistence_s * take.rate
     return PoseProblem(

@@ -14,14 +14,13 @@ from jaxtyping import Float, Int
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import LatentCodeTerm, ScalarTerm, TrackingTerm
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.gaussian_models import MixtureModel
-from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve.latent_solver import INITIAL_CODE_DAMPING, LatentSolver, SolverCallback, Terms, build_latent_term
 from mocapfix.solve.parallel import run_in_parallel
+from mocapfix.solve.pose_prior import MixtureModel, PoseModel, compute_pose_vectors
 
 if TYPE_CHECKING:  # it imports torch
-    from mocapfix.pose_prior.naturalness import NaturalnessModel
+    from mocapfix.solve.naturalness import NaturalnessModel
 
 NO_ROBUST_SCALE = np.array([np.inf])
 """Squared robust scales of a solve without robust losses."""

@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
-from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
-from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+from mocapfix.solve.gap_combination import GapContext, GapPrediction
+from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
 
 OBSERVED_JOINT_SD_RAD = 0.05
 """Standard deviation of the rotation of a joint with markers."""

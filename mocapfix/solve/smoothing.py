@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from mocapfix.kernels import quaternions
+from mocapfix.kernels import lie as quaternions
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.motion import PoseUncertainty
+from mocapfix.model.motion import PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics
-from mocapfix.stats.sequences import find_runs
-from mocapfix.stats.smooth_paths import MAX_SAMPLE_VARIANCE, smooth_path
+from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
 
 ACCELERATION_STEP_S = 0.06
 """Step of the second differences that measure the acceleration."""

@@ -1,4 +1,9 @@
-"""Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment."""
+"""Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment.
+
+Transforms along a tree of joints.
+
+Lengths of many vectors in space.
+"""
 
 from typing import NamedTuple
 
@@ -128,3 +133,22 @@ def compute_common_shape(
     positions -= shape
     positions[~use] = 0.0
     return shape, np.nan_to_num(np.einsum("tma,tma->ma", positions, positions) / count).mean(1)
+
+
+def compose_transforms(
+    parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+    """Compose local positions and rotations along a tree of joints, parents before children, into those in the world."""
+    position_world, rotation_world = positions.copy(), rotations.copy()
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            offset_world = (rotation_world[:, parent] @ positions[:, joint, :, None])[..., 0]
+            position_world[:, joint] = position_world[:, parent] + offset_world
+            rotation_world[:, joint] = rotation_world[:, parent] @ rotations[:, joint]
+    return position_world, rotation_world
+
+
+def compute_lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Return the lengths of vectors, as `np.linalg.norm` does, which along so short an axis takes several times as long."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.sqrt(x * x + y * y + z * z)

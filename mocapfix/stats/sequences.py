@@ -1,7 +1,13 @@
-"""Statistics of sequences: runs in a mask, evenly spaced samples, rows that differ most, and the cheapest path (Viterbi)."""
+"""Statistics of sequences: runs in a mask, evenly spaced samples, rows that differ most, and the cheapest path (Viterbi).
+
+The smallest difference that the coordinates of a file resolve.
+
+The smoothest path near samples of different certainty: a banded linear system.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg import solveh_banded
 
 from mocapfix.kernels.viterbi import compute_cheapest_states
 
@@ -72,3 +78,74 @@ def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[i
         nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
         chosen.append(int(nearest.argmax()))
     return chosen
+
+
+# Relative resolution of the 32-bit floats in which files store coordinates.
+FLOAT32_RESOLUTION = 2.0**-23
+# Number of steps, evenly spread, from which a common divisor of the coordinates is estimated.
+MAX_SAMPLED_STEPS = 50_000
+# Quantiles of the steps that may equal the common divisor once.
+STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
+# Fraction of the steps that must be close to a multiple of the divisor (by chance: one in five), and how close, as a part of it.
+MIN_MULTIPLE_FRACTION = 0.9
+MULTIPLE_TOLERANCE = 0.1
+
+
+def estimate_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Estimate the smallest difference in metres that the coordinates of the markers resolve.
+
+    A file of integers stores multiples of its scale, and so does a file that was converted from one, whatever its header says.
+    """
+    resolution = compute_float_resolution(markers)
+    steps = np.abs(np.diff(markers, axis=0)).ravel()
+    steps = steps[steps > resolution]
+    if len(steps) == 0:
+        return resolution
+    steps = steps[np.linspace(0, len(steps) - 1, min(MAX_SAMPLED_STEPS, len(steps))).astype(int)]
+    for divisor in np.quantile(steps, STEP_QUANTILES):
+        remainder = np.abs(steps / divisor - np.rint(steps / divisor))
+        if (remainder < MULTIPLE_TOLERANCE).mean() > MIN_MULTIPLE_FRACTION:
+            return float(divisor)
+    return resolution
+
+
+def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Compute the resolution in metres of a 32-bit float at the largest coordinate of the markers."""
+    return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
+
+
+MAX_SAMPLE_VARIANCE = 1e4
+"""Variance, in rad^2 or m^2, of a frame without information; larger values would make the system numerically singular."""
+MAX_STIFFNESS_RATIO = 1e13
+"""Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
+numerically singular, at thousands of frames a second. Such a path is straight already."""
+
+
+def smooth_path(
+    path: Float[np.ndarray, "T C"], variance: Float[np.ndarray, " T"], acceleration_power: Float[np.ndarray, " T"], rate: float
+) -> Float[np.ndarray, "T C"]:
+    """Return the x that minimises sum |x_t - path_t|^2 / variance_t + integral |x''|^2 / power.
+
+    variance            per component
+    acceleration_power  in squared units of the path / s^3
+    """
+    frames = len(path)
+    if frames < 3:
+        return path
+    stiffness = rate**3 / acceleration_power[1:-1]  # of the second difference about each inner frame
+    band = np.zeros((3, frames))
+    information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
+    stiffness = np.minimum(stiffness, MAX_STIFFNESS_RATIO * _compute_line_information(information))
+    band[2] = information
+    for shift, coefficient in ((0, 1.0), (1, 4.0), (2, 1.0)):
+        band[2, shift : shift + frames - 2] += coefficient * stiffness
+    band[1, 1 : frames - 1] -= 2 * stiffness
+    band[1, 2:] -= 2 * stiffness
+    band[0, 2:] += stiffness
+    return np.ascontiguousarray(solveh_banded(band, path * information[:, None], overwrite_ab=True, check_finite=False))
+
+
+def _compute_line_information(information: Float[np.ndarray, " T"]) -> float:
+    """Return the least information that the frames give about a straight line of unit length, which stiffness leaves free."""
+    lines = np.linalg.qr(np.vander(np.linspace(-1, 1, len(information)), 2))[0]
+    return float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])

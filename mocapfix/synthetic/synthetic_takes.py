@@ -8,15 +8,15 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from mocapfix.marker_sets.library import load_marker_set
-from mocapfix.motion import Motion
-from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_world_poses
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import Subject
+from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic.motions import compose_motion
-from mocapfix.take import Take
-from mocapfix.write.c3d import write_c3d
 
 BONE_GROUP_LENGTH_SD = 0.04  # of a bone group's length, relative
 BONE_LENGTH_SD = 0.03  # of a single bone's length beside its group's, relative (about that of CMU's subjects)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 from tests.addon.addon_modules import load_addon_module
 
 rest_bones, solved_take = (load_addon_module(name) for name in ("rest_bones", "solved_take"))

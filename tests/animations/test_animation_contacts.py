@@ -11,13 +11,13 @@ from mocapfix import pipeline, synthetic
 from mocapfix.animations.clean import AnimationResult
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.io import bvh
+from mocapfix.io.bvh import write_bvh
 from mocapfix.options import OutputOptions
-from mocapfix.read import bvh
-from mocapfix.report.contact_section import ContactSection
+from mocapfix.report.build_report import ContactSection
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
-from mocapfix.write.bvh import write_bvh
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 

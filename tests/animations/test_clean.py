@@ -11,14 +11,16 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix import pipeline, synthetic, write
-from mocapfix.animation import Animation
+from mocapfix import pipeline, synthetic
 from mocapfix.animations.clean import AnimationResult, find_body
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
-from mocapfix.read import amc, bvh
-from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
-from mocapfix.write.patches import patch_animation
+from mocapfix.io import amc, bvh
+from mocapfix.io.amc import write_asf_amc
+from mocapfix.io.bvh import write_bvh
+from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
+from mocapfix.io.patches import patch_animation
+from mocapfix.model.animation import Animation
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 ARM = ("RightArm", "RightForeArm")
@@ -66,7 +68,7 @@ def get_rotation_columns(animation: Animation, joint: str) -> np.ndarray:
 def walk(tmp_path_factory) -> Walk:
     folder = tmp_path_factory.mktemp("walk")
     composed = synthetic.compose_take(seed=1, seconds=6.0)
-    write.write_bvh(folder / "truth.bvh", composed.subject.skeleton, composed.motion, composed.rate)
+    write_bvh(folder / "truth.bvh", composed.subject.skeleton, composed.motion, composed.rate)
     truth = bvh.read_bvh(folder / "truth.bvh")
     patch_animation(folder / "walk.bvh", truth, damage_values(truth))
     with pytest.raises(SystemExit) as exit_info:
@@ -288,7 +290,7 @@ def test_amc_is_written_with_its_asf(walk, tmp_path):
     assert source.subject is not None
     assert source.motion is not None
     rate, skeleton = source.input_take.rate, source.subject.skeleton
-    write.write_asf_amc(tmp_path / "walk.asf", tmp_path / "walk.amc", skeleton, source.motion, rate, 7)
+    write_asf_amc(tmp_path / "walk.asf", tmp_path / "walk.amc", skeleton, source.motion, rate, 7)
     result = pipeline.clean(tmp_path / "walk.amc")
     outputs = result.write(tmp_path / "out")
     assert {"amc", "asf", "bvh", "report.json"} <= set(outputs)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import detect, gaps
-from mocapfix.animations.gaps import TrackMotion
-from mocapfix.faults import Fault
-from mocapfix.motion import Motion
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.animations import detect
+from mocapfix.animations import detect as gaps
+from mocapfix.animations.detect import TrackMotion
+from mocapfix.model.faults import Fault
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 

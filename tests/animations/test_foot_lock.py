@@ -9,10 +9,10 @@ import yaml
 
 from mocapfix import pipeline, synthetic
 from mocapfix.animations.clean import AnimationResult
-from mocapfix.motion import Motion
+from mocapfix.io import bvh
+from mocapfix.io.bvh import write_bvh
+from mocapfix.model.motion import Motion
 from mocapfix.options import CleanOptions
-from mocapfix.read import bvh
-from mocapfix.write.bvh import write_bvh
 
 LEGS = {f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot")}
 SLIDE_M = 0.03

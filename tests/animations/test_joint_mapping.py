@@ -7,7 +7,7 @@ import pytest
 from mocapfix.animations import joint_mapping
 from mocapfix.animations.joint_mapping import NamingConvention
 from mocapfix.errors import SceneError
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 
 MODEL = load_cmu31_body().skeleton
 

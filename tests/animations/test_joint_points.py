@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from mocapfix.animation import Animation
-from mocapfix.animations import joint_points
-from mocapfix.read import bvh
+from mocapfix.animations import joint_mapping as joint_points
+from mocapfix.io import bvh
+from mocapfix.model.animation import Animation
 from tests.bvh_files import TEXT
 
 

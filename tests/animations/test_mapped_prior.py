@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.mapped_prior import MappedPriorConditioner
+from mocapfix.animations.clean import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
-from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
-from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
-from mocapfix.pose_prior import io
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve import prior_files as io
+from mocapfix.solve.gap_combination import GapContext, GapPrediction
+from mocapfix.solve.motion_prior import predict_shipped_gap
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.transform_trees import compose_transforms
+from mocapfix.stats.rigid_alignment import compose_transforms
 
 SKELETON = load_cmu31_body().skeleton
 COUNT = len(SKELETON.names)

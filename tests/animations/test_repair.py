@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from mocapfix.animations import repair
-from mocapfix.bench.animation_repair import build_expected_faults, interpolate_faults
-from mocapfix.bench.injected_animation_faults import ANIMATION_FAULT_INJECTORS, InjectedAnimationFault, inject_animation_faults
-from mocapfix.motion import Motion
-from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.lab.animation_repair import (
+    ANIMATION_FAULT_INJECTORS,
+    InjectedAnimationFault,
+    build_expected_faults,
+    inject_animation_faults,
+    interpolate_faults,
+)
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject

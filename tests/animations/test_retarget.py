@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import Animation
 from mocapfix.animations.joint_mapping import find_descendants, map_joints
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, compute_file_rotation, convert_to_cmu31
-from mocapfix.read import amc, bvh
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.stats.transform_trees import compose_transforms
+from mocapfix.io import amc, bvh
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.stats.rigid_alignment import compose_transforms
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 FILES = sorted(CAPTURES.glob("*/*.bvh")) + sorted(CAPTURES.glob("*/*.amc"))

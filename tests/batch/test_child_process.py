@@ -11,7 +11,7 @@ import pytest
 
 from mocapfix.batch.child_process import ForkServer, JobLimits, describe_crash
 
-FAULTS = "mocapfix.bench.batch_faults"
+FAULTS = "mocapfix.lab.batches"
 LIMITS = JobLimits(timeout_s=60.0, memory_mb=4000.0)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.content_hash import hash_options, resolve_option_files
+from mocapfix.batch.records import hash_options, resolve_option_files
 from mocapfix.options import CleanOptions, build_clean_options
 
 

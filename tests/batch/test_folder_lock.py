@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.folder_lock import hold_take, lock_batch_folder
+from mocapfix.batch.records import hold_take, lock_batch_folder
 from mocapfix.errors import WriteError
 
 

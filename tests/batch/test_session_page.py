@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markupsafe import escape
 
-from mocapfix.batch.people_file import PersonEntry, SessionPeople, write_people_file
+from mocapfix.batch.people_jobs import PersonEntry, SessionPeople, write_people_file
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.session_page import (
     build_session_page,

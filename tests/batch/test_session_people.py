@@ -8,8 +8,8 @@ import pytest
 from mocapfix.batch import people_jobs, session_people
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.jobs import CleanRequest
-from mocapfix.batch.people_file import read_people_file
-from mocapfix.batch.progress import BatchProgress
+from mocapfix.batch.people_jobs import read_people_file
+from mocapfix.batch.task_window import BatchProgress
 from mocapfix.options import CleanOptions
 
 run_stage: Any = session_people._run_stage  # pyright: ignore

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.summary_tables import SUMMARY_COLUMNS, list_summary_rows, write_summary_tables
+from mocapfix.batch.session_page import SUMMARY_COLUMNS, list_summary_rows, write_summary_tables
 from mocapfix.errors import WriteError
 from tests.batch.session_records import build_done, build_failed, take_records
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
-from mocapfix.batch.take_figures import SubjectFigures, measure_result
-from mocapfix.batch.worst_picture import describe_moment, draw_worst_moment, find_worst_moment
+from mocapfix.batch.take_figures import SubjectFigures, describe_moment, draw_worst_moment, find_worst_moment, measure_result
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.result import CleaningResult
-from mocapfix.take import Take
 
 MAX_PICTURE_BYTES = 6000
 FRAMES, RATE = 60, 60.0

@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocapfix.batch.cluster import ClusterOptions
-from mocapfix.batch.progress import BatchProgress
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.run_session import BatchSettings, run_session
 from mocapfix.batch.take_list import find_takes
-from mocapfix.bench.batch_takes import hash_outputs
+from mocapfix.batch.task_window import BatchProgress
 from mocapfix.errors import MocapfixError
+from mocapfix.lab.batches import hash_outputs
 from mocapfix.options import CleanOptions
 from mocapfix.synthetic import compose_take, write_synthetic_take
 

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
-from mocapfix.characters.character_presets import load_character_preset
-from mocapfix.characters.character_reader import read_character
-from mocapfix.files.option_choices import CHARACTER_PRESETS
-from mocapfix.write.character_bvh import write_character_bvh
-from mocapfix.write.character_glb import write_character_glb
-from mocapfix.write.fbx import BLENDER_VARIABLE, write_character_fbx
-from mocapfix.write.key_reduction import KeyReduction
+from mocapfix.characters.character_choice import load_character_preset, read_character
+from mocapfix.io.character_files import write_character_bvh, write_character_glb
+from mocapfix.io.fbx import BLENDER_VARIABLE, write_character_fbx
+from mocapfix.io.key_reduction import KeyReduction
+from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
 
 ROOT = Path(__file__).parents[2]

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.files.option_choices import RIG_NAMES
-from mocapfix.options import OutputOptions
-from mocapfix.write import rig
+from mocapfix.io import rig
+from mocapfix.options import RIG_NAMES, OutputOptions
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.bone_geometry import find_segments_by_shape
-from mocapfix.characters.bone_mapping import map_bones
-from mocapfix.characters.bone_names import find_segments_by_name
+from mocapfix.characters.bone_mapping import find_segments_by_name, map_bones
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
-from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.errors import SceneError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
+from mocapfix.options import CHARACTER_PRESETS
 
 # Bones that characters have besides those of the body.
 EXTRA_PARTS = ("tail", "skirt", "hair", "breasts", "weapon", "wings", "cape", "face", "ik", "sleeves", "root")

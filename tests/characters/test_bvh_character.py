@@ -3,11 +3,11 @@ import re
 import numpy as np
 import pytest
 
-from mocapfix.characters.character_reader import read_character
+from mocapfix.characters.character_choice import read_character
 from mocapfix.errors import ReadError
-from mocapfix.motion import Motion
-from mocapfix.write import write_bvh
-from tests.write.read_back import SKELETON, motion_of, smooth_rotations
+from mocapfix.io.bvh import write_bvh
+from mocapfix.model.motion import Motion
+from tests.io.read_back import SKELETON, motion_of, smooth_rotations
 
 
 @pytest.fixture

@@ -5,17 +5,13 @@ from dataclasses import replace
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import REQUIRED_SEGMENTS, CharacterMotion
-from mocapfix.characters.character_choice import check_lengths, load_character
-from mocapfix.characters.character_presets import load_character_preset
-from mocapfix.characters.character_reader import read_character_skeletons
-from mocapfix.characters.cmu31_character import build_cmu31_character
-from mocapfix.characters.mapping_file import write_mapping_file
+from mocapfix.characters.character import REQUIRED_SEGMENTS, CharacterMotion, build_cmu31_character
+from mocapfix.characters.character_choice import check_lengths, load_character, load_character_preset, read_character_skeletons
+from mocapfix.characters.character_yaml import write_mapping_file
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
-from mocapfix.skeleton import load_cmu31_skeleton
-from mocapfix.write.character_bvh import write_character_bvh
-from mocapfix.write.character_glb import write_character_glb
+from mocapfix.io.character_files import write_character_bvh, write_character_glb
+from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import FIGURE, PREFIX, build_mixamo_glb, edit_glb, node_of
 
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, Character
-from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.errors import SceneError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
+from mocapfix.options import CHARACTER_PRESETS
 
 # The limb chains as the programs name them, for the left side, from the pelvis outwards.
 ARM_CHAINS = {

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character
-from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.character_yaml import read_character_yaml, write_character_yaml
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
-from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.options import CHARACTER_PRESETS
 
 MIXAMO_FILE = find_shipped_folder("scenes") / "rigs" / "mixamo.yaml"
 

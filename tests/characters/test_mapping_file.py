@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
-from mocapfix.characters.character_presets import load_character_preset
-from mocapfix.characters.mapping_file import read_mapping_file, write_mapping_file
+from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_file
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
+from mocapfix.options import CHARACTER_PRESETS
 
 
 @pytest.fixture

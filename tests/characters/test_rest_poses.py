@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import SIDES, Character, CharacterSource
-from mocapfix.characters.character_presets import load_character_preset
-from mocapfix.characters.cmu31_character import build_cmu31_character
+from mocapfix.characters.character import SIDES, Character, CharacterSource, build_cmu31_character
+from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.rest_poses import are_soles_flat, check_sides, describe_posed_limbs
 from mocapfix.errors import SceneError
-from mocapfix.files.option_choices import CHARACTER_PRESETS
-from mocapfix.skeleton import load_cmu31_skeleton
+from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.options import CHARACTER_PRESETS
 
 SOLVED = build_cmu31_character(load_cmu31_skeleton())
 

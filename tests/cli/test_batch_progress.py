@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from mocapfix.cli.batch_progress import (
+from mocapfix.cli.batch import (
     MAX_JOB_NAME_LENGTH,
     BarProgress,
     PlainProgress,

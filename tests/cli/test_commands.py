@@ -433,7 +433,7 @@ def test_bench_uncertainty_needs_a_take(mocapfix):
 
 
 def test_bench_uncertainty_prints_a_table_or_json(mocapfix, monkeypatch):
-    from mocapfix.bench import uncertainty
+    from mocapfix.lab import uncertainty
 
     part = {"samples": 3, "error_mm": 4.0, "deviation_mm": 5.0, "within_1_sigma": 0.68, "within_2_sigma": 0.954}
     results = {what: {**part, "by": {"all missing": part}} for what in ("joints", "filled_markers")}
@@ -448,7 +448,7 @@ def test_bench_uncertainty_prints_a_table_or_json(mocapfix, monkeypatch):
 
 
 def test_bench_stress_prints_a_table_or_json_and_fails_beyond_the_limits(mocapfix, monkeypatch):
-    from mocapfix.bench import stress
+    from mocapfix.lab import stress
 
     totals = {"lost_frames": 3, "limb_error_mm": 250.0, "over_ordinary": 1.2, "changed_share": 0.001, "poor_frames": 2}
     row = {"kind": "composed", "name": "punch, 120 Hz", "ordinary": False, "lost_in_sight": {"left arm": 3}, "limb": "left arm"}

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets, synthetic
+from mocapfix import synthetic
+from mocapfix.subject.library import load_marker_set, load_shipped_marker_sets
 from tests.conftest import build_c3d
 
 
 def test_list_names_the_shipped_sets(mocapfix):
     status, out, _ = mocapfix("marker-set", "list")
     assert status == 0
-    assert all(each.name in out for each in marker_sets.load_shipped_marker_sets())
+    assert all(each.name in out for each in load_shipped_marker_sets())
 
 
 def test_show_lists_markers_by_segment(mocapfix):
@@ -39,7 +40,7 @@ def test_learn_writes_a_set_and_does_not_overwrite(mocapfix, wave, tmp_path):
     assert status == 0
     assert "41 markers" in output
     assert "not included: Floor names an object" in output
-    learned = marker_sets.load_marker_set(path)
+    learned = load_marker_set(path)
     assert (learned.name, len(learned.labels), "Floor" in learned.labels) == ("mine", 41, False)
     assert {"LUPA!", "RSHN!"} <= set(learned.labels)
     text = path.read_text()

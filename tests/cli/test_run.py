@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.calibrate import subject_file
-from mocapfix.files import shipped
+from mocapfix.io import shipped
 from mocapfix.keypoints import keypoint_scene
+from mocapfix.subject import subject_file
 
 
 def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
-from mocapfix.bench.contacts import compute_drift, compute_slide
-from mocapfix.bench.contacts_damage import FootLoss, find_all_true_contacts, find_foot_markers, lose_feet
-from mocapfix.bench.sound_takes import remove_damage
-from mocapfix.contacts.contacts import CONTACT_JOINTS
-from mocapfix.contacts.floor import NO_FLOOR
+from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR
+from mocapfix.lab.contacts import FootLoss, compute_drift, compute_slide, find_all_true_contacts, find_foot_markers, lose_feet
+from mocapfix.lab.sound_takes import remove_damage
 
 LOSS = FootLoss("left", 560, 640)
 """The left foot stands from frame 463 on."""

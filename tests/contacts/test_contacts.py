@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, build_no_contacts
-from mocapfix.contacts.floor import NO_FLOOR, Floor
+from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts, Floor, build_no_contacts
 
 
 @pytest.fixture

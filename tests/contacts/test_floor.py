@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.contacts.floor import NO_FLOOR, TOE_HEIGHT_M, Floor, estimate_floor
+from mocapfix.contacts.contacts import NO_FLOOR, TOE_HEIGHT_M, Floor, estimate_floor
 from tests.contacts.walking_feet import make_path, tilt
 
 RATE = 100.0

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
-from mocapfix.contacts.floor import Floor
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor
 from mocapfix.contacts.foot_displacements import (
     MAX_DISPLACEMENT_ACCELERATION_M_S2,
     MAX_LOCK_DISPLACEMENT_M,

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
-from mocapfix.contacts.floor import Floor
-from mocapfix.contacts.held_uncertainty import ROLLING_SD_M, reduce_held_uncertainty
-from mocapfix.motion import Motion
+from mocapfix.contacts.body_contacts import ROLLING_SD_M, reduce_held_uncertainty
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor
+from mocapfix.model.motion import Motion
 
 SUBJECT = synthetic.compose_take(seed=0, seconds=0.1).subject
 NAMES = SUBJECT.skeleton.names

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
-from mocapfix.contacts.find_contacts import find_contacts
-from mocapfix.contacts.hold_feet import (
+from mocapfix.contacts.body_contacts import (
     LEG_JOINTS,
     MAX_ROOT_DISPLACEMENT_M,
     build_foot_targets,
@@ -16,7 +14,9 @@ from mocapfix.contacts.hold_feet import (
     hold_feet,
     solve_legs,
 )
-from mocapfix.motion import Motion
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.model.motion import Motion
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 

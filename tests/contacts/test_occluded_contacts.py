@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.contacts.occluded_contacts import BORDER_S, find_certain_occlusions, find_known_frames
+from mocapfix.contacts.find_contacts import BORDER_S, find_certain_occlusions, find_known_frames
 
 RATE = 100.0
 HIDDEN = slice(100, 180)

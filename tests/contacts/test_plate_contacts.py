@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, FILE_SOURCE, PLATE_SOURCE, BodyContacts, GaitEvent
-from mocapfix.contacts.floor import Floor
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FILE_SOURCE, PLATE_SOURCE, BodyContacts, Floor, GaitEvent
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.plate_contacts import (
     PlateContact,
@@ -16,7 +15,7 @@ from mocapfix.contacts.plate_contacts import (
     is_file_event_wrong,
     merge_events,
 )
-from mocapfix.read.force_plates import ForcePlate
+from mocapfix.io.force_plates import ForcePlate
 from tests.contacts.walking_feet import make_path, walk
 
 RATE, PLATE_RATE, SECONDS = 100.0, 1000.0, 5.5

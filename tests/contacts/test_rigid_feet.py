@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.rigid_feet import restore_foot_length
+from mocapfix.contacts.foot_displacements import restore_foot_length
 
 LENGTH_M = 0.14
 metres = st.floats(-0.02, 0.02)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.standing import MIN_STANDING_S, compute_speed, detect_standing, remove_short_runs
+from mocapfix.contacts.find_contacts import MIN_STANDING_S, compute_speed, detect_standing, remove_short_runs
 from mocapfix.stats.sequences import find_runs
 from tests.contacts.walking_feet import find_true_stances, make_path
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 
 def turning(seconds=4.0, rate=120.0, segments=2, each=5, noise=0.0005, seed=0) -> Take:

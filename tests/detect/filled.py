@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 LABELS = ("A", "B", "C", "D")
 

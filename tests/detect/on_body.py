@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix import synthetic
-from mocapfix.motion import Motion
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 
 RATE = 120.0
 FAR = 0.004  # metres: predicted standard deviation of every marker

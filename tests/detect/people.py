@@ -4,10 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from mocapfix import marker_sets, synthetic
-from mocapfix.take import Take
+from mocapfix import synthetic
+from mocapfix.model.take import Take
+from mocapfix.subject.library import load_marker_set
 
-CMU41 = marker_sets.load_marker_set("cmu41")
+CMU41 = load_marker_set("cmu41")
 
 
 @cache

@@ -1,4 +1,4 @@
-from mocapfix.detect.body_checks import detect_body_faults
+from mocapfix.detect.loop import detect_body_faults
 from tests.detect.bodies import exchanged
 from tests.detect.on_body import displaced, solved
 

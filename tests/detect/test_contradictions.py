@@ -9,11 +9,11 @@ from mocapfix import pipeline
 from mocapfix.detect import contradictions
 from mocapfix.detect.contradictions import WholeTakeFigures, check_contradictions, measure_whole_take
 from mocapfix.errors import TakeError
-from mocapfix.faults import Fault, Faults
+from mocapfix.model.faults import Fault, Faults
+from mocapfix.model.take import Take
 from mocapfix.options import build_clean_options
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.synthetic import compose_take, write_synthetic_take
-from mocapfix.take import Take
 
 SOUND = WholeTakeFigures(0.01, 0.004, 0.85, 1.0)
 

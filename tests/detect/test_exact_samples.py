@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import exact_stretches
-from mocapfix.stats import resolution
+from mocapfix.detect import external_fills as exact_stretches
+from mocapfix.stats import sequences as resolution
 from tests.detect.filled import as_floats, as_integers, walking
 
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import external_fills
-from mocapfix.read import capture
-from mocapfix.take import Take
+from mocapfix.io import capture
+from mocapfix.model.take import Take
 from tests.detect.filled import LABELS, as_floats, walking
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"

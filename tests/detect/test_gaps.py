@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import gaps
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import ghosts
-from mocapfix.read import capture
-from mocapfix.take import Take
+from mocapfix.io import capture
+from mocapfix.model.take import Take
 from tests.detect.bodies import exchanged, hidden, turning
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"

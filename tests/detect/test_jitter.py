@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.detect import jitter
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 
 def swinging(rate=120.0, seconds=4.0, noise=0.0005):

@@ -7,13 +7,18 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
-from mocapfix.detect.keypoint_noise import estimate_noise_sd, smooth_point
-from mocapfix.detect.keypoint_swaps import detect_keypoint_swaps, find_exchanged_frames, find_mirrored_columns
-from mocapfix.faults import build_fault_mask
-from mocapfix.marker_sets import load_marker_set
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.detect.keypoints import (
+    detect_keypoint_swaps,
+    estimate_noise_sd,
+    find_exchanged_frames,
+    find_mirrored_columns,
+    smooth_point,
+)
+from mocapfix.model.faults import build_fault_mask
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
-from mocapfix.take import Take
+from mocapfix.subject.library import load_marker_set
 
 HALPE = load_marker_set("halpe26")
 NOISE_SD_M = 0.02

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets
-from mocapfix.detect import body_checks, loop
-from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
-from mocapfix.motion import Motion
+from mocapfix.detect import loop
+from mocapfix.detect import loop as body_checks
+from mocapfix.io import capture
+from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.read import capture
 from mocapfix.state import BodyFit, CleaningState, DetectionState
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.subject.library import build_subject_marker_set
 from tests.faulty_take import map_labels_to_points
 
 NAN = np.nan
@@ -27,7 +28,7 @@ def read_state(faulty, **fields) -> CleaningState:
 
 @pytest.fixture(scope="module")
 def detection(faulty) -> DetectionState:
-    marker_set = marker_sets.build_subject_marker_set(faulty.subject)
+    marker_set = build_subject_marker_set(faulty.subject)
     state = read_state(faulty, marker_set=marker_set, known_subject=faulty.subject)
     return loop.detect_on_trajectories(state, OPTIONS).detection
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.detect import body_outliers, marker_shifts
-from mocapfix.detect.body_checks import detect_body_faults
+from mocapfix.detect.loop import detect_body_faults
 from mocapfix.detect.marker_shifts import ShiftEstimate
 from mocapfix.solve import kinematics
 from tests.detect.on_body import RATE, solved

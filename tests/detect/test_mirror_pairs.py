@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets
-from mocapfix.detect import mislabelled
+from mocapfix.labels import mislabelled
+from mocapfix.subject.library import load_marker_set
 from tests.detect.people import CMU41
 
 SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
@@ -10,7 +10,7 @@ SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_twins_have_mirrored_labels(name):
-    marker_set = marker_sets.load_marker_set(name)
+    marker_set = load_marker_set(name)
     twin = mislabelled.find_twins(marker_set)
     for label, other in zip(marker_set.labels, twin, strict=True):
         named = {"L": "R", "R": "L"}.get(label[0], label[0]) + label[1:]
@@ -19,7 +19,7 @@ def test_twins_have_mirrored_labels(name):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_mirror_exchanges_move_twins_only(name):
-    marker_set = marker_sets.load_marker_set(name)
+    marker_set = load_marker_set(name)
     own, twin = np.arange(len(marker_set.labels)), mislabelled.find_twins(marker_set)
     for exchange in mislabelled.list_mirror_exchanges(marker_set):
         assert ((exchange == own) | (exchange == twin)).all()

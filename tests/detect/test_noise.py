@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import jitter
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 
 def swinging(sd, rate=120.0, seconds=6.0, seed=0):

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect.body_outliers import BodyOutlier, BodyResiduals
+from mocapfix.detect.body_outliers import BodyOutlier, BodyResiduals, carry_rigidly, is_body_wrong, measure_leaps_from_neighbours
 from mocapfix.detect.marker_distances import estimate_distances
-from mocapfix.detect.outlier_evidence import carry_rigidly, is_body_wrong, measure_leaps_from_neighbours
 from tests.detect.bodies import turning
 
 FIRST, LAST = 200, 207

@@ -8,8 +8,8 @@ from scipy.interpolate import CubicSpline
 
 from mocapfix.detect import external_fills
 from mocapfix.detect.external_fills import POLYNOMIAL_NAMES
-from mocapfix.read import capture
-from mocapfix.take import Take
+from mocapfix.io import capture
+from mocapfix.model.take import Take
 from tests.detect.filled import as_floats, as_integers, walking
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"

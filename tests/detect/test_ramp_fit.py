@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import ramp_fit
-from mocapfix.detect.ramp_fit import regress_out
+from mocapfix.detect import marker_shifts as ramp_fit
+from mocapfix.detect.marker_shifts import regress_out
 
 
 def made(off, features):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect.ramp_fit import regress_out
+from mocapfix.detect.marker_shifts import regress_out
 
 COUNT, RIDGE = 400, 0.1
 

@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.detect import sample_faults
-from mocapfix.faults import Fault
+from mocapfix.detect import loop as sample_faults
+from mocapfix.model.faults import Fault
+from mocapfix.model.take import Take
 from mocapfix.options import DetectOptions
-from mocapfix.take import Take
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 

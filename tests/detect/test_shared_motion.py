@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.detect import jitter, shared_motion, spikes
-from mocapfix.take import Take
+from mocapfix.model.take import Take
 
 RATE = 120.0
 LABELS = ("ELB", "FRM", "WRA", "WRB", "FIN", "UPA", "SHO")

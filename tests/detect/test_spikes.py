@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.detect import spikes
-from mocapfix.faults import Faults
-from mocapfix.take import Take
+from mocapfix.model.faults import Faults
+from mocapfix.model.take import Take
 
 SMALLEST, LONGEST = 0.02, 0.05
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.bench.composed_cleaning import clean_composed_take
-from mocapfix.changes import compare_samples
-from mocapfix.detect.sample_faults import detect_sample_faults
-from mocapfix.faults import REPLACED_SAMPLE_KINDS
-from mocapfix.synthetic.extreme_motions import EXTREME_MOTIONS
-from mocapfix.synthetic.extreme_takes import compose_extreme_take
-from mocapfix.take import Take
+from mocapfix.detect.loop import detect_sample_faults
+from mocapfix.lab.common_task import clean_composed_take
+from mocapfix.lab.extreme_motions import EXTREME_MOTIONS
+from mocapfix.lab.stress import compose_extreme_take
+from mocapfix.model.changes import compare_samples
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS
+from mocapfix.model.take import Take
 
 UP = np.array([0.0, 1.0, 0.0])
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import marker_distances, trajectory_segments
-from mocapfix.detect.label_swaps import find_swap_candidates
+from mocapfix.labels.label_swaps import find_swap_candidates
 from tests.detect.bodies import exchanged, hidden, turning
 
 

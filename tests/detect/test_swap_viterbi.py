@@ -1,7 +1,7 @@
 import pytest
 
 from mocapfix.detect import marker_distances, trajectory_segments
-from mocapfix.detect.label_swaps import find_exchanges
+from mocapfix.labels.label_swaps import find_exchanges
 from tests.detect.bodies import exchanged, hidden, turning
 
 

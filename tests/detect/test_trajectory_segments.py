@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mocapfix.detect.trajectory_segments import find_loose_segments, find_namesakes, split_trajectory
-from mocapfix.faults import overlap_in_time
-from mocapfix.take import Take
+from mocapfix.model.faults import overlap_in_time
+from mocapfix.model.take import Take
 
 RATE = 120.0
 MOVING = np.arange(100)[:, None] / RATE * [2.0, 0.0, 1.0]  # m/s

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from mocapfix import synthetic
-from mocapfix.fill import body_fill
+from mocapfix.fill import marker_estimates as body_fill
 from mocapfix.solve import kinematics
 
 RATE = 60.0

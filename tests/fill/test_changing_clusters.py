@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.fill.changing_clusters import (
+from mocapfix.fill.edge_interpolation import estimate_from_edges
+from mocapfix.fill.gap_estimates import choose_hidden_stretches, estimate_without_body
+from mocapfix.fill.neighbour_clusters import (
     ChangingCluster,
     build_changing_axes,
     remove_steps,
     select_changing_cluster,
 )
-from mocapfix.fill.edge_interpolation import estimate_from_edges
-from mocapfix.fill.gap_estimates import estimate_without_body
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
 from tests.fill.test_neighbour_clusters import RATE, tumbling
 
 FIRST, LENGTH = 150, 100

@@ -4,10 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.edge_interpolation import build_edge_maps, estimate_from_edges
-from mocapfix.fill.edge_motion import RESTING_SPEED_M_S, compare_edge_motion
+from mocapfix.fill.edge_interpolation import RESTING_SPEED_M_S, build_edge_maps, compare_edge_motion, estimate_from_edges
 from mocapfix.fill.fill_methods import MovingAxes
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
+from mocapfix.fill.gap_estimates import choose_hidden_stretches
 
 RATE = 100.0
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.gap_estimates import estimate_without_body, iterate_gaps
-from mocapfix.read import capture
-from mocapfix.take import Take
+from mocapfix.io import capture
+from mocapfix.model.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
 RATE = 100.0

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
+from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit
 from mocapfix.stats.sequences import find_runs
-from mocapfix.take import Take
 
 FIRST, RATE, FRAMES = 501, 100.0, 400
 LABELS = ("Jim:A", "Jim:B", "Jim:C", "Jim:D", "Jim:E", "lonely", "never")

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.gaussian_process_fill import MAX_SETTLED_SD_M, fill_from_gaussian_process, select_input_markers
+from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, fill_from_gaussian_process, select_input_markers
 
 RATE = 100.0
 

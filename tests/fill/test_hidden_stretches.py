@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches, find_stretches
+from mocapfix.fill.gap_estimates import choose_hidden_stretches, find_stretches
 
 RATE = 100.0
 

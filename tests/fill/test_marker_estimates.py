@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
+from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate, find_impossible_speeds, measure_fastest_speed
 from mocapfix.fill.marker_estimates import (
     ESTIMATE_CORRELATION,
     PARTIAL_BODY_SD_RATIO,
@@ -15,9 +15,8 @@ from mocapfix.fill.marker_estimates import (
     combine_with_partial_body,
     estimate_missing_samples,
 )
-from mocapfix.fill.marker_speeds import find_impossible_speeds, measure_fastest_speed
-from mocapfix.read import capture
-from mocapfix.take import Take
+from mocapfix.io import capture
+from mocapfix.model.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
 RATE = 100.0

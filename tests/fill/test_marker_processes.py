@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.gaussian_process_fill import MAX_SETTLED_SD_M
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
-from mocapfix.fill.marker_processes import MarkerProcesses
+from mocapfix.fill.gap_estimates import choose_hidden_stretches
+from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses
 from mocapfix.stats.sequences import group_gaps
 
 RATE = 100.0

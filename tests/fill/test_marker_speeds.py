@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.fill.marker_speeds import MAX_SPEED_RATIO, measure_speed_limit, measure_velocity_variation
+from mocapfix.fill.fill_methods import MAX_SPEED_RATIO, measure_speed_limit, measure_velocity_variation
 
 RATE = 100.0
 

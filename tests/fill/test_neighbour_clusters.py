@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
+from mocapfix.fill.gap_estimates import choose_hidden_stretches
 from mocapfix.fill.neighbour_clusters import (
     build_cluster_axes,
     estimate_by_regression,

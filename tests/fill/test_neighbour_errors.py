@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mocapfix.fill.edge_interpolation import MethodRatios, compute_variation_growth, estimate_from_edges, keep_known_context
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
-from mocapfix.fill.marker_speeds import measure_velocity_variation
-from mocapfix.fill.neighbour_errors import NeighbourActivity, measure_neighbour_errors
+from mocapfix.fill.fill_methods import measure_velocity_variation
+from mocapfix.fill.gap_estimates import NeighbourActivity, choose_hidden_stretches, measure_neighbour_errors
 
 RATE = 100.0
 GAP = slice(200, 260)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate
-from mocapfix.fill.hidden_stretches import choose_hidden_stretches
+from mocapfix.fill.gap_estimates import choose_hidden_stretches
 from mocapfix.fill.weighted_estimates import (
     build_expected_correlation,
     combine_gap_estimates,

@@ -5,10 +5,9 @@ import re
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.files import shipped
-from mocapfix.files.option_definitions import list_options
+from mocapfix.io import shipped
 from mocapfix.jobs.cleaning_job import JOB_MODEL, expand_paths, read_cleaning_job
-from mocapfix.options import CleanOptions, FillOptions, list_stages
+from mocapfix.options import CleanOptions, FillOptions, list_options, list_stages
 
 SHIPPED = shipped.find_shipped_folder("scenes")
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.kernels import compilation_cache, deferred_code
+from mocapfix.kernels import compilation_cache
+from mocapfix.kernels import compilation_cache as deferred_code
 from mocapfix.kernels.compilation_cache import PACKAGE_FOLDER, compile_inner_kernel, find_module_folder
 
 KERNEL_SOURCES = {
@@ -149,7 +150,7 @@ def test_the_digest_covers_all_imported_kernels_and_the_registered_terms():
     for _ in range(12):
         sources = [compilation_cache._read_source(name) for name in imported]
         imported |= {name for source in sources if source for name in source[1]}
-    assert {"mocapfix.kernels.sweep", "mocapfix.kernels.terms.points", "mocapfix.motion"} <= imported
+    assert {"mocapfix.kernels.sweep", "mocapfix.kernels.terms.points", "mocapfix.model.motion"} <= imported
     assert compilation_cache._read_source("mocapfix") is None
 
 

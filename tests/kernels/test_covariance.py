@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.sweep import MIN_INFORMATION
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.motion import FrameStatus
+from mocapfix.model.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import build_workspace, compute_uncertainty, solve_frames_from
 

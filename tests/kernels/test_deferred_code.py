@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
-from mocapfix.kernels.deferred_code import DeferredCodeLibrary
+from mocapfix.kernels.compilation_cache import DeferredCodeLibrary, compile_inner_kernel, compile_kernel
 
 
 def count_upwards(n):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.motion import FrameStatus
+from mocapfix.model.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import compute_uncertainty, solve_frames_from
 

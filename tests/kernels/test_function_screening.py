@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.kernels.function_screening import measure_pair_sds, screen_mean, screen_pairs, screen_places
-from mocapfix.stats.exact_distances import compute_known_median
+from mocapfix.stats.point_function_search import compute_known_median
 from mocapfix.stats.point_functions import MIN_FRAME_SINE, build_frame_axes
 
 LIMIT_M = 1e-5

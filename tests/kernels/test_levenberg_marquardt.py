@@ -17,7 +17,7 @@ from mocapfix.kernels.terms import (
     TrackingTerm,
     count_rows,
 )
-from mocapfix.motion import FrameStatus
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve.parallel import order_independently
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import solve_frames_from

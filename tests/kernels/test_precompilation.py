@@ -8,17 +8,25 @@ import threading
 import pytest
 from numba import types
 
-from mocapfix.kernels import precompilation, signatures
+from mocapfix.kernels import precompilation
+from mocapfix.kernels import precompilation as signatures
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.precompilation import CompilationSchedule, precompile_kernels
-from mocapfix.kernels.signatures import KernelSignature, describe_type, find_kernel, parse_type, read_signatures
+from mocapfix.kernels.precompilation import (
+    CompilationSchedule,
+    KernelSignature,
+    describe_type,
+    find_kernel,
+    parse_type,
+    precompile_kernels,
+    read_signatures,
+)
 
 DEMO_CODE = """
 import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from mocapfix import pipeline, synthetic
-from mocapfix.kernels.signatures import find_kernel, read_signatures
+from mocapfix.kernels.precompilation import find_kernel, read_signatures
 
 take = Path(sys.argv[1]) / "demo.c3d"
 synthetic.write_synthetic_take(take, synthetic.compose_take(seed=0, seconds=4))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import quaternions
+from mocapfix.kernels import lie as quaternions
 
 seeds = st.integers(0, 2**32 - 1)
 HALF_TURNS = [(np.pi, 0, 0), (0, np.pi, 0), (0, 0, -np.pi), (np.pi / np.sqrt(2), 0, np.pi / np.sqrt(2))]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import swing_twist
+from mocapfix.kernels import hybrik as swing_twist
 from tests.kernels import random_terms
 
 seeds = st.integers(0, 2**32 - 1)

@@ -8,8 +8,8 @@ import pytest
 
 from mocapfix.keypoints import film_solver, keypoint_file, keypoint_scene
 from mocapfix.keypoints.reprojection_problem import ReprojectionProblem, build_camera_rotation
-from mocapfix.pose_prior import io
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve import prior_files as io
 
 RATE = 10.0
 SKELETON = load_cmu31_body().skeleton

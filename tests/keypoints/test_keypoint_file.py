@@ -8,7 +8,7 @@ import pytest
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.keypoints import keypoint_file
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 
 SKELETON = load_cmu31_body().skeleton
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
-from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.keypoints import keypoint_file, keypoint_scene
 from mocapfix.keypoints import keypoint_scene as example_film
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 
 TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 

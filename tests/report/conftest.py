@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocapfix import changes, repair
-from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.labels.relabel import join_fragments, undo_label_exchanges
+from mocapfix.model import changes
+from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.report.report import ErrorSummary, Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.review.changes_file import serialize_changes
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.take import Take
 
 FRAMES, RATE, FIRST_FRAME = 240, 120.0, 101
 LABELS = tuple(f"M{n:02d}" for n in range(29)) + ("<b>&\"'", "never")  # 31 markers, one on each joint
@@ -65,7 +66,7 @@ def scene() -> Scene:
         MarkerShift("moved", 20, 210, FRAMES - 1, 0.03, "M20 shifts by 30 mm.", settled_frame=210),
         Fault("absent", 30, 0, FRAMES - 1, np.nan, "never is not visible in this take."),
     )
-    relabelled_take = repair.undo_label_exchanges(repair.join_fragments(input_take, items), items)
+    relabelled_take = undo_label_exchanges(join_fragments(input_take, items), items)
     cleaned_markers, sample_sd = relabelled_take.markers.copy(), np.full((FRAMES, 31), np.nan)
     for samples in ((slice(50, 100), 3), (slice(60, 70), 29), (70, 5)):
         cleaned_markers[samples], sample_sd[samples] = true_markers[samples], 0.01

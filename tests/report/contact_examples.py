@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts, GaitEvent, HeldFeet
-from mocapfix.contacts.floor import Floor
-from mocapfix.take import Take
+from mocapfix.contacts.contacts import CONTACT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts, Floor, GaitEvent, HeldFeet
+from mocapfix.model.take import Take
 
 FRAMES, RATE, FIRST_FRAME = 1000, 100.0, 101
 LEVEL_FLOOR = Floor(0.0, 0.0, (0.002,))

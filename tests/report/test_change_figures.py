@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.faults import Fault, MarkerShift
-from mocapfix.report.change_figures import (
+from mocapfix.model.faults import Fault, MarkerShift
+from mocapfix.report.change_list import (
     CHANGE_FIGURE_HEIGHT,
     CHANGE_FIGURE_WIDTH,
     CURVE_MARGIN_S,

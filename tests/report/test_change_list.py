@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import changes
-from mocapfix.faults import Fault, Faults
+from mocapfix.model import changes
+from mocapfix.model.faults import Fault, Faults
 from mocapfix.report.change_list import MAX_CHANGE_FIGURES, select_worst_changes
 
 

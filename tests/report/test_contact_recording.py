@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import BodyContacts, GaitEvent, build_no_contacts
-from mocapfix.contacts.floor import Floor
-from mocapfix.report.contact_recording import CONTACT_COLOUR, GRID_MARGIN_M, INFERRED_CONTACT_COLOUR, build_floor_grids
-from mocapfix.report.recording import write_recording
+from mocapfix.contacts.contacts import BodyContacts, Floor, GaitEvent, build_no_contacts
+from mocapfix.report.recording import CONTACT_COLOUR, GRID_MARGIN_M, INFERRED_CONTACT_COLOUR, build_floor_grids, write_recording
 from tests.report.contact_examples import LEVEL_FLOOR
 from tests.report.test_recording import Recording
 

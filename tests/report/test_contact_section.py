@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import EventDisagreement, GaitEvent, build_no_contacts
-from mocapfix.contacts.floor import NO_FLOOR, Floor
-from mocapfix.report.contact_section import build_contact_section, build_gait_entry, describe_contacts
+from mocapfix.contacts.contacts import NO_FLOOR, EventDisagreement, Floor, GaitEvent, build_no_contacts
+from mocapfix.report.build_report import build_contact_section, build_gait_entry, describe_contacts
 from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
 from tests.report.contact_examples import build_contacts, build_empty_take, build_walk
 

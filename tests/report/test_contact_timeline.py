@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import GaitEvent, HeldFeet, build_no_contacts
-from mocapfix.contacts.floor import Floor
-from mocapfix.report.contact_section import build_contact_section
-from mocapfix.report.contact_timeline import (
+from mocapfix.contacts.contacts import Floor, GaitEvent, HeldFeet, build_no_contacts
+from mocapfix.report.build_report import build_contact_section
+from mocapfix.report.html_report import write_html_report
+from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
+from mocapfix.report.timeline import (
     MAX_STRIP_S,
     MAX_STRIPS,
     ContactPart,
@@ -19,8 +20,6 @@ from mocapfix.report.contact_timeline import (
     describe_contact_section,
     divide_take,
 )
-from mocapfix.report.html_report import write_html_report
-from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
 from tests.report.contact_examples import FIRST_FRAME, RATE, build_contacts, build_empty_take, build_walk
 
 STRIKE = GaitEvent("left", "foot strike", 4.0, "markers")

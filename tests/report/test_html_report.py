@@ -7,9 +7,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from mocapfix import changes
 from mocapfix.errors import WriteError
-from mocapfix.faults import Fault, Faults, Fragment
+from mocapfix.model import changes
+from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.report.html_report import write_html_report
 from mocapfix.review.changes_file import serialize_changes
 

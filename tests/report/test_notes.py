@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.faults import Fault
-from mocapfix.repair.moved_markers import split_moved_markers
+from mocapfix.detect.moved_markers import split_moved_markers
+from mocapfix.model.faults import Fault
+from mocapfix.model.take import Take
 from mocapfix.report.notes import (
     describe_lost_part,
     describe_stray_markers,
@@ -14,7 +15,6 @@ from mocapfix.report.notes import (
 )
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.solve.lost_in_sight import LostPart
-from mocapfix.take import Take
 
 NAN = np.nan
 RATE, FRAMES = 100.0, 40

@@ -8,10 +8,12 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 
-from mocapfix.changes import UnfilledRun
-from mocapfix.faults import Fault, Faults
-from mocapfix.marker_sets import load_marker_set
-from mocapfix.motion import FrameStatus, Motion
+from mocapfix.model.changes import UnfilledRun
+from mocapfix.model.faults import Fault, Faults
+from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.report import report
 from mocapfix.report.build_report import (
     build_fault_entries,
@@ -20,10 +22,8 @@ from mocapfix.report.build_report import (
     build_subject_section,
     build_take_section,
 )
-from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.lost_in_sight import LostPart
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.subject.library import load_marker_set
 
 NAN = np.nan
 

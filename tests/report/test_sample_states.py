@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix.changes import SampleState
-from mocapfix.faults import Faults
+from mocapfix.model.changes import SampleState
+from mocapfix.model.faults import Faults
 from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
 
 

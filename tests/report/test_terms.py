@@ -3,7 +3,7 @@ from typing import get_args
 import pytest
 
 from mocapfix.errors import join_words
-from mocapfix.faults import MISSING_KINDS, FaultKind
+from mocapfix.model.faults import MISSING_KINDS, FaultKind
 from mocapfix.report.terms import FAULT_GROUPS, FAULT_KIND_NAMES, format_fault_counts, get_fault_group
 
 

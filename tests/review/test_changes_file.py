@@ -10,12 +10,18 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.changes import Change, Decision, SampleState
 from mocapfix.errors import SceneError
-from mocapfix.faults import Fault, Fragment, MarkerShift
-from mocapfix.review.changes_file import Review, build_review_filter, read_changes_file, write_changes_file
-from mocapfix.review.declined_changes import ReviewedChange, ReviewIndex
-from mocapfix.take import Take
+from mocapfix.model.changes import Change, Decision, SampleState
+from mocapfix.model.faults import Fault, Fragment, MarkerShift
+from mocapfix.model.take import Take
+from mocapfix.review.changes_file import (
+    Review,
+    ReviewedChange,
+    ReviewIndex,
+    build_review_filter,
+    read_changes_file,
+    write_changes_file,
+)
 
 FIRST_FRAME = 101
 

@@ -8,12 +8,18 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.errors import SceneError
-from mocapfix.faults import Fault, Fragment
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.requested_fills import EMPTY_REASON, FillRequest, explain_requested_fills, use_requested_methods
-from mocapfix.review.changes_file import Review, build_review_filter, read_changes_file, write_changes_file
-from mocapfix.review.corrections import locate_correction
-from mocapfix.review.file_models import CorrectionKind, CorrectionModel
+from mocapfix.model.faults import Fault, Fragment
+from mocapfix.review.changes_file import (
+    CorrectionKind,
+    CorrectionModel,
+    Review,
+    build_review_filter,
+    locate_correction,
+    read_changes_file,
+    write_changes_file,
+)
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.review.test_changes_file import build_change, build_take
 

@@ -254,7 +254,7 @@ def test_takes_of_a_session_are_opened_in_turn(browser: Browser, folder: Path, p
 
 
 def test_labels_and_notes_with_html_are_text(browser: Browser, running: RunningServer, problems: list[str]) -> None:
-    from mocapfix.read.capture import read_take
+    from mocapfix.io.capture import read_take
 
     script = "<img src=x onerror=alert(1)><script>document.title='broken'</script>"
     take = read_take(running.folder.parent / "walk.c3d")

@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix import pipeline
-from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
-from mocapfix.read.capture import read_capture
+from mocapfix.io.capture import read_capture
+from mocapfix.model.animation import Animation
 from mocapfix.report.sample_states import SampleOutcome, classify_samples
-from mocapfix.review.changes_file import serialize_changes
-from mocapfix.review.file_models import ChangeModel
+from mocapfix.review.changes_file import ChangeModel, serialize_changes
 from mocapfix.review.open_take import OpenTake
 from mocapfix.review.take_files import find_cleaned_takes
 from mocapfix.review.take_view import NO_INPUT_NOTE, classify_shown_samples, load_take_view, replace_unstored_sd

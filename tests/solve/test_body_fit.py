@@ -5,21 +5,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets, pipeline, repair
-from mocapfix.calibrate import calibration, subject_file
+from mocapfix import pipeline
+from mocapfix.detect.moved_markers import split_moved_markers
 from mocapfix.errors import SceneError, TakeError
-from mocapfix.faults import Faults, MarkerShift
-from mocapfix.marker_sets.library import build_subject_marker_set, resolve_subject
-from mocapfix.motion import Motion
+from mocapfix.io import capture
+from mocapfix.model.faults import Faults, MarkerShift
+from mocapfix.model.motion import Motion
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
-from mocapfix.read import capture
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit, CleaningState, DetectionState
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.subject import calibration, subject_file
+from mocapfix.subject.library import build_subject_marker_set, load_marker_set, resolve_subject
 
-CMU41 = marker_sets.load_marker_set("cmu41")
+CMU41 = load_marker_set("cmu41")
 
 
 def build_take(*labels: str) -> Take:
@@ -105,7 +106,7 @@ def test_known_subject_is_not_calibrated(moved):
 
 def test_markers_without_a_column_have_no_body_position():
     take = Take(np.ones((3, 4, 3)), tuple("ABCD"), 100.0)
-    epochs = repair.split_moved_markers(take, [])
+    epochs = split_moved_markers(take, [])
     positions = np.arange(3 * 3 * 3, dtype=float).reshape(3, 3, 3)
     subject, motion = object.__new__(Subject), object.__new__(Motion)
     body = BodyFit(subject, subject, motion, np.array([2, -1, 0]), np.zeros((3, 1, 3)), positions)

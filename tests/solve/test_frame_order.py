@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.motion import FrameStatus
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve import parallel
 from mocapfix.stats.sequences import find_runs
 from tests.kernels import random_terms

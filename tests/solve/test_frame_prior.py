@@ -7,16 +7,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.gaussian_models import GaussianModel
-from mocapfix.pose_prior.io import load_pose_model
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import frame_prior, kinematics, marker_equations, motion_solver, pose_problem
+from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem
+from mocapfix.solve import window_solver as frame_prior
+from mocapfix.solve import window_solver as marker_equations
 from mocapfix.solve.frame_windows import change_all_frames
+from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.prior_files import load_pose_model
 from mocapfix.solve.window_solver import set_frame_prior
-from mocapfix.take import Take
 
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.initialise import initial_motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior import mean_pose
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import frame_windows, kinematics, motion_solver, pose_problem
+from mocapfix.solve import frame_windows, initial_motion, kinematics, mean_pose, motion_solver, pose_problem
 from mocapfix.solve.frame_windows import FrameWindow, change_all_frames, find_changed_frames, select_windows
-from mocapfix.take import Take
 
 BODY = load_cmu31_body()
 PRIOR, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)

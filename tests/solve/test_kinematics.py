@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.motion import Motion
-from mocapfix.skeleton import Skeleton
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.subject import Subject
 from tests.kernels import dense_oracle, random_terms
 
 FRAMES = 4

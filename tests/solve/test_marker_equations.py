@@ -7,12 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior import mean_pose
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, pose_problem
-from mocapfix.solve.marker_equations import WorldPoses, compute_left_jacobian, compute_marker_equations, exponentiate_vectors
-from mocapfix.take import Take
+from mocapfix.solve import kinematics, mean_pose, pose_problem
+from mocapfix.solve.window_solver import WorldPoses, compute_left_jacobian, compute_marker_equations, exponentiate_vectors
 
 BODY = load_cmu31_body()
 

@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
-from mocapfix.contacts.body_contacts import LEGS, hold_measured_feet, move_body
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
-from mocapfix.contacts.floor import NO_FLOOR
-from mocapfix.contacts.hold_feet import compute_held_displacements, displace_feet
+from mocapfix.contacts.body_contacts import LEGS, compute_held_displacements, displace_feet, hold_measured_feet, move_body
+from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.measured_segments import (
     MAX_RESIDUAL_GROWTH_M,

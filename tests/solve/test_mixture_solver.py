@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.gaussian_models import GaussianModel, MixtureModel
-from mocapfix.pose_prior.model import compute_pose_vectors
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve import pose_solver
+from mocapfix.solve.pose_prior import GaussianModel, MixtureModel, compute_pose_vectors
 from tests.solve.test_pose_solver import CODE, JOINTS, body, build_linear_model, given, posed
 
 

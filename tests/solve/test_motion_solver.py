@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import marker_sets, synthetic
-from mocapfix.initialise import initial_motion
-from mocapfix.motion import Motion
+from mocapfix import synthetic
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior import io, mean_pose
-from mocapfix.pose_prior.mean_pose import load_joint_limits
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, limb_recovery, motion_solver, occluded_joints, pose_problem
+from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver, occluded_joints, pose_problem
+from mocapfix.solve import prior_files as io
+from mocapfix.solve import window_solver as limb_recovery
+from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.subject.library import load_marker_set
 
-BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 MEAN, NONE = (mean_pose.load_mean_pose_prior(name, BODY.skeleton) for name in ("mean-pose", "none"))
 LIMITS = load_joint_limits(BODY.skeleton)
 NO_LIMITS = replace(LIMITS, lower_rad=np.full_like(LIMITS.lower_rad, -np.inf), upper_rad=np.full_like(LIMITS.upper_rad, np.inf))

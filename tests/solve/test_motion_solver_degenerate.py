@@ -3,13 +3,11 @@
 import numpy as np
 
 from mocapfix import synthetic
-from mocapfix.initialise import initial_motion
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.mean_pose import load_joint_limits
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, motion_solver
-from mocapfix.take import Take
+from mocapfix.model.motion import FrameStatus
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
+from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver
+from mocapfix.solve.mean_pose import load_joint_limits
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)

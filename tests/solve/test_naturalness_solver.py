@@ -7,11 +7,11 @@ import pytest
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
-from mocapfix.pose_prior.naturalness import NaturalnessModel
 from mocapfix.solve import pose_solver
+from mocapfix.solve.naturalness import NaturalnessModel
 from tests.kernels import dense_oracle
-from tests.pose_prior.test_autoencoder import REFERENCE, SKELETON, draw_model
-from tests.pose_prior.test_naturalness import draw_rotations
+from tests.solve.test_autoencoder import REFERENCE, SKELETON, draw_model
+from tests.solve.test_naturalness import draw_rotations
 from tests.solve.test_pose_solver import given
 
 TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))

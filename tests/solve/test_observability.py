@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import observability
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.solve import pose_problem as observability
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import Subject
+from mocapfix.subject.library import load_marker_set
 
-BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 NAMES = BODY.skeleton.names
 SUBJECT = Subject(
     BODY.skeleton, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, MARKER_SET.marker_spread

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import occluded_joints
 from mocapfix.solve.prior_conditioner import PriorConditioner
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix.kernels.compilation_cache import find_module_folder
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.model.motion import FrameStatus
+from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,

@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import LatentCodeTerm, PointTerm
-from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.gaussian_models import GaussianModel
-from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+from mocapfix.model.motion import FrameStatus
 from mocapfix.solve import latent_solver, pose_solver
+from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
 from tests.kernels import dense_oracle, random_terms
 
 JOINTS, CODE = 6, 3

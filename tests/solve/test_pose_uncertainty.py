@@ -7,10 +7,9 @@ import pytest
 
 from mocapfix import synthetic
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.pose_prior import mean_pose
-from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics
-from mocapfix.solve.motion_uncertainty import (
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics, mean_pose
+from mocapfix.solve.motion_solver import (
     MIN_ESTIMATED_MARKER_SD_M,
     compute_pose_sd,
     compute_unsolved_joint_variance,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.pose_prior.gaussian_models import GaussianModel
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 
 BODY = load_cmu31_body()

@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ConstraintError, SceneError
-from mocapfix.pose_prior import io
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, single_pose
-from mocapfix.solve.constraints import (
+from mocapfix.solve import prior_files as io
+from mocapfix.solve.single_pose import (
     Camera,
     DirectionConstraint,
     DistanceConstraint,

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.motion import PoseUncertainty
+from mocapfix.model.motion import PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.solve import smoothing
-from mocapfix.stats.smooth_paths import smooth_path
+from mocapfix.stats.sequences import smooth_path
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)

@@ -3,9 +3,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mocapfix.stats import exact_distances, point_function_search
-from mocapfix.stats.exact_distances import compare_points, find_exactly_rigid_points, measure_distance_sd
-from mocapfix.stats.point_function_search import find_point_functions
+from mocapfix.stats import point_function_search
+from mocapfix.stats import point_function_search as exact_distances
+from mocapfix.stats.point_function_search import (
+    compare_points,
+    find_exactly_rigid_points,
+    find_point_functions,
+    measure_distance_sd,
+)
 from mocapfix.stats.point_functions import PointFunction, build_frame_axes
 
 FRAMES = 300

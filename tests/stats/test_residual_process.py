@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from mocapfix.stats.residual_process import (
+from mocapfix.stats.gaussian_process import (
     MAX_SAMPLES_PER_SIDE,
     compute_residual_correlation,
     estimate_roughness,

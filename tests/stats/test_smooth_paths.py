@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.stats.smooth_paths import smooth_path
+from mocapfix.stats.sequences import smooth_path
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)

@@ -8,13 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix import marker_sets, synthetic
+from mocapfix import synthetic
 from mocapfix.errors import WriteError
-from mocapfix.read.capture import read_take
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.io.capture import read_take
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
-from mocapfix.synthetic import footsteps, motions, synthetic_takes
+from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import motions, synthetic_takes
+from mocapfix.synthetic import motions as footsteps
 from mocapfix.synthetic import motions as gestures
 
 RATE = 120.0
@@ -158,7 +160,7 @@ def test_hands_reach_and_the_body_crouches_and_turns(position_of):
 
 
 def test_markers_have_placement_errors_on_an_individual_body(take):
-    nominal = marker_sets.load_marker_set("cmu41")
+    nominal = load_marker_set("cmu41")
     errors = [synthetic.compose_take(seed, 0.1).subject.marker_offsets - nominal.marker_offsets for seed in range(10)]
     assert np.std(errors) == pytest.approx(0.012, rel=0.1)
     body = load_cmu31_body()

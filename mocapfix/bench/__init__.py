@@ -1,1 +1,0 @@
-"""Measuring what mocapfix does against what is known to be true."""

@@ -1,1 +1,0 @@
-"""Helpers for files: layouts, atomic replacement, strict YAML models, and the data shipped with mocapfix."""

@@ -1,1 +1,0 @@
-"""Initialisation: a first pose for every frame, from which the solve starts."""

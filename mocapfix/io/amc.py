@@ -1,0 +1,405 @@
+"""Read ASF/AMC, the format of CMU's motion capture: a skeleton in one file, the values of a trial in another.
+
+A bone of an ASF has its own axes, rotated by C from the world's in the rest pose, and its rotation M in the AMC is about
+those. In world axes it is C M C^-1.
+
+Write a motion as ASF/AMC in the form of CMU's files: names, order and axes of its bones, lengths in inches times 0.45.
+
+A bone of the ASF has its own axes, rotated by C from the world's in the rest pose. The AMC has the angles of C^-1 R C, with x as
+the innermost rotation. Knees and elbows are hinges in CMU's files; here every bone that rotates has three degrees of freedom, so
+that the motion is unchanged.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.animations import joint_mapping
+from mocapfix.errors import ReadError, WriteError, format_name_list
+from mocapfix.io.animation_inference import infer_conventions
+from mocapfix.io.asf import AsfSkeleton, parse_asf
+from mocapfix.io.file_content import (
+    MAX_QUOTED_CHARACTERS,
+    TextTokens,
+    convert_to_utf_8,
+    decode_text,
+    read_file_bytes,
+    scan_tokens,
+)
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.frame_rate import FileFrames, choose_rate, count_frame_steps, describe_missing_frames
+from mocapfix.io.source_file import format_rows
+from mocapfix.kernels import euler_angles
+from mocapfix.model.animation import Animation
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
+
+FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
+# The format has no keyword for the rate, so it is read from comments or keywords of some programs.
+RATE_NUMBER = rb"(\d{1,9}(?:\.\d{0,9})?)"
+RATE_PATTERN = re.compile(
+    rb":SAMPLES-PER-SECOND\s+" + RATE_NUMBER + rb"(?!\d)|(?<!\d)" + RATE_NUMBER + rb" ?(?:fps|Hz|frames (?:a|per) second)",
+    re.IGNORECASE,
+)
+MAX_BLANK_BYTE = 32  # bytes up to it separate tokens
+MAX_AMC_FRAME_NUMBER = 1e9
+DEFAULT_AMC_RATE_HZ = 120.0  # CMU's, except for some subjects at 60 Hz
+BONE_SECTION_KEYWORD = b":bonedata"
+AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginning of a file; a cut-off one may have no more
+# Comments, keywords, the first frame's number, then a bone with its values.
+AMC_HEAD_PATTERN = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
+
+
+@dataclass(frozen=True)
+class _BoneLines:
+    """The lines of one bone in an AMC.
+
+    Attributes:
+        frames: Frame of each line, counted from 1.
+        tokens: Token that each line begins with.
+        value_counts: Number of values on each line.
+    """
+
+    frames: Int[np.ndarray, " n"]
+    tokens: Int[np.ndarray, " n"]
+    value_counts: Int[np.ndarray, " n"]
+
+
+def is_asf_or_amc(head: bytes) -> bool:
+    """Return whether a file with this beginning is an AMC or an ASF."""
+    lower = head.lower()
+    return BONE_SECTION_KEYWORD in lower or lower.lstrip().startswith(AMC_KEYWORDS) or AMC_HEAD_PATTERN.match(head) is not None
+
+
+def read_amc_motion(path: Path, data: bytes, options: ReadOptions) -> Animation:
+    """Return the motion in the bytes of an AMC, as `read_amc` does, and raise ReadError for an ASF, which has none."""
+    if BONE_SECTION_KEYWORD in convert_to_utf_8(path, data).lower():
+        raise ReadError(f"{path}: is a skeleton without motion; name the AMC file of the motion.")
+    return read_amc(path, data, options=options)
+
+
+def read_amc(
+    path: str | Path,
+    data: bytes | None = None,
+    asf_path: str | Path | None = None,
+    options: ReadOptions = DEFAULT_READ_OPTIONS,
+) -> Animation:
+    """Read the motion of an AMC, or the rest pose of an ASF as one frame.
+
+    Joints are at the beginning of bones and have their names. Angles are in degrees, whatever the file uses.
+
+    Args:
+        path: The AMC or ASF file.
+        data: The bytes of the file, if they were read already.
+        asf_path: The skeleton of an AMC; by default the one that `find_asf` finds.
+        options: What is known about the motion.
+
+    Raises:
+        ReadError: If there is no skeleton, or a file is invalid. The message names file and line.
+    """
+    path = Path(path)
+    data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
+    if BONE_SECTION_KEYWORD in data.lower():
+        return infer_conventions(_build_rest_animation(path, data), options)
+    skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
+    skeleton = parse_asf(skeleton_path, decode_text(read_file_bytes(skeleton_path))[0])
+    start = FIRST_FRAME_PATTERN.search(data)
+    if not start:
+        raise ReadError(f"{path}: has no frames; an AMC has a line with the number of each frame. Export it again.")
+    header, tokens = data[: start.start()], scan_tokens(data, start.start())
+    frame_numbers, value_tokens = _locate_values(path, tokens, skeleton)
+    rate, rate_notes = _find_rate(path, header, options)
+    notes = [f"Its skeleton is {skeleton_path.name}.", *rate_notes]
+    steps, _, irregular = count_frame_steps(frame_numbers)
+    if irregular is not None or steps.sum() >= 2 * len(frame_numbers):
+        row = int(np.argmax(steps)) if irregular is None else irregular
+        problem = f"Frame {frame_numbers[row + 1]:.0f} follows frame {frame_numbers[row]:.0f}"
+        notes.append(f"{problem} in the file; frames are counted from the first.")
+        steps = np.ones(len(steps), int)
+    row_frames, first_frame = np.concatenate([[0], np.cumsum(steps)]).astype(int), int(frame_numbers[0])
+    frames = FileFrames(rate, first_frame, row_frames, (*notes, *describe_missing_frames(first_frame, row_frames)))
+    values, uses_radians = frames.spread_rows(tokens.values[value_tokens]), b":radians" in header.lower()
+    animation = _build_animation(path, skeleton, values, frames.rate, frames.notes, first_frame)
+    value_byte_offsets = frames.spread_rows(tokens.start_bytes[value_tokens], -1)
+    animation = replace(animation, value_byte_offsets=value_byte_offsets, skeleton_path=skeleton_path, uses_radians=uses_radians)
+    if uses_radians:
+        rotation_columns = np.concatenate([animation.get_rotation_channels(joint)[0] for joint in range(len(animation.names))])
+        values[:, rotation_columns] = np.degrees(values[:, rotation_columns])
+    return infer_conventions(animation, options)
+
+
+def _find_rate(path: Path, header: bytes, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
+    """Return the rate (Hz) of an AMC by the option or its comments, or that of CMU, and a note on what was assumed."""
+    match = RATE_PATTERN.search(header)
+    stated = float(match[1] or match[2]) if match else 0.0
+    if stated > 0 or options.rate_hz is not None:
+        return choose_rate(lambda sentence: ReadError(f"{path}: {sentence}"), stated or None, options)
+    return DEFAULT_AMC_RATE_HZ, (f"An AMC file has no rate; {DEFAULT_AMC_RATE_HZ:.0f} Hz, CMU's, is assumed (--rate).",)
+
+
+def find_asf(path: Path) -> Path:
+    """Return the ASF in the folder of an AMC.
+
+    If names of ASF files are beginnings of the AMC's name (02.asf for 02_01.amc), it is the longest of these, else the only ASF.
+
+    Raises:
+        ReadError: If there is none, or several are possible.
+    """
+    candidates = sorted(each for each in path.parent.iterdir() if each.suffix.lower() == ".asf")
+    matching = [each for each in candidates if path.stem.lower().startswith(each.stem.lower())]
+    if matching:
+        return max(matching, key=lambda each: len(each.stem))
+    if len(candidates) == 1:
+        return candidates[0]
+    present = f"only {format_name_list([each.name for each in candidates])}" if candidates else "no ASF"
+    expected = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
+    raise ReadError(f"{path}: its skeleton is not in its folder, {present}; copy it there as {expected}.")
+
+
+def _build_rest_animation(path: Path, data: bytes) -> Animation:
+    skeleton = parse_asf(path, decode_text(data)[0])
+    width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
+    notes = ("It is a skeleton without motion, in its rest pose.",)
+    return _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
+
+
+def _build_animation(
+    path: Path,
+    skeleton: AsfSkeleton,
+    values: Float[np.ndarray, "T C"],
+    rate: float,
+    notes: tuple[str, ...],
+    first_frame: int,
+) -> Animation:
+    """Return the animation of a skeleton with inferred unit and up axis. The values are in the order of its channels."""
+    names = tuple(bone.name for bone in skeleton.bones)
+    parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in skeleton.bones])
+    tips = np.array([bone.tip_offset for bone in skeleton.bones])
+    is_leaf = [joint not in parents for joint in range(len(names))]
+    return Animation(
+        names=names,
+        parents=parents,
+        offsets=np.vstack([skeleton.root_position, tips[parents[1:]]]),
+        end_sites=tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, is_leaf, strict=True)),
+        channels=tuple(bone.channels for bone in skeleton.bones),
+        values=values,
+        rate=rate,
+        path=path,
+        first_frame=first_frame,
+        unit_m=skeleton.unit_m,
+        rest_rotations=np.array([bone.rotation_world_bone for bone in skeleton.bones]),
+        is_position_added=np.ones(len(names), bool),
+        notes=notes,
+    )
+
+
+def _locate_values(
+    path: Path, tokens: TextTokens, skeleton: AsfSkeleton
+) -> tuple[Float[np.ndarray, " T"], Int[np.ndarray, "T C"]]:
+    """Return the number of each frame, and the token of each channel's value in it.
+
+    Raises:
+        ReadError: If a token is not a number, or a bone is not in the skeleton, is missing, occurs twice or has another number
+            of values than degrees of freedom.
+    """
+    line_tokens = np.flatnonzero(np.diff(tokens.line_numbers, prepend=-1))  # first token of each line
+    token_counts = np.diff(line_tokens, append=len(tokens))
+    is_bone_line = ~tokens.is_number[line_tokens]
+    is_stray = ~tokens.is_number
+    is_stray[line_tokens] = False
+    is_frame_number = np.abs(tokens.values[line_tokens]) <= MAX_AMC_FRAME_NUMBER
+    is_invalid_frame_line = ~is_bone_line & ((token_counts != 1) | ~is_frame_number)
+    if is_stray.any() or is_invalid_frame_line.any():
+        token = int(np.argmax(is_stray) if is_stray.any() else line_tokens[np.argmax(is_invalid_frame_line)])
+        quoted = repr(tokens.get_text(token)[:MAX_QUOTED_CHARACTERS])
+        problem = f"{quoted} is given where the values of a bone or the number of a frame are expected"
+        raise ReadError(f"{path}, line {tokens.line_numbers[token]}: {problem}.")
+    frame_of_line = np.cumsum(~is_bone_line)
+    names = [bone.name for bone in skeleton.bones]
+    bone_of_line = _match_names(tokens, line_tokens, names)
+    for line in np.flatnonzero(is_bone_line & (bone_of_line < 0)).tolist():  # names that are not valid UTF-8, too
+        name = tokens.get_text(int(line_tokens[line]))
+        if name not in names:
+            line_number = tokens.line_numbers[line_tokens[line]]
+            raise ReadError(f"{path}, line {line_number}: bone {name[:MAX_QUOTED_CHARACTERS]} is not in the skeleton.")
+        bone_of_line[line] = names.index(name)
+    columns: list[np.ndarray] = []
+    for index, bone in enumerate(skeleton.bones):
+        if bone.degrees_of_freedom:
+            own = np.flatnonzero(is_bone_line & (bone_of_line == index))
+            bone_lines = _BoneLines(frame_of_line[own], line_tokens[own], token_counts[own] - 1)
+            frame_tokens = line_tokens[~is_bone_line]
+            _check_bone_lines(path, tokens, bone.name, frame_tokens, bone_lines, len(bone.degrees_of_freedom))
+            columns.append(line_tokens[own, None] + 1 + np.array(bone.amc_columns))
+    return tokens.values[line_tokens[~is_bone_line]], np.hstack(columns)
+
+
+def _match_names(tokens: TextTokens, line_tokens: Int[np.ndarray, " L"], names: list[str]) -> Int[np.ndarray, " L"]:
+    """Return the index of the name that the first token of each line is, -1 if it is none."""
+    encoded_names = [name.encode() for name in names]
+    text = np.frombuffer(tokens.data, np.uint8)
+    token_bytes = tokens.start_bytes[line_tokens, None] + np.arange(max(map(len, encoded_names)) + 1)
+    letters = np.where(token_bytes < len(text), text[np.minimum(token_bytes, len(text) - 1)], np.uint8(0))
+    letters[~np.logical_and.accumulate(letters > MAX_BLANK_BYTE, axis=1)] = 0
+    first_words = np.ascontiguousarray(letters).view(f"S{letters.shape[1]}")[:, 0]
+    name_of_line = np.full(len(line_tokens), -1)
+    for index, name in enumerate(encoded_names):
+        name_of_line[first_words == name] = index
+    return name_of_line
+
+
+def _check_bone_lines(
+    path: Path, tokens: TextTokens, name: str, frame_tokens: Int[np.ndarray, " T"], lines: _BoneLines, width: int
+) -> None:
+    """Raise ReadError unless a bone has one line with `width` values in every frame; `frame_tokens` are the frame numbers."""
+    line_counts = np.bincount(lines.frames, minlength=len(frame_tokens) + 1)[1:]
+    if (line_counts != 1).any():
+        frame = int(np.argmax(line_counts != 1))
+        token = int(frame_tokens[frame])
+        problem = "occurs twice" if line_counts[frame] > 1 else "is missing"
+        frame_number = tokens.get_text(token)
+        raise ReadError(f"{path}, line {tokens.line_numbers[token]}: bone {name} {problem} in frame {frame_number}.")
+    if (lines.value_counts != width).any():
+        line = int(np.argmax(lines.value_counts != width))
+        problem = f"bone {name} has {lines.value_counts[line]} values and {width} degrees of freedom"
+        raise ReadError(f"{path}, line {tokens.line_numbers[lines.tokens[line]]}: {problem}.")
+
+
+CMU_LENGTH_FACTOR = 0.45  # of lengths in inches
+CMU_LENGTH_UNIT_M = 0.0254 / CMU_LENGTH_FACTOR
+# Degrees about x, y, z by which the axes of CMU's left bones are rotated; those of the right bones are the mirror image.
+CMU_BONE_AXES_DEG = {
+    "femur": (0, 0, 20),
+    "tibia": (0, 0, 20),
+    "foot": (-90, 0, 20),
+    "toes": (-90, 0, 20),
+    "humerus": (180, -30, -90),
+    "radius": (180, -30, -90),
+    "thumb": (-90, 45, 0),
+    "wrist": (0, 90, 90),
+    "hand": (0, 90, 90),
+    "fingers": (0, 90, 90),
+}
+FIXED_BONES = ("lhipjoint", "rhipjoint")  # without degrees of freedom, unless the motion rotates them
+ZYX_AXES = np.array([2, 1, 0])  # the outermost first
+MAX_JOINT_DISTANCE_M = 1e-7  # between joints that begin at the same position
+AMC_DECIMALS = 6  # of every number
+ASF_HEADER = f"""\
+:version 1.10
+:name VICON
+:units
+  mass 1.0
+  length {CMU_LENGTH_FACTOR}
+  angle deg
+:documentation
+   Written by mocapfix.
+:root
+   order TX TY TZ RX RY RZ
+   axis XYZ
+   position 0 0 0
+   orientation 0 0 0
+:bonedata
+"""
+
+
+def write_asf_amc(
+    asf_target: Path, amc_target: Path, skeleton: Skeleton, motion: Motion, rate: float, first_frame: int = 1
+) -> None:
+    """Write a skeleton as ASF and its motion as AMC. Both files are replaced, or neither.
+
+    The AMC has the rate in a comment, because the format has no keyword for it.
+
+    Args:
+        asf_target: The file of the skeleton.
+        amc_target: The file of the motion.
+        skeleton: The skeleton with 31 joints.
+        motion: Its motion.
+        rate: Frames per second.
+        first_frame: Number of the first frame.
+
+    Raises:
+        WriteError: If joints on one bone do not begin at the same position, the motion is incomplete, or a file is not writable.
+    """
+    names = get_cmu_bone_names(skeleton)
+    if not (np.isfinite(motion.root_position).all() and np.isfinite(motion.local_rotations).all()):
+        raise WriteError(f"{amc_target}: the motion has missing frames, which an AMC cannot represent.")
+    is_rotating = [
+        name not in FIXED_BONES or not np.allclose(motion.local_rotations[:, joint], np.eye(3))
+        for joint, name in enumerate(names)
+    ]
+    bone_data = "".join(_build_bone_data(asf_target, skeleton, names, is_rotating))
+    asf = ASF_HEADER + bone_data + "".join(_build_hierarchy(skeleton, names))
+    with replace_atomically(Path(asf_target)) as asf_part, replace_atomically(Path(amc_target)) as amc_part:
+        asf_part.write_bytes(asf.encode("ascii"))
+        amc_part.write_bytes(_build_frames(names, is_rotating, motion, rate, first_frame))
+
+
+def get_cmu_bone_names(skeleton: Skeleton) -> list[str]:
+    """Return CMU's name of the bone that begins at each joint."""
+    acclaim = joint_mapping.load_naming_convention("acclaim").candidate_names
+    return [acclaim[name][0] for name in skeleton.names]
+
+
+def get_bone_axes_deg(bone: str) -> tuple[float, float, float]:
+    """Return the degrees about x, y, z, in this order, by which the axes of a bone are rotated in the rest pose."""
+    x, y, z = CMU_BONE_AXES_DEG.get(bone[1:], (0, 0, 0))
+    return (x, y, z) if bone[0] == "l" else (x, -y, -z)
+
+
+def _build_bone_data(asf_target: Path, skeleton: Skeleton, names: list[str], is_rotating: list[bool]) -> Iterator[str]:
+    """Yield the text of each bone except the root."""
+    for joint, name in list(enumerate(names))[1:]:
+        tip = _compute_tip(asf_target, skeleton, joint) / CMU_LENGTH_UNIT_M
+        length = float(np.linalg.norm(tip))
+        direction = tip / length if length > 0 else np.array([0.0, 1.0, 0.0])
+        direction_text, axes_text = (
+            " ".join(f"{x + 0.0:.15g}" for x in vector) for vector in (direction, get_bone_axes_deg(name))
+        )
+        yield f"  begin\n     id {joint}\n     name {name}\n"
+        yield f"     direction {direction_text}\n     length {length:.15g}\n     axis {axes_text} XYZ\n"
+        if is_rotating[joint]:
+            yield "    dof rx ry rz\n    limits (-180.0 180.0)\n" + "           (-180.0 180.0)\n" * 2
+        yield "  end\n"
+
+
+def _compute_tip(asf_target: Path, skeleton: Skeleton, joint: int) -> Float[np.ndarray, " 3"]:
+    """Return the vector (m) from the beginning of a bone to its end: where its child joints begin, or the end site."""
+    children = np.flatnonzero(skeleton.parents == joint)
+    if not len(children):
+        return np.nan_to_num(skeleton.ends[joint])
+    tip = skeleton.offsets[children[0]]
+    for child in children[1:]:
+        if np.linalg.norm(skeleton.offsets[child] - tip) > MAX_JOINT_DISTANCE_M:
+            pair = f"{skeleton.names[child]} and {skeleton.names[children[0]]}"
+            raise WriteError(f"{asf_target}: {pair} do not begin at the same position, as bones on one bone of an ASF must.")
+    return tip
+
+
+def _build_hierarchy(skeleton: Skeleton, names: list[str]) -> Iterator[str]:
+    yield ":hierarchy\n  begin\n"
+    for joint, name in enumerate(names):
+        if len(children := np.flatnonzero(skeleton.parents == joint)):
+            yield f"    {name} {' '.join(names[child] for child in children)}\n"
+    yield "  end\n"
+
+
+def _build_frames(names: list[str], is_rotating: list[bool], motion: Motion, rate: float, first_frame: int) -> bytes:
+    """Return the AMC: for every frame its number and a line for each bone that rotates."""
+    columns = [[f"{frame}\n".encode() for frame in range(first_frame, first_frame + motion.frame_count)]]
+    for joint, name in enumerate(names):
+        if is_rotating[joint]:
+            rotation_world_bone = Rotation.from_euler("xyz", get_bone_axes_deg(name), degrees=True).as_matrix()
+            rotations = np.ascontiguousarray(rotation_world_bone.T @ motion.local_rotations[:, joint] @ rotation_world_bone)
+            angles_zyx = euler_angles.compute_continuous_euler_angles(rotations, ZYX_AXES, np.zeros(3))
+            degrees = np.degrees(angles_zyx)[:, ::-1]
+            numbers = np.hstack([motion.root_position / CMU_LENGTH_UNIT_M, degrees]) if joint == 0 else degrees
+            lines = format_rows(numbers, AMC_DECIMALS).splitlines(keepends=True)
+            columns.append([name.encode() + b" " + line for line in lines])
+    header = f"#!OML:ASF written by mocapfix, {rate:.10g} frames a second\n:FULLY-SPECIFIED\n:DEGREES\n".encode("ascii")
+    return header + b"".join(line for frame in zip(*columns, strict=True) for line in frame)

@@ -1,0 +1,113 @@
+"""Properties that animation files do not give: unit of length and up axis. All assumptions are noted."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocapfix.errors import ReadError
+from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, format_length
+from mocapfix.model.animation import FOOT_JOINT_PATTERN, HEAD_JOINT_PATTERN, Animation
+from mocapfix.options import ReadOptions
+
+PERSON_HEIGHT_RANGE_M = (1.2, 2.2)
+FIGURE_HEIGHT_RANGE_M = (0.3, 4.0)  # of figures in no known unit: children, animals and giants
+REACH_TO_HEIGHT_RATIO = 1.42  # longest path along a person's bones, from finger tips to toes, divided by the height
+# Metres per unit, in the order in which units are tried.
+CANDIDATE_UNITS_M = {
+    "centimetres": 0.01,
+    "metres": 1.0,
+    "millimetres": 0.001,
+    "CMU's units of 1/0.45 inch": 0.0254 / 0.45,
+    "inches": 0.0254,
+    "feet": 0.3048,
+}
+MIN_UP_AXIS_COSINE = 0.8  # of the angle between an axis and the vector from feet to head of a standing figure
+MAX_INSPECTED_POSES = 200  # poses from which the up axis is inferred
+
+
+def infer_conventions(animation: Animation, options: ReadOptions) -> Animation:
+    """Return the animation with its unit and its up axis: those of the options, or else as its figure shows them.
+
+    Raises:
+        ReadError: If the figure is not as tall as any person in any unit, or is to be mirrored, which only markers can be.
+    """
+    if options.mirror:
+        raise ReadError(f"{animation.path}: --mirror is for markers; an animation has rotations, which cannot be mirrored.")
+    if options.up_axis is not None:
+        animation = replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP[options.up_axis])
+    else:
+        animation = infer_up_axis(animation)
+    if options.unit is not None:
+        return replace(animation, unit_m=METRES_PER_UNIT[options.unit])
+    animation = infer_unit(animation)
+    height_m = compute_reach(animation) * animation.unit_m / REACH_TO_HEIGHT_RATIO
+    if options.accept_contradictions or not height_m or FIGURE_HEIGHT_RANGE_M[0] <= height_m <= FIGURE_HEIGHT_RANGE_M[1]:
+        return animation
+    raise ReadError(
+        f"{animation.path}: its figure is {format_length(height_m)} tall, and no usual unit makes it as tall as a person; "
+        f"give the unit with --unit, one of {', '.join(METRES_PER_UNIT)}, or add --accept-contradictions."
+    )
+
+
+def infer_unit(animation: Animation) -> Animation:
+    """Return the animation with a unit of length by which its figure is as tall as people are, and a note on a changed unit.
+
+    This is its own unit if that fits, else the first of CANDIDATE_UNITS_M that does, else its own.
+    """
+    reach = compute_reach(animation)
+    lowest, highest = PERSON_HEIGHT_RANGE_M
+    fitting = {
+        name: unit_m for name, unit_m in CANDIDATE_UNITS_M.items() if lowest <= reach * unit_m / REACH_TO_HEIGHT_RATIO <= highest
+    }
+    if lowest <= reach * animation.unit_m / REACH_TO_HEIGHT_RATIO <= highest:
+        return animation
+    if not fitting:
+        height = format_length(reach * animation.unit_m / REACH_TO_HEIGHT_RATIO)
+        unit = f"{animation.unit_m * 100:.4g} cm"
+        note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall (--unit sets it)."
+        return replace(animation, notes=(*animation.notes, note))
+    name, unit_m = next(iter(fitting.items()))
+    note = f"Lengths are assumed to be {name}; the figure is {reach * unit_m / REACH_TO_HEIGHT_RATIO:.2f} m tall."
+    return replace(animation, unit_m=unit_m, notes=(*animation.notes, note))
+
+
+def compute_reach(animation: Animation) -> float:
+    """Return the longest path along the bones from one tip of the body to another, in file units.
+
+    The bones are those of the posed figure, below its body root: a reference node above the hips is no part of it.
+    """
+    depth = np.array([np.linalg.norm(ends, axis=1).max(initial=0.0) for ends in animation.end_sites])
+    longest = depth.copy()
+    for joint in range(len(depth) - 1, 0, -1):
+        parent = animation.parents[joint]
+        path_length = depth[joint] + np.linalg.norm(animation.bone_offsets[joint])
+        longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
+        depth[parent] = max(depth[parent], path_length)
+    return float(longest[animation.body_root])
+
+
+def infer_up_axis(animation: Animation) -> Animation:
+    """Return the animation with its up axis, and a note if that is not Y.
+
+    Y is up in most files. Z, or an axis that points down, is up if the head is above the feet along it in most of the motion; Z
+    also if the figure does not stand for most of the motion, but does along Z in the rest pose.
+    """
+    head = [j for j, name in enumerate(animation.names) if HEAD_JOINT_PATTERN.search(name)][:1]
+    feet = [j for j, name in enumerate(animation.names) if FOOT_JOINT_PATTERN.search(name)]
+    if not head or not feet:
+        return animation
+    inspected = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_INSPECTED_POSES)])
+    for positions, letters in (
+        (inspected.compute_world_poses()[0], ("Y", "Z", "-Y", "-Z")),
+        (animation.compute_rest_positions()[None], ("Y", "Z")),
+    ):
+        head_above_feet = positions[:, head[0]] - positions[:, feet].mean(1)
+        total = head_above_feet[np.isfinite(head_above_feet).all(1)].sum(0)
+        direction = total / max(np.linalg.norm(total), 1e-9)
+        upright = [letter for letter in letters if (ROTATIONS_TO_Y_UP[letter] @ direction)[1] > MIN_UP_AXIS_COSINE]
+        if upright:
+            if upright == ["Y"]:
+                return animation
+            note = f"The {upright[0]} axis points up, because the head is above the feet along it (--up sets it)."
+            return replace(animation, rotation_y_up_file=ROTATIONS_TO_Y_UP[upright[0]], notes=(*animation.notes, note))
+    return animation

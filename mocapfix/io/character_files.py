@@ -1,0 +1,420 @@
+"""Write the motion of a character beside the other outputs: GLB, BVH, NPZ, on request FBX, and its mapping of bones as YAML.
+
+What the writers of characters ask of its bones: which move, how long the legs are, and the unit of a position.
+
+Write the motion of a character as binary glTF: into the user's own file, or with a test skin for a character without mesh.
+
+In the user's file, mesh, skin, materials, existing animations and everything unknown stay as they are: the animation is appended
+to the document, and its arrays to the binary chunk behind the old bytes.
+
+Write the motion of a character as NumPy arrays (.npz) for other programs: `np.load("walk.character.npz")`, without pickle.
+
+Metres, seconds, Y up, right-handed; quaternions x, y, z, w. With T frames and J bones, parents before children:
+
+    format              "mocapfix character 1"
+    units               a sentence that states the units
+    character           the character's name
+    rate                frames per second
+    names (J,)          bones;  parents (J,), -1 for roots
+    scales (J,)         metres in a unit of the character's file along each bone's own axes;  root_scale that of roots
+    rest_positions (J, 3)   head of each bone in its parent's axes (of a root in the world), in the rest pose
+    rest_rotations (J, 4)   axes of each bone to its parent's (of a root to the world's), in the rest pose
+    tails (J, 3)        tail of each bone in its own axes, NaN where it has none
+    pelvis              name of the pelvis bone
+    pelvis_position (T, 3)  its head in its parent's axes (of a root in the world); all other bones keep their rest_positions
+    rotations (T, J, 4) axes of each bone to its parent's, without sign flips: in the rest pose these are rest_rotations
+    is_moved (J,)       whether the bone belongs to a segment of the body or moves; the others keep the rest pose
+    segments (S,)       segments of the body;  segment_bones (S,) the names of their bones from the pelvis outwards, separated by
+                        line feeds
+
+The pose in the world follows from the root downwards: a bone's axes are those of its parent times its own rotation, its head is
+its parent's head plus the parent's axes times its position.
+
+Write the motion of a character as BVH, with its own bones.
+
+BVH has no rest rotations. They are folded into the offsets: with all angles zero the bones are in the rest pose of the character,
+and their axes are those of the world. Y is up. The unit is that in which the character's file gives the position of the pelvis,
+or centimetres if that is none of metres, centimetres, millimetres and inches.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.character import (
+    Character,
+    CharacterMotion,
+    build_cmu31_character,
+    compute_character_poses,
+    convert_motion,
+)
+from mocapfix.characters.character_yaml import write_mapping_file
+from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
+from mocapfix.io.fbx import write_character_fbx
+from mocapfix.io.files import make_scratch_folder, replace_atomically
+from mocapfix.io.glb import GLTF_ASSET, GlbContent, GltfBuffer, build_glb, parse_glb
+from mocapfix.io.gltf import add_animation, add_test_skin
+from mocapfix.io.key_reduction import (
+    KeyReduction,
+    LegCurves,
+    MotionKeys,
+    build_leg_curves,
+    measure_key_reduction,
+    select_motion_keys,
+)
+from mocapfix.kernels import lie as quaternions
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+
+MIN_MOVED_ELEMENT = 1e-6
+"""difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
+LEG_SEGMENTS = ("thigh", "shin")
+
+
+def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
+    """Return the bones of all segments, their twist bones, and others that the motion turns from their rest rotation."""
+    mapped = {bone for group in (character.mapping.bones, character.mapping.twists) for chain in group.values() for bone in chain}
+    difference = np.abs(motion.local_rotations - character.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
+    return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
+
+
+def compute_leg_length(character: Character) -> float:
+    """Return the length of the longer leg in metres, from hip to ankle along the bones of thigh and shin."""
+    mapped, lengths = character.mapping.bones, [0.0]
+    for side in ("left", "right"):
+        chain = [bone for segment in LEG_SEGMENTS for bone in mapped.get(f"{side}_{segment}", ())]
+        inner = [*chain[1:], *mapped.get(f"{side}_foot", ())]
+        lengths.append(float(np.linalg.norm(character.rest_positions[inner], axis=1).sum()))
+    return max(lengths)
+
+
+def get_parent_scale(character: Character, bone: int) -> float:
+    """Return the metres in a unit of the file in which the position of a bone is given."""
+    parent = int(character.parents[bone])
+    return float(character.scales[parent]) if parent >= 0 else character.root_scale
+
+
+def write_character_glb(
+    target: Path,
+    character: Character,
+    motion: CharacterMotion,
+    take_name: str,
+    key_error_rad: float | None = None,
+    contacts: BodyContacts | None = None,
+) -> KeyReduction | None:
+    """Write the motion of a character as a GLB.
+
+    The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis. A
+    rotation that does not change has one key.
+
+    Args:
+        target: The file.
+        character: The character. The file that it was read from, if that was a glTF, is kept; else it gets a test skin.
+        motion: Its motion.
+        take_name: Name of the animation; a number is appended if the file has an animation of that name.
+        key_error_rad: Write only the keys that keep every rotation within this angle, and the pelvis within the distance that
+            it means at the end of a leg (angle times leg length), and standing feet where they are. Every frame by default.
+        contacts: Of the motion, at their own rate: when its feet stand. Without any, slow feet stand.
+
+    Returns:
+        The errors of the reduction, None without one.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    content, nodes = _open_document(character)
+    bones = list_moving_bones(character, motion)
+    legs = None if key_error_rad is None else build_leg_curves(character, motion, contacts)
+    leg_length_m = compute_leg_length(character)
+    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, key_error_rad, leg_length_m, legs)
+    pelvis = character.mapping.bones["pelvis"][0]
+    buffer = GltfBuffer(content.document, content.binary)
+    has_own_scale = character.source is not None and character.source.kind == "gltf"
+    position_scale = get_parent_scale(character, pelvis) if has_own_scale else 1.0
+    for bone in {pelvis, *bones}:
+        _replace_matrix(content.document["nodes"][nodes[bone]])
+    name = _make_name_unique(take_name, content.document.get("animations", []))
+    add_animation(buffer, name, keys, [int(nodes[bone]) for bone in bones], int(nodes[pelvis]), position_scale, motion.rate)
+    data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
+    with replace_atomically(Path(target)) as part:
+        part.write_bytes(data)
+    return None if key_error_rad is None else _measure_character_keys(character, motion, keys, key_error_rad, legs)
+
+
+def _measure_character_keys(
+    character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float, legs: LegCurves | None
+) -> KeyReduction:
+    """Measure the errors of a character's motion between its keys, at the heads and tails of all bones."""
+
+    def compute_points(position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T P 3"]:
+        heads, axes = compute_character_poses(character, CharacterMotion(position, rotations, motion.rate))
+        return np.concatenate([heads, heads + (axes @ np.nan_to_num(character.tails)[..., None])[..., 0]], axis=1)
+
+    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points, legs)
+
+
+def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " J"]]:
+    """Return the content to which the animation is appended, and the node of each bone."""
+    source = character.source
+    if source is not None and source.kind == "gltf":
+        return parse_glb(Path(source.path), source.data), source.nodes
+    buffer = GltfBuffer(_build_skinned_document(character))
+    positions, rotations = character.compute_rest_pose()
+    has_child = np.isin(np.arange(len(positions)), character.parents)
+    tails = positions + np.einsum("jab,jb->ja", rotations, character.tails)
+    add_test_skin(buffer, character.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
+    return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
+
+
+def _build_skinned_document(character: Character) -> dict[str, Any]:
+    """Return a document with the bones as its first nodes, in metres, and a node for mesh 0 and skin 0."""
+    quaternions = Rotation.from_matrix(character.rest_rotations).as_quat()
+    nodes: list[dict[str, Any]] = [
+        {"name": name, "translation": position.tolist(), "rotation": quaternion.tolist()}
+        for name, position, quaternion in zip(character.names, character.rest_positions, quaternions, strict=True)
+    ]
+    for bone, parent in enumerate(character.parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(bone)
+    roots = np.flatnonzero(character.parents < 0).tolist()
+    nodes.append({"name": "Bones", "mesh": 0, "skin": 0})
+    scene_nodes = [*roots, len(nodes) - 1]
+    if len(roots) > 1:  # the joints of a skin need a common ancestor
+        nodes.append({"name": "Armature", "children": roots})
+        scene_nodes = [len(nodes) - 1, len(nodes) - 2]
+    return {"asset": GLTF_ASSET, "scene": 0, "scenes": [{"nodes": scene_nodes}], "nodes": nodes}
+
+
+def _replace_matrix(node: dict[str, Any]) -> None:
+    """Give the transform of a node as translation, rotation and scale: a node with a matrix cannot be animated."""
+    if "matrix" not in node:
+        return
+    matrix = np.array(node.pop("matrix"), float).reshape(4, 4).T
+    scales = np.linalg.norm(matrix[:3, :3], axis=0)
+    node["translation"] = matrix[:3, 3].tolist()
+    node["rotation"] = Rotation.from_matrix(matrix[:3, :3] / scales).as_quat().tolist()
+    node["scale"] = scales.tolist()
+
+
+def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
+    """Return the name, with a number behind it if an animation has that name."""
+    names = [animation.get("name") for animation in animations]
+    used = {each for each in names if isinstance(each, str)}
+    candidates = (name, *(f"{name}.{number:03d}" for number in range(1, len(used) + 2)))
+    return next(candidate for candidate in candidates if candidate not in used)
+
+
+CHARACTER_NPZ_FORMAT = "mocapfix character 1"
+CHARACTER_NPZ_UNITS = "metres, seconds; Y up, right-handed; quaternions x, y, z, w; rotations to the parent's axes"
+
+
+def write_character_npz(target: Path, character: Character, motion: CharacterMotion) -> None:
+    """Write the motion of a character. Raises WriteError if `target` is not writable."""
+    bones, is_known = range(len(character.names)), np.ones(motion.frame_count, bool)
+    rotations = [quaternions.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones]
+    segments = [segment for segment, chain in character.mapping.bones.items() if chain]
+    arrays = {
+        "format": np.array(CHARACTER_NPZ_FORMAT),
+        "units": np.array(CHARACTER_NPZ_UNITS),
+        "character": np.array(character.name),
+        "rate": np.array(float(motion.rate)),
+        "names": np.array(character.names),
+        "parents": character.parents,
+        "scales": character.scales,
+        "root_scale": np.array(float(character.root_scale)),
+        "rest_positions": character.rest_positions,
+        "rest_rotations": Rotation.from_matrix(character.rest_rotations).as_quat(),
+        "tails": character.tails,
+        "pelvis": np.array(character.names[character.mapping.bones["pelvis"][0]]),
+        "pelvis_position": motion.pelvis_position,
+        "rotations": np.stack(rotations, axis=1),
+        "is_moved": np.isin(np.arange(len(character.names)), list_moving_bones(character, motion)),
+        "segments": np.array(segments),
+        "segment_bones": np.array(
+            ["\n".join(character.names[bone] for bone in character.mapping.bones[segment]) for segment in segments]
+        ),
+    }
+    with replace_atomically(Path(target)) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+BVH_UNITS_M = (1.0, 0.01, 0.001, 0.0254)
+UNIT_TOLERANCE = 1e-4
+"""relative difference from one of BVH_UNITS_M, up to which a scale is that unit"""
+DEFAULT_END_FRACTION = 0.3
+"""length of a last bone without a tail, as a fraction of its parent's"""
+MIN_END_M = 0.01
+"""and at least so much"""
+BVH_NAME_SEPARATORS = re.compile(r"[\s{}]+")
+"""what a name in a BVH must not have"""
+
+
+def write_character_bvh(target: Path, character: Character, motion: CharacterMotion) -> None:
+    """Write the motion of a character as BVH: rotations Z Y X in degrees, and positions of the root and of the pelvis.
+
+    Nodes above the bones that only place an armature are left out. If the character has several roots, a joint at the origin
+    that has the character's name carries them.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    bones = _list_written_bones(character)
+    place = {bone: joint for joint, bone in enumerate(bones)}
+    parents = np.array([place.get(int(character.parents[bone]), -1) for bone in bones])
+    rest_positions, rest_rotations = (each[bones] for each in character.compute_rest_pose())
+    positions, rotations = (each[:, bones] for each in compute_character_poses(character, motion))
+    turned = rotations @ rest_rotations.swapaxes(-1, -2)
+    names = [BVH_NAME_SEPARATORS.sub("_", character.names[bone]) for bone in bones]
+    tails = np.einsum("jab,jb->ja", rest_rotations, character.tails[bones])
+    if (parents < 0).sum() > 1:
+        names = [BVH_NAME_SEPARATORS.sub("_", character.name) or "Root", *names]
+        parents = np.concatenate([[-1], parents + 1])
+        rest_positions, tails = (np.concatenate([np.zeros((1, 3)), each]) for each in (rest_positions, tails))
+        positions = np.concatenate([np.zeros((motion.frame_count, 1, 3)), positions], axis=1)
+        turned = np.concatenate([np.tile(np.eye(3), (motion.frame_count, 1, 1, 1)), turned], axis=1)
+    is_root = parents < 0
+    offsets = np.where(is_root[:, None], rest_positions, rest_positions - rest_positions[parents])
+    local_rotations = np.where(is_root[:, None, None], np.eye(3), turned[:, parents]).swapaxes(-1, -2) @ turned
+    skeleton = Skeleton(tuple(names), parents, offsets, _choose_ends(parents, offsets, tails))
+    pelvis = place[character.mapping.bones["pelvis"][0]] + len(names) - len(bones)
+    positioned = {0: positions[:, 0]}
+    if pelvis:
+        above = int(parents[pelvis])
+        positioned[pelvis] = np.einsum("tba,tb->ta", turned[:, above], positions[:, pelvis] - positions[:, above])
+    unit_m = _choose_unit(character)
+    write_bvh_tree(target, skeleton, positioned, np.ascontiguousarray(local_rotations), motion.rate, unit_m)
+
+
+def _list_written_bones(character: Character) -> list[int]:
+    """Return the bones that are written: all but nodes of a glTF at the top that are no joints and carry a single bone."""
+    joints = _list_source_joints(character)
+    bones, mapped = list(range(len(character.names))), character.mapping.bones["pelvis"][0]
+    while joints and bones[0] not in joints and bones[0] != mapped:
+        children = np.flatnonzero(character.parents == bones[0])
+        is_single_tree = len(children) == 1 and (character.parents < 0).sum() == 1
+        if not is_single_tree:
+            break
+        bones = bones[1:]
+    return bones
+
+
+def _list_source_joints(character: Character) -> set[int]:
+    """Return the bones that are joints of a skin, none for a character without a glTF."""
+    source = character.source
+    if source is None or source.kind != "gltf":
+        return set()
+    skins = parse_glb(Path(source.path), source.data).document.get("skins", [])
+    joints = {joint for skin in skins for joint in skin["joints"]}
+    return {bone for bone, node in enumerate(source.nodes.tolist()) if node in joints}
+
+
+def _choose_ends(
+    parents: Int[np.ndarray, " J"], offsets: Float[np.ndarray, "J 3"], tails: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "J 3"]:
+    """Return the end sites of the leaves: their tails, or else a point that continues the bone above."""
+    ends = np.full(tails.shape, np.nan)
+    for joint in np.flatnonzero(~np.isin(np.arange(len(parents)), parents)):
+        ends[joint] = tails[joint]
+        if not np.linalg.norm(tails[joint]) > 0:
+            length = np.linalg.norm(offsets[joint])
+            direction = offsets[joint] / length if length > 0 else np.array([0.0, 1.0, 0.0])
+            ends[joint] = direction * max(DEFAULT_END_FRACTION * length, MIN_END_M)
+    return ends
+
+
+def _choose_unit(character: Character) -> float:
+    scale = get_parent_scale(character, character.mapping.bones["pelvis"][0])
+    return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
+
+
+CHARACTER_SUFFIXES = ("glb", "bvh", "npz", "map.yaml")
+FBX_SUFFIX = "fbx"
+
+
+@dataclass(frozen=True)
+class CharacterFiles:
+    """What is written of a character.
+
+    character      the character, with a mapping of its bones
+    key_error_deg  largest error of reduced keys; None for a key in every frame
+    has_fbx        whether FBX is written too
+    """
+
+    character: Character
+    key_error_deg: float | None = None
+    has_fbx: bool = False
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """The suffixes of the files, after the stem of the take."""
+        endings = (*CHARACTER_SUFFIXES, *((FBX_SUFFIX,) if self.has_fbx else ()))
+        return tuple(f"{self.character.name}.{ending}" for ending in endings)
+
+    def write(
+        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
+    ) -> list[str]:
+        """Write the motion of a solved skeleton, retargeted onto the character.
+
+        target    the GLB; the other files are beside it
+        rate      frames per second
+        contacts  of the motion, with its floor; if the feet of the motion are locked in them, so are the character's
+
+        Returns sentences for the report. Raises WriteError if a file is not writable.
+        """
+        character = self.character
+        source = build_cmu31_character(skeleton)
+        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
+        write_character_bvh(target.with_suffix(".bvh"), character, retargeted)
+        write_character_npz(target.with_suffix(".npz"), character, retargeted)
+        write_mapping_file(target.with_suffix(".map.yaml"), character)
+        scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
+        notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
+        return [*notes, *write_glb_and_fbx(target, character, retargeted, self.key_error_deg, contacts, has_fbx=self.has_fbx)]
+
+
+def write_glb_and_fbx(
+    target: Path,
+    character: Character,
+    motion: CharacterMotion,
+    key_error_deg: float | None,
+    contacts: BodyContacts | None,
+    *,
+    has_fbx: bool,
+) -> list[str]:
+    """Write a GLB, and with `has_fbx` an FBX of it by Blender. Returns sentences for the report. Raises WriteError."""
+    take_name = target.name.partition(".")[0]
+    key_error_rad = None if key_error_deg is None else float(np.deg2rad(key_error_deg))
+    reduction = write_character_glb(target, character, motion, take_name, key_error_rad, contacts)
+    notes = [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
+    if has_fbx and (problem := write_character_fbx(target.with_suffix(f".{FBX_SUFFIX}"), target, motion.rate)):
+        notes.append(problem)
+    return notes
+
+
+def write_skeleton_fbx(
+    target: Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    key_error_deg: float | None,
+    contacts: BodyContacts | None = None,
+) -> list[str]:
+    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError.
+
+    contacts  of the motion, in which a reduction of keys keeps the feet; without any, slow feet stand
+    """
+    with make_scratch_folder() as folder:
+        glb = folder / f"{target.stem}.glb"
+        character = build_cmu31_character(skeleton)
+        write_glb_and_fbx(glb, character, convert_motion(motion, rate), key_error_deg, contacts, has_fbx=False)
+        problem = write_character_fbx(target, glb, rate)
+    return [problem] if problem else []

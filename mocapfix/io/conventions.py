@@ -1,0 +1,262 @@
+"""Decide the unit, the up axis and the handedness of a file: by the options, by the file, and by the person in it.
+
+This is the one place where positions in the unit and axes of a file become metres with Y up. An option is always followed. What a
+file declares is followed unless its markers prove it wrong, which is noted; what they contradict without showing what is right is
+refused, with the option that settles it.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.errors import ReadError
+from mocapfix.io.body_evidence import BodyEvidence, InspectedPoints, collect_body_evidence, measure_handedness
+from mocapfix.io.coordinates import (
+    METRES_PER_UNIT,
+    ROTATIONS_TO_Y_UP,
+    PointSample,
+    estimate_sign,
+    estimate_up_axis,
+    find_standing_axis,
+    format_length,
+    is_on_floor_along,
+    sample_points,
+)
+from mocapfix.model.take import C3dLayout, TableLayout, Take, UpAxis
+from mocapfix.options import ReadOptions
+
+MIRROR_X = np.diag([-1.0, 1.0, 1.0])  # of metres with Y up
+# Factors by which units are confused: m for mm, m for cm, cm for mm, inches for mm.
+CONFUSED_UNIT_FACTORS = (1000.0, 100.0, 10.0, 25.4)
+
+
+class HumanRange(NamedTuple):
+    """Distances (m) between the middles of two parts of a body that people have, and of those that are surely people's.
+
+    The second range is narrower than the factor 2.54 between neighbouring units, so that at most one of them fits.
+    """
+
+    parts: tuple[int, int]
+    possible: tuple[float, float]
+    usual: tuple[float, float]
+
+
+# By the heights of the parts (see `classify_label_height`); the greater distances of a take count. Measured on 34 captures:
+# 0.87 to 1.55 m (head and shoulders, feet), 0.78 to 0.90 m (pelvis, feet), 0.45 to 0.49 m (head and shoulders, pelvis).
+HUMAN_RANGES = (
+    HumanRange((2, 0), (0.35, 2.5), (0.7, 1.75)),
+    HumanRange((1, 0), (0.2, 1.5), (0.42, 1.05)),
+    HumanRange((2, 1), (0.12, 1.0), (0.28, 0.7)),
+)
+MIN_PART_MARKERS = 2  # of each part, from whose distance a unit is judged
+HEIGHT_QUANTILE = 0.75  # of the distances over the frames: that of upright frames, whatever a quarter of them shows by faults
+# Extents (m) of all markers in a frame that are possible without labels that name parts of a body, and those of a person.
+POSSIBLE_EXTENT_M = (0.02, 50.0)
+USUAL_EXTENT_M = (0.8, 2.0)
+MIN_EXTENT_MARKERS = 10  # fewer may be on a prop of any size
+# Mean volume of left, up and front (see `measure_handedness`) of a mirrored person is below the negative of this; that of 32
+# captures of right-handed ones is 0.34 to 0.99.
+MIN_HANDEDNESS = 0.25
+
+
+@dataclass(frozen=True)
+class DeclaredConvention:
+    """What a file declares of its coordinates.
+
+    Attributes:
+        unit_m: Metres per unit, as declared or usual for the format.
+        default_up_axis: Up axis of most files of the format.
+        up_axis: The letter of the axis that the file declares to be up, "" if it declares none.
+        up_basis: Where it is declared, in a few words.
+    """
+
+    unit_m: float
+    default_up_axis: str = "Z"
+    up_axis: str = ""
+    up_basis: str = ""
+
+
+@dataclass(frozen=True)
+class Convention:
+    """The unit and axes of a file.
+
+    Attributes:
+        unit_m: Metres per unit.
+        rotation_y_up_file: From file axes to axes with Y up. It is improper if the file is mirrored.
+        up_axis: The up axis.
+        notes: Sentences on what differs from what the file declares.
+    """
+
+    unit_m: float
+    rotation_y_up_file: Float[np.ndarray, "3 3"]
+    up_axis: UpAxis
+    notes: tuple[str, ...] = ()
+
+    def apply(self, points_file: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Return positions (m, Y up) of points in the unit and axes of the file.
+
+        The rotation is a permutation with signs, and reordering coordinates is many times faster than a matrix product.
+        """
+        axes = np.abs(self.rotation_y_up_file).argmax(1)
+        positions = points_file[..., axes]
+        positions *= self.unit_m * self.rotation_y_up_file[np.arange(3), axes]
+        return positions
+
+
+def decide_convention(path: Path, points: InspectedPoints, declared: DeclaredConvention, options: ReadOptions) -> Convention:
+    """Return the unit and axes of a file.
+
+    Args:
+        path: The file, for messages.
+        points: The markers of the file, in metres by the unit that it declares, and in its axes.
+        declared: What the file declares.
+        options: What the user knows.
+
+    Raises:
+        ReadError: If the markers contradict the unit, the up axis or the handedness, and the options accept no contradiction.
+    """
+    body, sample = collect_body_evidence(points), sample_points(points)
+    unit_m, notes = _decide_unit(path, body, sample, declared, options)
+    factor = unit_m / declared.unit_m
+    body, sample = body.scale(factor), sample._replace(frames=sample.frames * factor, falling=sample.falling * factor)
+    up_axis, up_notes = _decide_up_axis(path, body, sample, declared, options)
+    _check_handedness(path, body, options)
+    rotation = ROTATIONS_TO_Y_UP[up_axis.letter]
+    return Convention(unit_m, MIRROR_X @ rotation if options.mirror else rotation, up_axis, (*notes, *up_notes))
+
+
+def change_convention(take: Take, unit_m: float, rotation_y_up_file: Float[np.ndarray, "3 3"], up_axis: UpAxis | None) -> Take:
+    """Return the take as it reads if its file has another unit and other axes."""
+    # Without a layout the file axes are Y up, in metres.
+    layout: C3dLayout | TableLayout | None = take.layout
+    change = rotation_y_up_file if layout is None else rotation_y_up_file @ layout.rotation_y_up_file.T
+    factor = unit_m / (1.0 if layout is None else layout.unit_m)
+    if factor == 1.0 and np.array_equal(change, np.eye(3)):
+        return replace(take, up_axis=up_axis)
+
+    def convert(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T K 3"]:
+        return markers @ change.T * factor
+
+    unlabelled, computed = take.unlabelled, take.computed_points
+    return replace(
+        take,
+        markers=convert(take.markers),
+        up_axis=up_axis,
+        layout=layout and replace(layout, unit_m=unit_m, rotation_y_up_file=rotation_y_up_file),
+        unlabelled=unlabelled and replace(unlabelled, markers=convert(unlabelled.markers)),
+        computed_points=computed and replace(computed, take=replace(computed.take, markers=convert(computed.take.markers))),
+    )
+
+
+def _decide_unit(
+    path: Path, body: BodyEvidence, sample: PointSample, declared: DeclaredConvention, options: ReadOptions
+) -> tuple[float, tuple[str, ...]]:
+    """Return metres per unit, and a note if it is not the declared one."""
+    if options.unit is not None:
+        return METRES_PER_UNIT[options.unit], ()
+    measured = _measure_size(body, sample)
+    if measured is None:
+        return declared.unit_m, ()
+    (size_m, part), possible, usual = measured
+    where = f"In its unit, {_name_unit(declared.unit_m)},"
+    if not size_m or usual[0] <= size_m <= usual[1]:
+        return declared.unit_m, ()
+    if possible[0] <= size_m <= possible[1]:
+        note = f"{where} {part} {size_m:.2f} m; if that is wrong, give the unit with --unit."
+        return declared.unit_m, () if possible == POSSIBLE_EXTENT_M else (note,)
+    factors = [1 / factor for factor in CONFUSED_UNIT_FACTORS] + list(CONFUSED_UNIT_FACTORS)
+    fitting = [factor for factor in factors if usual[0] <= size_m * factor <= usual[1]]
+    if len(fitting) != 1:
+        if options.accept_contradictions:
+            return declared.unit_m, ()
+        raise ReadError(
+            f"{path}: {where.lower()} {part} {format_length(size_m)}, as of no person; give the unit with --unit, "
+            f"one of {', '.join(METRES_PER_UNIT)} (--accept-contradictions cleans it as it is)."
+        )
+    unit_m = _snap_unit(declared.unit_m * fitting[0])
+    return unit_m, (
+        f"{where} {part} {format_length(size_m)}; coordinates are taken as {_name_unit(unit_m)}, which makes that "
+        f"{size_m * fitting[0]:.2f} m (--unit sets the unit).",
+    )
+
+
+def _measure_size(
+    body: BodyEvidence, sample: PointSample
+) -> tuple[tuple[float, str], tuple[float, float], tuple[float, float]] | None:
+    """Return the size of the person (m) with its description, and the possible and the usual sizes (m)."""
+    names = {2: "head", 1: "pelvis", 0: "feet"}
+    for human in HUMAN_RANGES:
+        high, low = human.parts
+        parts = body.select_height(high), body.select_height(low)
+        length = np.linalg.norm(body.compute_direction(*parts), axis=-1)
+        if min(part.sum() for part in parts) >= MIN_PART_MARKERS and np.isfinite(length).any():
+            text = f"the distance of {names[high]} and {names[low]} is"
+            return (float(np.nanquantile(length, HEIGHT_QUANTILE)), text), human.possible, human.usual
+    frames = sample.frames[(~np.isnan(sample.frames[..., 0])).sum(1) >= MIN_EXTENT_MARKERS]
+    if not len(frames):
+        return None
+    extent = float(np.median((np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1)).max(1)))
+    return (extent, "the extent of the markers is"), POSSIBLE_EXTENT_M, USUAL_EXTENT_M
+
+
+def _decide_up_axis(
+    path: Path, body: BodyEvidence, points: PointSample, declared: DeclaredConvention, options: ReadOptions
+) -> tuple[UpAxis, tuple[str, ...]]:
+    """Return the up axis, and a note if it is not the declared one."""
+    if options.up_axis is not None:
+        standing = find_standing_axis(body)
+        is_wrong = standing is not None and standing.is_certain and standing.axis != options.up_axis
+        if standing is not None and is_wrong and not options.accept_contradictions:
+            raise ReadError(
+                f"{path}: --up {options.up_axis} contradicts its markers: the feet stand and the head is above them along "
+                f"{standing.axis}. Leave out --up, or add --accept-contradictions."
+            )
+        return UpAxis(options.up_axis, "the option --up"), ()
+    if not declared.up_axis:
+        found = estimate_up_axis(body, points, declared.default_up_axis)
+        return found, _describe_down_axis(found.letter)
+    standing, letter = find_standing_axis(body), estimate_sign(declared.up_axis, body, points)
+    if standing is None or standing.axis.lstrip("-") == declared.up_axis:
+        return UpAxis(letter, f"{declared.up_basis} of the file"), _describe_down_axis(letter)
+    if standing.is_certain:
+        note = (
+            f"{declared.up_basis} declares {declared.up_axis} to be vertical, but the feet stand and the head is above them "
+            f"along {standing.axis}, which is taken as up (--up sets it)."
+        )
+        return UpAxis(standing.axis, "standing feet, head and sides"), (note,)
+    if is_on_floor_along(letter, points) or options.accept_contradictions:
+        return UpAxis(letter, f"{declared.up_basis} of the file", is_certain=False), ()
+    raise ReadError(
+        f"{path}: {declared.up_basis} declares {declared.up_axis} to be vertical, but the person seems to stand along "
+        f"{standing.axis}; give the up axis with --up {standing.axis}, or --up {letter} if the person lies."
+    )
+
+
+def _describe_down_axis(letter: str) -> tuple[str, ...]:
+    """Return a note if the vertical axis points down."""
+    return (f"The {letter[1:]} axis of the file points down, by its markers (--up sets it).",) if letter.startswith("-") else ()
+
+
+def _check_handedness(path: Path, body: BodyEvidence, options: ReadOptions) -> None:
+    """Raise ReadError if left, up and front of the person contradict the handedness of the file."""
+    found = np.array(measure_handedness(body)) * (-1.0 if options.mirror else 1.0)
+    if options.accept_contradictions or not len(found) or found.max() >= 0 or found.mean() > -MIN_HANDEDNESS:
+        return
+    if options.mirror:
+        raise ReadError(f"{path}: --mirror makes it left-handed: its left, up and front are right as they are. Leave it out.")
+    raise ReadError(
+        f"{path}: its axes are left-handed, or all labels of left and right are exchanged: --mirror mirrors it; "
+        "exchange the labels otherwise (--accept-contradictions cleans it as it is)."
+    )
+
+
+def _snap_unit(unit_m: float) -> float:
+    """Return the metres of a unit without rounding error."""
+    return next((metres for metres in METRES_PER_UNIT.values() if abs(unit_m / metres - 1) < 1e-6), unit_m)
+
+
+def _name_unit(unit_m: float) -> str:
+    return next((name for name, metres in METRES_PER_UNIT.items() if metres == unit_m), f"units of {unit_m * 1e3:.4g} mm")

@@ -1,0 +1,377 @@
+"""Coordinates in files: units of length, codes for missing points, and the up axis.
+
+Estimate which axis of a file points up, from what a body does: where its head, its feet and the floor are, and how it falls.
+
+The direction is the one of the six with the most evidence. Each kind of evidence adds to or subtracts from its score, as a
+logarithm of odds: a head above the feet is likely for an upright person and unlikely for one who lies, and the lowest markers of
+most captures are on a floor at the height 0.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mocapfix.io.body_evidence import (
+    HEEL_NAMES,
+    MAX_INSPECTED_FRAMES,
+    MAX_STANDING_SPEED_M_PER_S,
+    MIN_PART_DISTANCE_M,
+    TOE_NAMES,
+    BodyEvidence,
+    InspectedPoints,
+    compute_means,
+)
+from mocapfix.model.take import UpAxis
+from mocapfix.stats.sequences import sample_evenly
+
+METRES_PER_UNIT = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+# Names of units, of which a file may have the first letters only: the field for POINT:UNITS often has four characters.
+UNIT_NAMES = {
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "meters": "m",
+    "metres": "m",
+    "mtrs": "m",
+    "inches": "in",
+    "foot": "ft",
+    "feet": "ft",
+}
+MIN_UNIT_LETTERS = 3  # of a name that was cut off
+
+INVALID_COORDINATE_LIMIT = 9_000_000  # file units; a coordinate from here on is missing: Cortex writes 9999999
+MISSING_CODE_LIMIT = 9999  # file units; three equal coordinates from here on are missing, such as -9999.99
+
+# Rotations of file axes to Y-up axes, by the up axis. All are proper. Z up: (x, y, z) -> (y, z, x), as in CMU's releases.
+# Y down: (x, y, z) -> (x, -y, -z), which makes a camera's axes those of an image whose Y points up.
+ROTATIONS_TO_Y_UP = {
+    "X": np.eye(3)[[2, 0, 1]],
+    "-X": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "Y": np.eye(3),
+    "-Y": np.diag([1.0, -1, -1]),
+    "Z": np.eye(3)[[1, 2, 0]],
+    "-Z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+}
+
+
+def get_metres_per_unit(name: str) -> float | None:
+    """Return the metres in a unit, given by its abbreviation or its name, which may be cut off, in any case; None if unknown."""
+    text = name.strip().lower().rstrip(".")
+    found = {unit for full, unit in UNIT_NAMES.items() if len(text) >= MIN_UNIT_LETTERS and full.startswith(text)}
+    return METRES_PER_UNIT.get(found.pop() if len(found) == 1 else text)
+
+
+def format_length(length_m: float) -> str:
+    """Return a length with three significant digits, a large one without an exponent."""
+    return f"{float(f'{length_m:.3g}'):,.15g} m"
+
+
+def find_valid_points(points_file: Float[np.ndarray, "T P 3"]) -> Bool[np.ndarray, "T P"]:
+    """Return which points, in file units, are positions: not NaN, not all 0, and not a code for a missing point."""
+    x, y, z = np.moveaxis(points_file, -1, 0)
+    equal = (x == y) & (y == z)
+    in_range = (
+        (np.abs(x) < INVALID_COORDINATE_LIMIT) & (np.abs(y) < INVALID_COORDINATE_LIMIT) & (np.abs(z) < INVALID_COORDINATE_LIMIT)
+    )
+    return in_range & ~(equal & ((x == 0) | (np.abs(x) >= MISSING_CODE_LIMIT)))
+
+
+AXIS_NAMES = ("X", "Y", "Z", "-X", "-Y", "-Z")
+
+# Scores by kind of evidence. The first is that of the vertical on a person who is upright in all frames.
+UPRIGHT_SCORE = 3.0
+TALL_SCORE = 3.0
+LATERAL_SCORE = -4.0
+FLOOR_AT_ZERO_SCORE = 3.0
+NO_FLOOR_AT_ZERO_SCORE = -2.0
+CONSTANT_FLOOR_SCORE = 1.5
+CHANGING_FLOOR_SCORE = -3.0
+LONG_TRAVEL_SCORE = -6.0
+FREE_FALL_SCORE = 4.0
+OTHER_AXIS_SCORE = -1.0
+X_AXIS_SCORE = -2.0
+DOWN_SCORE = -2.0
+STANDING_SCORE = 6.0
+MAYBE_STANDING_SCORE = 1.5
+# Weight of the evidence of the floor where no label names a part of the body: there may be no body that stands on it.
+UNKNOWN_MARKERS_FACTOR = 0.5
+UPRIGHT_BASIS = "head, pelvis and feet"
+MAX_FALLING_MARKERS = 12  # markers whose fall is measured
+# Least difference of two scores at which the better one is certain.
+MIN_CERTAIN_SCORE = 2.0
+
+# A person stands if the cosine of the body's axis is at least this in most frames, the squared cosine of its sides at most this,
+# and its standing feet are flat and in one plane while it walks some way, or on a floor at the height 0. Of the full-body
+# captures that these were measured on, the medians are 0.96 to 1.00 and at most 0.1.
+MIN_UPRIGHT_COSINE = 0.85
+MIN_UPRIGHT_SHARE = 0.75  # of the frames
+MAX_LATERAL_COSINE_2 = 0.25
+MAX_FOOT_TILT_M = 0.08  # difference of the heights of toe and heel of a standing foot
+MAX_STANDING_RANGE_M = 0.08  # of the heights of standing feet in one plane
+MIN_STANDING_SAMPLES = 5
+# Distance that someone travels across the own axis, and length of the mean direction of the sides, who cannot roll on the floor.
+MIN_TRAVEL_ACROSS_M = 2.0
+MIN_STEADY_LATERAL = 0.7
+MIN_WALKED_M = 0.5  # distance between the places of standing feet of someone who walks
+# Ratio of the largest to the second largest extent of a body that is clearly tall along one axis.
+CLEAR_EXTENT_RATIO = 1.5
+# Smallest extent in metres of a body; a smaller set of markers shows no floor.
+MIN_BODY_EXTENT_M = 0.5
+# Number of markers below which their lowest is no evidence of a floor.
+MIN_FLOOR_MARKERS = 6
+# Number of visible markers, as a fraction of the largest, in a frame from whose lowest marker the floor is estimated.
+MIN_VISIBLE_FRACTION = 0.8
+# Range in metres of the height of the lowest markers, on a floor at the height 0.
+FLOOR_RANGE_M = (-0.05, 0.12)
+# Distance in metres along any axis that a person travels who shows whether the lowest height changes, and by how much it does.
+MIN_TRAVEL_FOR_FLOOR_M = 0.3
+MAX_CONSTANT_FLOOR_M = 0.06
+MIN_CHANGING_FLOOR_M = 0.4
+# Extent in metres of a take along an axis that is more than a person climbs or falls.
+MAX_HEIGHT_M = 3.0
+# Acceleration of free fall, its tolerance, and that of the other axes, in m/s2; the time between the compared positions and
+# the shortest flight, both in seconds.
+GRAVITY_M_PER_S2 = 9.81
+GRAVITY_TOLERANCE_M_PER_S2 = 1.0
+FALL_STEP_S = 0.05
+MIN_FALL_S = 0.1
+
+
+class UpAxisEvidence(NamedTuple):
+    """Scores (6,) of the directions in `AXIS_NAMES` by one kind of evidence, and what it is, in a few words."""
+
+    description: str
+    scores: Float[np.ndarray, "6"]
+
+
+class PointSample(NamedTuple):
+    """Positions (m) in file axes, NaN where missing.
+
+    Attributes:
+        frames: Evenly spread frames of all M markers.
+        falling: All frames of a few markers.
+        rate: Frames per second.
+    """
+
+    frames: Float[np.ndarray, "t M 3"]
+    falling: Float[np.ndarray, "T m 3"]
+    rate: float
+
+
+def sample_points(points: InspectedPoints) -> PointSample:
+    """Return what the unit and the up axis are estimated from."""
+    frames = sample_evenly(points.frame_count, MAX_INSPECTED_FRAMES)
+    falling = points.columns[sample_evenly(len(points.columns), MAX_FALLING_MARKERS)]
+    return PointSample(points.convert(points.columns, frames), points.convert(falling), points.rate)
+
+
+def estimate_up_axis(body: BodyEvidence, points: PointSample, default_axis: str = "Z") -> UpAxis:
+    """Estimate the up axis of a file.
+
+    Args:
+        body: What the labelled markers show.
+        points: The markers in file axes.
+        default_axis: The up axis of most files of the format.
+    """
+    default = UpAxisEvidence("the usual axis of the format", _score_default(default_axis))
+    evidence, is_known = _collect_evidence(body, points)
+    if not evidence:
+        return UpAxis(default_axis, default.description, is_certain=False)
+    evidence = [default, *evidence]
+    total = np.sum([each.scores for each in evidence], axis=0)
+    second, best = (int(axis) for axis in np.argsort(total, kind="stable")[-2:])
+    is_certain = bool(total[best] - total[second] >= MIN_CERTAIN_SCORE)
+    if not is_certain and body.body_axis is None:
+        return UpAxis(default_axis, default.description, is_certain=False)
+    margins = [(each.scores[best] - each.scores[second], each.description) for each in evidence]
+    reasons = [description for margin, description in sorted(margins, reverse=True) if margin > 0]
+    return UpAxis(AXIS_NAMES[best], ", ".join(reasons), is_certain and is_known)
+
+
+def estimate_sign(axis: str, body: BodyEvidence, points: PointSample) -> str:
+    """Return the axis "X", "Y" or "Z" with a minus sign before it if the evidence is that it points down."""
+    evidence, _ = _collect_evidence(body, points)
+    total = np.sum([_score_default(axis), *(each.scores for each in evidence)], axis=0)
+    up, down = (total[AXIS_NAMES.index(each)] for each in (axis, f"-{axis}"))
+    return f"-{axis}" if down - up >= MIN_CERTAIN_SCORE else axis
+
+
+class Standing(NamedTuple):
+    """The axis along which a person seems to stand, and whether it cannot lie instead."""
+
+    axis: str
+    is_certain: bool
+
+
+def find_standing_axis(body: BodyEvidence) -> Standing | None:
+    """Return the axis along which a person stands or walks, None if its head is not above its feet, or its sides are not level.
+
+    That it does not lie is certain if it moves far across its own axis without turning, or if its standing feet are flat and all
+    at the same height: at 0, or at places farther apart than the feet of one pose.
+    """
+    axis = body.body_axis
+    if axis is None:
+        return None
+    cosines, lateral = (_drop_unknown(_normalise(each)) for each in (axis, body.lateral))
+    for index in range(3 if len(cosines) else 0):
+        along = cosines[:, index]
+        sign = 1.0 if np.median(along) > 0 else -1.0
+        if np.mean(sign * along > MIN_UPRIGHT_COSINE) < MIN_UPRIGHT_SHARE:
+            continue
+        if not len(lateral) or np.mean(lateral[:, index] ** 2) > MAX_LATERAL_COSINE_2:
+            return None
+        name = AXIS_NAMES[index if sign > 0 else index + 3]
+        centre = np.delete(body.compute_centre(np.ones(len(body.labels), bool)), index, axis=1)
+        distance = np.ptp(np.nanquantile(centre, [0.05, 0.95], axis=0), axis=0).max()
+        if distance > MIN_TRAVEL_ACROSS_M and np.linalg.norm(lateral.mean(0)) > MIN_STEADY_LATERAL:
+            return Standing(name, is_certain=True)
+        feet = _find_standing_feet(body, index, sign)
+        return None if feet is None else Standing(name, feet)
+    return None
+
+
+def _find_standing_feet(body: BodyEvidence, axis: int, sign: float) -> bool | None:
+    """Return whether standing feet are all in one plane that is a floor, None if they are not flat."""
+    toes, heels = body.select_names(TOE_NAMES), body.select_names(HEEL_NAMES)
+    heights: list[np.ndarray] = []
+    places: list[np.ndarray] = []
+    for side in body.sides:
+        feet = side & body.select_height(0)
+        if not feet.any():
+            return False
+        centre = body.compute_centre(feet)
+        later = compute_means(body.later_positions[:, feet])
+        is_standing = np.linalg.norm(later - centre, axis=-1) < MAX_STANDING_SPEED_M_PER_S * body.step_s
+        if (side & toes).any() and (side & heels).any():
+            tilt = np.abs(body.compute_direction(side & toes, side & heels)[is_standing, axis])
+            if np.isfinite(tilt).any() and np.nanmedian(tilt) > MAX_FOOT_TILT_M:
+                return None
+        heights.append(np.fmin.reduce(sign * body.positions[:, feet, axis], axis=1)[is_standing])
+        places.append(centre[is_standing])
+    height, place = np.concatenate(heights), np.delete(np.concatenate(places), axis, axis=1)
+    if len(height) < MIN_STANDING_SAMPLES:
+        return False
+    low, middle, high = np.nanquantile(height, [0.1, 0.5, 0.9])
+    walked = np.ptp(np.nanquantile(place, [0.05, 0.95], axis=0), axis=0).max()
+    is_on_floor = low > FLOOR_RANGE_M[0] and middle < FLOOR_RANGE_M[1]
+    return bool(high - low < MAX_STANDING_RANGE_M and (is_on_floor or walked > MIN_WALKED_M))
+
+
+def is_on_floor_along(axis: str, points: PointSample) -> bool:
+    """Return whether the lowest markers along an axis are on a floor at the height 0, as those of one who lies are."""
+    sign, index = (-1.0 if axis.startswith("-") else 1.0), AXIS_NAMES.index(axis) % 3
+    heights = sign * points.frames[..., index]
+    lowest = np.nanmin(heights[np.isfinite(heights).any(1)], axis=1)
+    return bool(len(lowest) and FLOOR_RANGE_M[0] < np.median(lowest) < FLOOR_RANGE_M[1])
+
+
+def _normalise(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    """Return unit vectors, NaN for those shorter than the distance between parts of a body."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > MIN_PART_DISTANCE_M, length, np.nan)
+
+
+def _drop_unknown(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "t 3"]:
+    return vectors[np.isfinite(vectors).all(1)]
+
+
+def _collect_evidence(body: BodyEvidence, points: PointSample) -> tuple[list[UpAxisEvidence], bool]:
+    """Return the evidence, none if no marker is visible, and whether it is of a body or of gravity."""
+    seen = points.frames[np.any(~np.isnan(points.frames[..., 0]), axis=1)]
+    if not len(seen):
+        return [], False
+    floor = _collect_floor_evidence(seen)
+    has_body = body.body_axis is not None
+    if not has_body:
+        floor = [UpAxisEvidence(each.description, UNKNOWN_MARKERS_FACTOR * each.scores) for each in floor]
+    evidence = [*_collect_body_evidence(body, seen), *floor]
+    if (fall := find_free_fall(points.falling, points.rate)).any():
+        evidence.append(UpAxisEvidence("free fall", FREE_FALL_SCORE * fall))
+    if (standing := find_standing_axis(body)) is not None:
+        score = STANDING_SCORE if standing.is_certain else MAYBE_STANDING_SCORE
+        evidence.append(UpAxisEvidence("standing feet", score * (np.array(AXIS_NAMES) == standing.axis)))
+    return evidence, has_body or bool(fall.any())
+
+
+def find_free_fall(positions_file: Float[np.ndarray, "T M 3"], rate: float) -> Bool[np.ndarray, "6"]:
+    """Return along which directions of `AXIS_NAMES` as up the markers fall freely, on average, for some time."""
+    step = max(1, round(FALL_STEP_S * rate))
+    falls = np.zeros(6, bool)
+    if len(positions_file) <= 2 * step:
+        return falls
+    bend = positions_file[2 * step :] - 2 * positions_file[step:-step] + positions_file[: -2 * step]
+    is_known = ~np.isnan(bend[..., 0])
+    is_enough = is_known.sum(1) > is_known.shape[1] / 2
+    mean = np.where(is_known[..., None], bend, 0.0).sum(1) / np.maximum(is_known.sum(1), 1)[:, None]
+    acceleration = mean * (rate / step) ** 2
+    needed = max(2, round(MIN_FALL_S * rate))
+    for axis, (index, sign) in enumerate((index, sign) for sign in (1, -1) for index in range(3)):
+        others = np.delete(acceleration, index, axis=1)
+        is_fall = np.abs(sign * acceleration[:, index] + GRAVITY_M_PER_S2) < GRAVITY_TOLERANCE_M_PER_S2
+        is_fall &= is_enough & (np.abs(others) < GRAVITY_TOLERANCE_M_PER_S2).all(1)
+        falls[axis] = len(is_fall) >= needed and bool((np.convolve(is_fall, np.ones(needed), "valid") >= needed).any())
+    return falls
+
+
+def _score_default(default_axis: str) -> Float[np.ndarray, "6"]:
+    scores = np.array([X_AXIS_SCORE, OTHER_AXIS_SCORE, OTHER_AXIS_SCORE])
+    scores[AXIS_NAMES.index(default_axis)] = 0.0
+    return np.r_[scores, scores + DOWN_SCORE]
+
+
+def _collect_body_evidence(body: BodyEvidence, positions: Float[np.ndarray, "T M 3"]) -> list[UpAxisEvidence]:
+    """Return the evidence of the heights of body parts, or else of the extent of the markers, and that of the two sides."""
+    evidence: list[UpAxisEvidence] = []
+    upright = None if body.body_axis is None else _measure_direction(body.body_axis)
+    if upright is not None:
+        evidence.append(UpAxisEvidence(UPRIGHT_BASIS, UPRIGHT_SCORE * np.r_[upright, -upright]))
+    else:
+        evidence.append(UpAxisEvidence("the largest extent", np.tile(_score_extent(positions), 2)))
+    lateral = _measure_direction(body.lateral, is_signed=False)
+    if lateral is not None:
+        evidence.append(UpAxisEvidence("left and right", LATERAL_SCORE * np.tile(lateral, 2)))
+    return evidence
+
+
+def _measure_direction(vectors: Float[np.ndarray, "T 3"], is_signed: bool = True) -> Float[np.ndarray, "3"] | None:
+    """Return the mean squared cosines of vectors, with the signs of the cosines if wanted; None if all vectors are short."""
+    cosines = _drop_unknown(_normalise(vectors))
+    return np.mean(cosines * (cosines if not is_signed else np.abs(cosines)), axis=0) if len(cosines) else None
+
+
+def _score_extent(positions: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "3"]:
+    extent = np.median(np.nanmax(positions, axis=1) - np.nanmin(positions, axis=1), axis=0)
+    second, largest = np.sort(extent)[-2:]
+    if largest < MIN_BODY_EXTENT_M or second <= 0:
+        return np.zeros(3)
+    clearness = min(1.0, float(np.log(largest / second) / np.log(CLEAR_EXTENT_RATIO)))
+    return TALL_SCORE * clearness * (extent == largest)
+
+
+def _collect_floor_evidence(positions: Float[np.ndarray, "T M 3"]) -> list[UpAxisEvidence]:
+    """Return the evidence of a floor: at the coordinate 0, at a constant coordinate, and of the height of a room."""
+    count = (~np.isnan(positions[..., 0])).sum(1)
+    if count.max() < MIN_FLOOR_MARKERS:
+        return []
+    positions = positions[count >= MIN_VISIBLE_FRACTION * count.max()]
+    smallest, largest = np.nanmin(positions, axis=1), np.nanmax(positions, axis=1)
+    extent = np.median(largest - smallest, axis=0)
+    lowest = np.c_[smallest, -largest]
+    if extent.max() < MIN_BODY_EXTENT_M:
+        return []
+    low, middle, high = np.quantile(lowest, [0.05, 0.5, 0.95], axis=0)
+    is_at_zero = (low > FLOOR_RANGE_M[0]) & (middle < FLOOR_RANGE_M[1])
+    evidence = [UpAxisEvidence("a floor at the height 0", np.where(is_at_zero, FLOOR_AT_ZERO_SCORE, NO_FLOOR_AT_ZERO_SCORE))]
+    centre = np.nanmedian(positions, axis=1)
+    travel = np.ptp(np.quantile(centre, [0.05, 0.95], axis=0), axis=0)
+    if travel.max() > MIN_TRAVEL_FOR_FLOOR_M:
+        change = high - low
+        scores = np.where(change < MAX_CONSTANT_FLOOR_M, CONSTANT_FLOOR_SCORE, 0.0)
+        scores = np.where(change > MIN_CHANGING_FLOOR_M, CHANGING_FLOOR_SCORE, scores)
+        evidence.append(UpAxisEvidence("a constant height of the lowest markers", scores))
+    flat = positions.reshape(-1, 3)
+    span = np.ptp(np.nanquantile(flat, [0.01, 0.99], axis=0), axis=0)
+    evidence.append(UpAxisEvidence("the distance travelled", np.tile(np.where(span > MAX_HEIGHT_M, LONG_TRAVEL_SCORE, 0.0), 2)))
+    return evidence

@@ -1,0 +1,315 @@
+"""Writing output files safely: atomic replacement, overwrite checks and output folders.
+
+Temporary files and folders beside outputs, which the next run removes if their owner was killed.
+
+The owner holds a lock on each for as long as it needs it. The system releases the locks of a process that ends, however it ends.
+
+Locks that end with the process that holds them, however it ends.
+
+Returning freed memory to the system.
+"""
+
+import ctypes
+import gc
+import hashlib
+import os
+import shutil
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import gettempdir, mkdtemp, mkstemp
+from types import FrameType
+
+from mocapfix.errors import WriteError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+HOST_DIGEST_LENGTH = 8
+TEMPORARY_PREFIX = ".mocapfix-" + hashlib.sha256(socket.gethostname().encode()).hexdigest()[:HOST_DIGEST_LENGTH] + "-"
+"""of the names of temporary files and folders: with a digest of the machine's name"""
+TEMPORARY_PATTERN = ".mocapfix-" + "?" * HOST_DIGEST_LENGTH + "-*"
+LOCK_NAME = ".lock"
+"""the file in a temporary folder that its owner has locked"""
+FOREIGN_AGE_S = 24 * 3600.0
+"""age from which what another machine left is removed too: not every network file system knows the locks of other machines"""
+
+
+@contextmanager
+def open_temporary_file(folder: Path) -> Generator[Path]:
+    """Yield a new empty file in a folder, which is locked, and removed at the end if it is still there. Raises OSError."""
+    while True:
+        handle, name = mkstemp(dir=folder, prefix=TEMPORARY_PREFIX, suffix=".part")
+        _lock(handle)
+        if os.fstat(handle).st_nlink:  # another process has not removed it before it was locked
+            break
+        os.close(handle)
+    try:
+        yield Path(name)
+    finally:
+        with suppress(OSError):
+            Path(name).unlink(missing_ok=True)
+        os.close(handle)
+
+
+@contextmanager
+def open_temporary_folder(folder: Path) -> Generator[Path]:
+    """Yield a new folder in a folder, with a locked file in it, and removed at the end with its content. Raises OSError.
+
+    A folder without a lock is always empty, at the beginning and at the end, so that another process can tell whether it is used.
+    """
+    while True:
+        path = Path(mkdtemp(dir=folder, prefix=TEMPORARY_PREFIX))
+        try:
+            handle = os.open(path / LOCK_NAME, os.O_CREAT | os.O_RDWR, 0o600)
+        except FileNotFoundError:
+            if folder.is_dir():  # another process has removed it before it was locked
+                continue
+            raise
+        except OSError:
+            path.rmdir()
+            raise
+        _lock(handle)
+        if os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    try:
+        yield path
+    finally:
+        _remove_folder(path)
+        os.close(handle)
+
+
+def remove_abandoned_files(folder: Path) -> None:
+    """Remove the temporary files and folders in a folder whose owners have ended. What cannot be removed is left."""
+    with suppress(OSError):
+        for path in folder.glob(TEMPORARY_PATTERN):
+            with suppress(OSError):
+                _remove_if_abandoned(path)
+
+
+def _remove_if_abandoned(path: Path) -> None:
+    if fcntl is None:
+        return
+    if not path.name.startswith(TEMPORARY_PREFIX) and time.time() - path.stat().st_mtime < FOREIGN_AGE_S:
+        return
+    is_folder = path.is_dir()
+    lock_path = path / LOCK_NAME if is_folder else path
+    if is_folder and not lock_path.exists():
+        path.rmdir()  # it is empty
+        return
+    handle = os.open(lock_path, os.O_RDWR)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
+        if is_folder:
+            _remove_folder(path)
+        else:
+            path.unlink(missing_ok=True)
+    finally:
+        os.close(handle)
+
+
+def _remove_folder(path: Path) -> None:
+    """Remove a temporary folder, its lock last."""
+    with suppress(OSError):
+        for each in path.iterdir():
+            if each.name != LOCK_NAME:
+                if each.is_dir():
+                    shutil.rmtree(each, ignore_errors=True)
+                else:
+                    each.unlink(missing_ok=True)
+        (path / LOCK_NAME).unlink(missing_ok=True)
+        path.rmdir()
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file, where its file system has locks."""
+    if fcntl is not None:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+
+
+OUTPUT_FOLDER_SUFFIX = ".mocapfix"
+"""suffix of the folder beside a take into which its outputs are written; captures in such a folder are outputs"""
+JSON_REPORT_SUFFIX = ".report.json"
+"""what follows the stem of a take, or of one of its subjects, in the name of its report"""
+
+
+@contextmanager
+def replace_atomically(target: Path) -> Generator[Path]:
+    """Yield a temporary file beside `target` to write into.
+
+    The temporary file replaces `target` if the block ends without an exception, and is deleted otherwise. Those that killed
+    processes left in the folder are deleted too.
+
+    Raises:
+        WriteError: If the folder of `target` is not writable. The message names the target.
+    """
+    target = Path(target)
+    remove_abandoned_files(target.parent)
+    opened = open_temporary_file(target.parent)
+    try:
+        part = opened.__enter__()
+    except OSError as error:
+        raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder.") from error
+    try:
+        yield part
+        part.chmod(0o666 & ~_get_umask())
+        part.replace(target)
+    except OSError as error:
+        raise WriteError(f"{target}: could not be written ({error.strerror or error}).") from error
+    finally:
+        opened.__exit__(None, None, None)
+
+
+@contextmanager
+def replace_together(targets: Iterable[Path], folder: Path) -> Generator[Path]:
+    """Yield a temporary folder in `folder` to write files of the names of `targets` into.
+
+    They replace the targets if the block ends without an exception; a target of which there is no new file is removed. A signal
+    to stop that arrives while they are moved takes effect afterwards.
+
+    Raises:
+        WriteError: If the folder is not writable, full or removed. The message names it.
+    """
+    remove_abandoned_files(folder)
+    temporary = folder
+    try:
+        with open_temporary_folder(folder) as temporary:
+            yield temporary
+            with hold_signals():
+                for target in targets:
+                    part = temporary / target.name
+                    if part.exists():
+                        part.replace(target)
+                    else:  # an output of an earlier run
+                        target.unlink(missing_ok=True)
+    except WriteError as error:
+        raise WriteError(str(error).replace(f"{temporary}{os.sep}", f"{folder}{os.sep}")) from error
+    except OSError as error:
+        raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
+
+
+@contextmanager
+def hold_signals() -> Generator[None]:
+    """Let SIGINT and SIGTERM take effect only at the end of the block, in the main thread of Python."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    arrived: list[int] = []
+
+    def note_signal(number: int, _: FrameType | None) -> None:
+        arrived.append(number)
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    try:
+        for number in numbers:
+            signal.signal(number, note_signal)
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for number in arrived[:1]:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def make_scratch_folder() -> Generator[Path]:
+    """Yield a folder for temporary files, which is removed at the end. Raises WriteError if there is no room for it."""
+    try:
+        folder = Path(gettempdir())
+        remove_abandoned_files(folder)
+        with open_temporary_folder(folder) as temporary:
+            yield temporary
+    except OSError as error:
+        problem = error.strerror or error
+        raise WriteError(f"The folder for temporary files cannot be used ({problem}); free space, or set TMPDIR.") from error
+
+
+def check_outputs_absent(outputs: Iterable[Path], overwrite: bool) -> None:
+    """Raise WriteError for the first output that exists, unless `overwrite` is true."""
+    existing = [path for path in outputs if path.exists()]
+    if existing and not overwrite:
+        raise WriteError(f"{existing[0]}: already exists; give --overwrite to replace it, or choose another name or folder.")
+
+
+def make_output_folder(folder: Path) -> None:
+    """Create an output folder and its parents, and remove what killed processes left in it. Raise WriteError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{folder}: the folder cannot be created ({error.strerror}); choose another with --out.") from error
+    remove_abandoned_files(folder)
+
+
+def _get_umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
+    """Return the suffixes of the cleaned copy: that of the input, for AMC that of its skeleton too, for JSON that of a table."""
+    suffix = (source_path.suffix[1:].lower() if source_path else "") or "c3d"
+    return {"amc": ("amc", "asf"), "json": ("csv",)}.get(suffix, (suffix,))
+
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+LOCK_TEXT_ENCODING = "utf-8"
+
+
+@contextmanager
+def hold_process_lock(path: Path, describe_refusal: Callable[[str], str]) -> Generator[None]:
+    """Hold the lock at `path`, a file that stays there.
+
+    describe_refusal  returns the sentence of the error if another process holds it, given its computer, process and start
+
+    Raises WriteError then, and if the file cannot be written.
+    """
+    try:
+        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise WriteError(describe_lock_failure(path, error)) from error
+    try:
+        try:
+            lock_open_file(number, wait=False)
+            text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
+            os.ftruncate(number, 0)
+            os.write(number, text.encode(LOCK_TEXT_ENCODING))
+        except BlockingIOError:
+            holder = path.read_text(encoding=LOCK_TEXT_ENCODING).strip() or "unknown process"
+            raise WriteError(describe_refusal(holder)) from None
+        except OSError as error:
+            raise WriteError(describe_lock_failure(path, error)) from error
+        yield
+    finally:
+        os.close(number)
+
+
+def lock_open_file(number: int, *, wait: bool) -> None:
+    """Lock an open file for this process; raise BlockingIOError if another has it and `wait` is false."""
+    if fcntl is not None:
+        fcntl.flock(number, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+
+
+def describe_lock_failure(path: Path, error: OSError) -> str:
+    """Return the sentence on a lock file that cannot be written or locked."""
+    return f"{path}: cannot be written ({error.strerror or error}); choose another folder."
+
+
+def return_free_memory() -> None:
+    """Collect garbage, and return freed memory to the system where the C library can do so (glibc)."""
+    gc.collect()
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+        trim(0)

@@ -1,0 +1,338 @@
+"""The formats of output files, one entry each, and which of them the options select.
+
+Write the contacts of a body as JSON, and the events of gait as CSV.
+
+walk.contacts.json   {"LeftFoot": [[first, last], ...], "LeftToeBase": ..., ...}: frames of walk.bvh, from 0, inclusive.
+                     LeftFoot stands for the heel, LeftToeBase for the ball of the foot; also knees (LeftLeg) and wrists
+                     (LeftHand), where the body has them
+walk.events.csv      time_s (after the first frame), frame (the file's own, with a fraction), side, event, source
+"""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.errors import WriteError
+from mocapfix.io import rig
+from mocapfix.io.amc import write_asf_amc
+from mocapfix.io.bvh import write_bvh, write_rig_bvh
+from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.files import get_source_suffixes, replace_atomically
+from mocapfix.io.gltf import write_gltf
+from mocapfix.io.npz import write_npz
+from mocapfix.io.patches import patch_c3d, patch_table
+from mocapfix.io.resampling import FRAME_TOLERANCE, resample_motion
+from mocapfix.io.rig import Rig
+from mocapfix.io.source_file import append_computed_points, write_csv, write_trc
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import TableLayout, Take
+from mocapfix.options import OutputOptions
+from mocapfix.review.changes_file import CHANGES_SUFFIX, write_changes_file
+from mocapfix.subject import subject_file
+
+if TYPE_CHECKING:
+    from mocapfix.result import CleaningResult
+
+
+EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
+
+
+def write_contacts(target: Path, contacts: BodyContacts, rate: float) -> None:
+    """Write the contacts of every joint as intervals of frames at `rate` frames per second. Raises WriteError."""
+    intervals = {joint: list_intervals_at_rate(contacts, joint, rate) for joint in contacts.joints}
+    with replace_atomically(target) as part:
+        part.write_text(json.dumps(intervals, indent=1) + "\n", encoding="utf-8")
+
+
+def list_intervals_at_rate(contacts: BodyContacts, joint: str, rate: float) -> list[tuple[int, int]]:
+    """Return the contacts of a joint as (first, last) frames at another rate; contacts between two frames are left out."""
+    step = rate / contacts.rate
+    scaled = [
+        (math.ceil(first * step - FRAME_TOLERANCE), math.floor(last * step + FRAME_TOLERANCE))
+        for first, last in contacts.list_intervals(joint)
+    ]
+    return [(first, last) for first, last in scaled if first <= last]
+
+
+def write_gait_events(target: Path, contacts: BodyContacts, first_frame: int) -> None:
+    """Write the events of gait; `first_frame` is the file's number of its first frame. Raises WriteError."""
+    lines = [",".join(EVENT_COLUMNS)]
+    for event in contacts.events:
+        frame = first_frame + event.time_s * contacts.rate
+        lines.append(f"{event.time_s:.4f},{frame:.2f},{event.side},{event.kind},{event.source}")
+    with replace_atomically(target) as part:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
+
+
+@dataclass(frozen=True)
+class ExportedMotion:
+    """A motion as it is written.
+
+    Attributes:
+        subject: The subject that moves.
+        motion: The motion at the output rate, with the floor at height 0.
+        rate: Frames per second.
+        floor_height_m: Height of the floor in the take.
+        key_error_deg: Largest error of a rotation in files with reduced keys; None for a key in every frame.
+    """
+
+    subject: Subject
+    motion: Motion
+    rate: float
+    floor_height_m: float = 0.0
+    key_error_deg: float | None = None
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Skeleton of the subject."""
+        return self.subject.skeleton
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """A format that is written.
+
+    Attributes:
+        suffix: Suffix of the file, which follows the stem of the input.
+        write_file: Writes a result to a path, with the motion at the output rate if the take has a body, and returns sentences
+            for the report.
+        companion_suffixes: Suffixes of files that `write_file` writes beside it.
+        needs_body: Whether the format is written only if the take has a body.
+        needs_markers: Whether the format is written only if the subject has markers.
+        timer_stage: Stage in which its time is counted.
+        usage_note: What users of the file must know, as a predicate of the file name.
+    """
+
+    suffix: str
+    write_file: Callable[[Path, "CleaningResult", ExportedMotion | None], Sequence[str] | None]
+    companion_suffixes: tuple[str, ...] = ()
+    needs_body: bool = False
+    needs_markers: bool = False
+    timer_stage: str = "write"
+    usage_note: str = ""
+
+    @property
+    def all_suffixes(self) -> tuple[str, ...]:
+        """Suffixes of all files that are written."""
+        return (self.suffix, *self.companion_suffixes)
+
+
+def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
+    """Write a copy of the source file in which only the changed samples differ.
+
+    A file without a field for every sample is written as a plain CSV instead.
+
+    Returns:
+        Frame and marker index of the samples that could not be stored.
+    """
+    if isinstance(before.layout, TableLayout) and not before.layout.has_field_per_sample:
+        write_csv(target, after)
+        return []
+    patch = patch_table if isinstance(before.layout, TableLayout) else patch_c3d
+    unstorable = patch(target, append_computed_points(before), append_computed_points(after))
+    return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
+
+
+def build_rig_format(rig: Rig) -> OutputFormat:
+    """Return the format of a BVH for the rig of a program."""
+    unit = RIG_UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
+
+    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+        exported = _require_motion(exported)
+        write_rig_bvh(target, rig, exported.skeleton, exported.motion, exported.rate)
+
+    usage_note = f"is for {rig.program}: {unit}, Y up; {rig.note}."
+    return OutputFormat(f"{rig.name}.bvh", write_file, needs_body=True, usage_note=usage_note)
+
+
+def _require_motion(exported: ExportedMotion | None) -> ExportedMotion:
+    if exported is None:
+        raise ValueError("this format is written only for a take with a body")
+    return exported
+
+
+def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    exported = _require_motion(exported)
+    write_bvh(target, exported.skeleton, exported.motion, exported.rate)
+
+
+def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+    exported = _require_motion(exported)
+    key_error_rad = None if exported.key_error_deg is None else float(np.deg2rad(exported.key_error_deg))
+    reduction = write_gltf(target, exported.skeleton, exported.motion, exported.rate, key_error_rad, result.contacts)
+    return [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
+
+
+def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+    from mocapfix.io.character_files import write_skeleton_fbx
+
+    exported = _require_motion(exported)
+    details = exported.rate, exported.key_error_deg, result.contacts
+    return write_skeleton_fbx(target, exported.skeleton, exported.motion, *details)
+
+
+def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
+    """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
+    from mocapfix.characters.character_choice import load_character  # few cleanings need it
+    from mocapfix.io.character_files import CharacterFiles
+
+    character = load_character(name_or_path, options.character_map)
+    files = CharacterFiles(character, options.key_error_deg, has_fbx="fbx" in options.extra_formats)
+
+    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+        exported = _require_motion(exported)
+        contacts = result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None
+        return files.write(target, exported.skeleton, exported.motion, exported.rate, contacts)
+
+    first, *others = files.suffixes
+    return OutputFormat(first, write_file, tuple(others), needs_body=True)
+
+
+def _write_amc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    exported = _require_motion(exported)
+    first_frame = result.input_take.first_frame if exported.rate == result.input_take.rate else 1
+    write_asf_amc(target.with_suffix(".asf"), target, exported.skeleton, exported.motion, exported.rate, first_frame)
+
+
+def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    take = result.output_take
+    if exported is None:
+        write_npz(target, take)
+        return
+    lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
+    write_npz(
+        target,
+        lowered,
+        exported.skeleton,
+        exported.motion,
+        exported.rate,
+        exported.subject.solved_joints,
+        result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None,
+    )
+
+
+def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    subject_file.write_subject(target, _require_motion(exported).subject)
+
+
+def _write_changes(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_changes_file(target, result.input_take, result.changes, result.review)
+
+
+def _write_recording(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    from mocapfix.report.recording import write_recording
+
+    write_recording(target, result.comparison)
+
+
+def _write_html_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    from mocapfix.report.html_report import write_html_report
+
+    write_html_report(target, result.subject_report, result.comparison)
+
+
+def _write_json_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_contacts(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    if result.contacts is not None:
+        is_source_bvh = BVH_FORMAT.suffix in get_source_suffixes(result.input_take.path)  # it keeps its rate
+        write_contacts(target, result.contacts, result.contacts.rate if is_source_bvh else _require_motion(exported).rate)
+
+
+def _write_events(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    if result.contacts is not None:
+        write_gait_events(target, result.contacts, result.input_take.first_frame)
+
+
+def _write_c3d(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_c3d(target, result.output_take)
+
+
+def _write_trc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_trc(target, result.output_take)
+
+
+def _write_csv(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_csv(target, result.output_take)
+
+
+BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
+DEFAULT_FORMATS = (
+    OutputFormat("subject.yaml", _write_subject, needs_body=True, needs_markers=True),
+    OutputFormat(CHANGES_SUFFIX, _write_changes),
+    OutputFormat("rrd", _write_recording, timer_stage="show"),
+    OutputFormat("report.html", _write_html_report, timer_stage="show"),
+    OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
+)
+OPTIONAL_FORMATS = {
+    "gltf": OutputFormat("glb", _write_gltf, needs_body=True, usage_note="is binary glTF: metres, Y up."),
+    "amc": OutputFormat(
+        "amc",
+        _write_amc,
+        ("asf",),
+        needs_body=True,
+        usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up.",
+    ),
+    "npz": OutputFormat("npz", _write_npz),
+    "c3d": OutputFormat(
+        "c3d",
+        _write_c3d,
+        usage_note="is a new file with positions only and the predicted standard deviation of each filled sample.",
+    ),
+    "trc": OutputFormat("trc", _write_trc),
+    "csv": OutputFormat("csv", _write_csv),
+    "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
+    "events": OutputFormat("events.csv", _write_events, needs_body=True),
+    "fbx": OutputFormat("fbx", _write_fbx, needs_body=True),
+}
+
+
+@cache
+def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
+    """Return the formats of all files that are to be written, in this order.
+
+    Raises SceneError if there is no such rig or character, ReadError if the file of a character is unreadable, WriteError if two
+    formats would write the same file.
+    """
+    characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
+    rigs = [build_rig_format(rig.load_rig(name)) for name in dict.fromkeys(options.rigs)]
+    extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
+    formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
+    suffixes = [suffix for each in formats for suffix in each.all_suffixes]
+    if repeated := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
+        raise WriteError(f"Two of the requested files would both have the suffix .{repeated[0]}; request one of them.")
+    return formats
+
+
+def build_exported_motion(
+    options: OutputOptions, subject: Subject | None, motion: Motion | None, rate: float
+) -> ExportedMotion | None:
+    """Return the motion at the output rate and with the floor at height 0; None if there is no body.
+
+    Args:
+        options: Output rate and floor height.
+        subject: The subject.
+        motion: Its motion.
+        rate: Frames per second of the motion.
+    """
+    if not (subject and motion):
+        return None
+    output_rate, floor_height_m = options.output_rate_hz or rate, options.floor_height_m
+    if floor_height_m:
+        motion = replace(motion, root_position=motion.root_position - [0.0, floor_height_m, 0.0])
+    resampled = resample_motion(motion, rate, output_rate)
+    return ExportedMotion(subject, resampled, output_rate, floor_height_m, options.key_error_deg)

@@ -1,0 +1,223 @@
+"""What an output takes from the file that its take was read from: bytes, changed samples, unit and axes.
+
+Write takes as tables of text: TRC and CSV, with a fixed number of decimals.
+"""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.errors import WriteError
+from mocapfix.io.files import replace_atomically
+from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, write_rows
+from mocapfix.model.take import Take
+
+MAX_STORED_COORDINATE = 8_999_999  # file units; larger ones read as missing, as Cortex's 9999999 does
+C3D_UNIT_NAMES = {0.001: "mm", 0.01: "cm", 1.0: "m"}
+DECIMALS_BY_UNIT = {"mm": 5, "cm": 6, "m": 8}  # of a coordinate in a text: 10 nm
+ROTATION_Y_UP_FROM_Z_UP = np.eye(3)[[1, 2, 0]]
+
+
+@dataclass(frozen=True)
+class FileFrame:
+    """Unit and axes of the coordinates in a file.
+
+    Attributes:
+        unit_name: "mm", "cm" or "m".
+        unit_m: Metres per unit.
+        rotation_y_up_file: Rotation from file axes to Y-up axes.
+    """
+
+    unit_name: str
+    unit_m: float
+    rotation_y_up_file: Float[np.ndarray, "3 3"]
+
+    def compute_coordinates(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Convert positions (m, Y up) to the unit and axes of the file."""
+        return positions @ self.rotation_y_up_file / self.unit_m
+
+
+def get_file_frame(take: Take) -> FileFrame:
+    """Return the unit and axes in which a take is written, so that it can be compared with the file that it was read from.
+
+    These are the unit and axes of that file; millimetres if its unit is not one of mm, cm and m; and millimetres with Z up, the
+    convention of laboratories, if the take has no file.
+    """
+    if take.layout is None:
+        return FileFrame("mm", 0.001, ROTATION_Y_UP_FROM_Z_UP)
+    unit_m = take.layout.unit_m if take.layout.unit_m in C3D_UNIT_NAMES else 0.001
+    return FileFrame(C3D_UNIT_NAMES[unit_m], unit_m, take.layout.rotation_y_up_file)
+
+
+def read_take_bytes(target: Path, take: Take, min_bytes: int = 0) -> bytearray:
+    """Return the bytes of the file of a take as `read_source_bytes`, with the labels that mocapfix gave them."""
+    data = read_source_bytes(target, take.path, 0 if take.labelled_file else min_bytes)
+    return data if take.labelled_file is None else bytearray(take.labelled_file)
+
+
+def read_source_bytes(target: Path, source: Path | None, min_bytes: int = 0) -> bytearray:
+    """Return the bytes of the file of which `target` will be a changed copy.
+
+    Raises:
+        WriteError: If there is no source file, it is `target`, it is no longer readable, or it has fewer than `min_bytes` bytes.
+    """
+    if source is None:
+        raise WriteError(f"{target}: there is no source file of which it could be a changed copy.")
+    try:
+        if target.exists() and target.samefile(source):
+            raise WriteError(f"{target}: is the input itself, which is never changed; choose another folder with --out.")
+        data = bytearray(source.read_bytes())
+    except OSError as error:
+        raise WriteError(f"{source}: can no longer be read ({error.strerror}); restore it.") from error
+    if len(data) < min_bytes:
+        raise build_truncated_error(source)
+    return data
+
+
+def build_truncated_error(source: Path | None) -> WriteError:
+    """Return the error that an input file has become shorter since it was read."""
+    return WriteError(f"{source}: has become shorter since it was read; clean it again.")
+
+
+def append_computed_points(take: Take) -> Take:
+    """Return the take with its computed points as further markers, as they are written to a copy of its file."""
+    computed = take.computed_points
+    if computed is None:
+        return take
+    missing_sd = np.full(take.visible.shape, np.nan)
+    sample_sd = missing_sd if take.sample_sd is None else take.sample_sd
+    points_sd = np.full(computed.take.visible.shape, np.nan) if computed.take.sample_sd is None else computed.take.sample_sd
+    return replace(
+        take,
+        markers=np.concatenate([take.markers, computed.take.markers], axis=1),
+        labels=(*take.labels, *computed.take.labels),
+        point_columns=np.concatenate([take.point_indices, computed.take.point_indices]),
+        sample_sd=np.concatenate([sample_sd, points_sd], axis=1),
+        computed=None,
+        uncaptured=None,
+        relabelled_points=np.concatenate([take.source_points, computed.take.source_points], axis=1),
+        computed_points=None,
+    )
+
+
+def find_relabelled_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
+    """Return which samples of `after` are measured ones that come from another point of the file than in `before`."""
+    measured = np.ones(after.visible.shape, bool) if after.sample_sd is None else np.isnan(after.sample_sd)
+    return after.visible & (after.source_points != before.source_points) & measured
+
+
+def find_changed_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
+    """Return the samples whose coordinates differ in any bit. All NaNs are equal."""
+    a, b = before.markers, after.markers
+    return ~((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all(-1)
+
+
+def find_assigned_points(before: Take, after: Take) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+    """Return frame and point of the unlabelled samples that were assigned to a marker."""
+    if before.unlabelled is None or after.unlabelled is None:
+        return np.zeros(0, int), np.zeros(0, int)
+    frames, points = np.nonzero(before.unlabelled.visible & ~after.unlabelled.visible)
+    return frames, before.unlabelled.point_columns[points]
+
+
+MAX_WRITTEN_DECIMALS = 15
+
+
+def format_rows(values: Float[np.ndarray, "T C"], decimals: int, separator: str = " ", line_end: str = "\n") -> bytes:
+    """Return one line of text for each row.
+
+    Numbers are exactly those of f"{value:.6f}" with `decimals` (0 to 15) decimals, including the sign of -0.0.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
+    values = np.ascontiguousarray(values, float)
+    if not np.isfinite(values).all():
+        raise ValueError("a number that is not finite cannot be written")
+    power = 10.0**decimals
+    if values.size == 0 or decimals > MAX_WRITTEN_DECIMALS or np.abs(values).max() >= MAX_EXACT_PRODUCT / power:
+        template = separator.join([f"%.{decimals}f"] * values.shape[1]) + line_end
+        return "".join([template % tuple(row) for row in values.tolist()]).encode()
+    separator_bytes = np.frombuffer(separator.encode(), np.uint8)
+    line_end_bytes = np.frombuffer(line_end.encode(), np.uint8)
+    size = values.size * (INTEGER_PART_BYTES + decimals + len(separator_bytes)) + len(values) * len(line_end_bytes)
+    out = np.empty(size, np.uint8)
+    return out[: write_rows(values, decimals, power, separator_bytes, line_end_bytes, out)].tobytes()
+
+
+TRC_HEADER_KEYS = (
+    "DataRate",
+    "CameraRate",
+    "NumFrames",
+    "NumMarkers",
+    "Units",
+    "OrigDataRate",
+    "OrigDataStartFrame",
+    "OrigNumFrames",
+)
+
+
+def write_trc(target: str | Path, take: Take) -> None:
+    """Write the labelled markers as TRC, which OpenSim, Cortex, MotionBuilder and Mokka read.
+
+    The file has the unit and axes of the source file, tabs between fields, and blanks for missing samples. Frames keep their
+    numbers. Times count from frame 1, or from frame 0 if the take begins there.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    target, frame = Path(target), get_file_frame(take)
+    rate, first = _format_rate(take.rate), take.first_frame
+    labels = [" ".join(label.split()) for label in take.labels]
+    count, marker_count = str(take.frame_count), str(len(labels))
+    header = [
+        ["PathFileType", "4", "(X/Y/Z)", target.name],
+        TRC_HEADER_KEYS,
+        [rate, rate, count, marker_count, frame.unit_name, rate, str(first), count],
+        ["Frame#", "Time", *(cell for label in labels for cell in (label, "", ""))],
+        ["", "", *(f"{axis}{i}" for i in range(1, len(labels) + 1) for axis in "XYZ")],
+        [""],
+    ]
+    coordinates = frame.compute_coordinates(take.markers).reshape(take.frame_count, -1)
+    with replace_atomically(target) as part, part.open("w", encoding="utf-8", newline="") as file:
+        file.writelines("\t".join(row) + "\r\n" for row in header)
+        for t, row in enumerate(coordinates.tolist()):
+            number = first + t
+            time_s = (number - min(1, first)) / take.rate
+            cells = format_cells(row, DECIMALS_BY_UNIT[frame.unit_name])
+            file.write("\t".join([str(number), f"{time_s:.6f}", *cells]) + "\r\n")
+
+
+def write_csv(target: str | Path, take: Take) -> None:
+    """Write the labelled markers as plain CSV: a line of column names, then one line per frame.
+
+    Columns are frame, time_s, and LABEL_X_mm, LABEL_Y_mm, LABEL_Z_mm of each marker, in the unit (mm, cm or m) and axes of the
+    source file. Missing samples are blank. Frames keep their numbers, and the time of the first one is 0. The file is UTF-8 with
+    commas and decimal points.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    frame = get_file_frame(take)
+    labels = [" ".join(label.split()) for label in take.labels]  # a label must not contain a line end
+    coordinates = frame.compute_coordinates(take.markers).reshape(take.frame_count, -1)
+    with replace_atomically(Path(target)) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{frame.unit_name}" for label in labels for axis in "XYZ")])
+        for t, row in enumerate(coordinates.tolist()):
+            cells = format_cells(row, DECIMALS_BY_UNIT[frame.unit_name])
+            writer.writerow([take.get_frame_number(t), f"{t / take.rate:.6f}", *cells])
+
+
+def format_cells(row: Sequence[float], decimals: int) -> list[str]:
+    """Return numbers as text, "" for NaN."""
+    return ["" if x != x else f"{x:.{decimals}f}" for x in row]
+
+
+def _format_rate(rate: float) -> str:
+    """Return a rate with two decimals, as is usual, if these suffice, else with six."""
+    return f"{rate:.2f}" if np.isclose(rate, round(rate, 2), rtol=1e-9) else f"{rate:.6f}"

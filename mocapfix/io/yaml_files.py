@@ -1,0 +1,202 @@
+"""Strict models of the YAML files that users write and edit, and the one YAML writer.
+
+Types of values in YAML files that describe bodies: joint names and vectors.
+
+Long lists of mappings as YAML: thousands of changes are written in a fraction of a second.
+
+PyYAML examines every scalar. Most of them are plain words and numbers that need neither quotes nor a line break, and items that
+consist of such scalars are written directly, in the same text. All other items are left to PyYAML.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
+from yaml.representer import SafeRepresenter
+
+from mocapfix.errors import SceneError, format_name_list
+from mocapfix.io.shipped import is_existing_file, read_yaml
+from mocapfix.model.skeleton import load_cmu31_body
+
+YamlModel = TypeVar("YamlModel", bound=BaseModel)
+NamedItem = TypeVar("NamedItem")
+
+# Replacements, by pydantic's error type, of messages that are written for programmers.
+PYDANTIC_MESSAGES = {
+    "extra_forbidden": "there is no such key; check its spelling",
+    "missing": "is missing",
+    "tuple_type": "must be a list",
+    "model_type": "must be key: value pairs",
+    "dict_type": "must be key: value pairs",
+    "string_type": "must be text",
+    "literal_error": "must be {expected}",
+    "union_tag_not_found": "is missing",
+    "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
+}
+MAX_LINE_LENGTH = 130  # characters in a line of a written file
+
+
+class StrictModel(BaseModel):
+    """A model that accepts no unknown keys and only finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def read_yaml_model(model: type[YamlModel], path: Path) -> YamlModel:
+    """Read a YAML file and validate it by a model. Raise SceneError as `read_validated_yaml` does."""
+    return read_validated_yaml(model.model_validate, path)
+
+
+def read_validated_yaml(validate: Callable[[Any], YamlModel], path: Path) -> YamlModel:
+    """Read a YAML file and validate it.
+
+    Args:
+        validate: Converts the content of the file, or raises pydantic's ValidationError.
+        path: The file.
+
+    Returns:
+        The converted content.
+
+    Raises:
+        SceneError: If the file is invalid. The message names the file and the first invalid key, and says what is wrong.
+    """
+    data = read_yaml(path)
+    try:
+        return validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        context: dict[str, Any] = first.get("ctx", {})
+        key = ".".join(str(part) for part in first["loc"]) or str(context.get("discriminator", "the file")).strip("'")
+        template = PYDANTIC_MESSAGES.get(first["type"])
+        message = template.format(**context) if template else first["msg"].removeprefix("Value error, ")
+        raise SceneError(f"{path}: {key}: {message}.") from error
+
+
+def find_by_name(
+    name_or_path: str | Path, shipped: Mapping[str, NamedItem], item_kind: str, read: Callable[[Path], NamedItem]
+) -> NamedItem:
+    """Return a shipped item by its name, or read it from a YAML file.
+
+    Args:
+        name_or_path: Name of a shipped item, or path of a YAML file.
+        shipped: The shipped items by name.
+        item_kind: What an item is, for the error message.
+        read: Reads an item from a file.
+
+    Raises:
+        SceneError: If there is neither a shipped item nor a file of that name. The message lists the shipped items.
+    """
+    if (item := shipped.get(str(name_or_path))) is not None:
+        return item
+    if not is_existing_file(name_or_path):
+        raise SceneError(
+            f"{name_or_path}: no such {item_kind}; name one of {format_name_list(list(shipped))}, or give a YAML file."
+        )
+    return read(Path(name_or_path))
+
+
+class InlineMapping(dict[str, Any]):
+    """A mapping that is written on one line, such as that of a bone or a marker."""
+
+
+class InlineSequence(list[Any]):
+    """A list that is written on one line, such as the labels of a change."""
+
+
+def dump_yaml(data: Mapping[str, Any], max_line_length: int = MAX_LINE_LENGTH) -> str:
+    """Return the YAML text of a mapping, with the keys in its order."""
+    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=max_line_length, allow_unicode=True)
+
+
+# The compiled writer, which gives the same text several times faster, where PyYAML was built with it.
+_SafeDumper: type[yaml.SafeDumper] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _YamlDumper(_SafeDumper):
+    """PyYAML's safe writer, extended by InlineMapping and InlineSequence."""
+
+
+def _represent_inline(dumper: SafeRepresenter, mapping: InlineMapping) -> yaml.MappingNode:
+    return dumper.represent_mapping("tag:yaml.org,2002:map", mapping, flow_style=True)
+
+
+def _represent_inline_sequence(dumper: SafeRepresenter, sequence: InlineSequence) -> yaml.SequenceNode:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", sequence, flow_style=True)
+
+
+_YamlDumper.add_representer(InlineMapping, _represent_inline)
+_YamlDumper.add_representer(InlineSequence, _represent_inline_sequence)
+
+
+def _validate_joint_name(name: str) -> str:
+    names = load_cmu31_body().skeleton.names
+    if name not in names:
+        raise ValueError(f"there is no joint {name!r}; the joints are {format_name_list(names)}")
+    return name
+
+
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+JointName = Annotated[str, AfterValidator(_validate_joint_name)]
+
+
+# Text that is a string without quotes, unless it is one of the words below.
+PLAIN_TEXT = re.compile(r"[A-Za-z](?:[A-Za-z0-9 ,;()/%+_.-]|:(?=[A-Za-z0-9]))*(?<! )")
+# The same for an item of a list on one line.
+PLAIN_INLINE_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
+# Words that YAML does not read as strings.
+RESERVED_WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
+
+
+def dump_yaml_list(key: str, items: Sequence[Mapping[str, Any]], max_line_length: int = MAX_LINE_LENGTH) -> str:
+    """Return the YAML text of a mapping with one key, whose value is a list: the same text as that of `dump_yaml`."""
+    if not items:
+        return dump_yaml({key: []}, max_line_length)
+    parts = [_format_mapping(item, "  ", max_line_length) or _dump_item(item, max_line_length) for item in items]
+    return f"{key}:\n" + "".join(f"- {part[2:]}" for part in parts)
+
+
+def _dump_item(item: Mapping[str, Any], max_line_length: int) -> str:
+    """Return the lines of an item, written by PyYAML and indented by two spaces."""
+    text = dump_yaml({"items": [item]}, max_line_length)
+    return "  " + text.removeprefix("items:\n- ")
+
+
+def _format_mapping(mapping: Mapping[str, Any], indent: str, max_line_length: int) -> str | None:
+    """Return the lines of a mapping, or None if a value has to be quoted or a line to be broken."""
+    lines: list[str] = []
+    for key, value in mapping.items():
+        if isinstance(value, dict):
+            nested = _format_mapping(value, indent + "  ", max_line_length) if value else None
+            text = None if nested is None else f"\n{nested}"
+        else:
+            scalar = _format_scalar(value)
+            text = None if scalar is None or len(indent) + len(key) + 2 + len(scalar) > max_line_length else f" {scalar}\n"
+        if text is None:
+            return None
+        lines.append(f"{indent}{key}:{text}")
+    return "".join(lines)
+
+
+def _format_scalar(value: object) -> str | None:
+    """Return the text of a number, a string or a list of strings; None if it has to be quoted or is of another type."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            text = repr(value)
+            return text if text.lstrip("-")[0].isdigit() and "e" not in text else None
+        case str():
+            return value if PLAIN_TEXT.fullmatch(value) and value.lower() not in RESERVED_WORDS else None
+        case InlineSequence():
+            labels = [each for each in value if isinstance(each, str) and PLAIN_INLINE_TEXT.fullmatch(each)]
+            is_plain = len(labels) == len(value) and not any(each.lower() in RESERVED_WORDS for each in labels)
+            return f"[{', '.join(labels)}]" if is_plain else None
+        case _:
+            return None

@@ -1,0 +1,449 @@
+"""Benchmark of contacts on takes with known truth: their detection, and what holding the feet does to the motion.
+
+Each take is cleaned whole, and with the markers of its feet lost while these stand, once for each way to hold feet.
+
+Damage for the benchmark of contacts: the markers of a foot are lost while it stands.
+
+Benchmark of gait events: those from markers compared with force plates, on captures that have both.
+
+The plates and the events of the file are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and
+toes count.
+"""
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+import mocapfix
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
+from mocapfix.contacts.find_contacts import compute_speed, remove_short_runs
+from mocapfix.contacts.foot_displacements import HORIZONTAL_AXES
+from mocapfix.contacts.foot_points import FootPoints, build_foot_points
+from mocapfix.contacts.plate_contacts import PlateContact, find_plate_contacts
+from mocapfix.errors import MocapfixError, TakeError
+from mocapfix.io.c3d_events import HEADER_EVENT_COUNT
+from mocapfix.io.capture import read_capture
+from mocapfix.io.force_plates import read_force_plates
+from mocapfix.lab.common_task import clean_composed_take
+from mocapfix.lab.sound_takes import iterate_sound_takes
+from mocapfix.model.animation import Animation
+from mocapfix.model.take import C3dLayout
+from mocapfix.options import FEET_LOCK, FEET_OFF, FEET_SOFT, CleanOptions
+from mocapfix.solve import kinematics
+from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import SyntheticTake
+
+if TYPE_CHECKING:
+    from mocapfix.result import CleaningResult
+
+
+TRUE_STANDING_SPEED_M_S = 0.1
+"""Speed of a true joint below which it stands."""
+MAX_TRUE_HEIGHT_M = 0.06
+"""Height above its lowest standing places up to which it stands on the floor."""
+LOWEST_SHARE_PERCENT = 10.0
+LOSS_DURATION_S = (0.5, 2.0)
+"""Shortest and longest time for which the markers of a foot are lost."""
+LOSSES_PER_FOOT = 3
+MIN_SEEN_S = 0.1
+"""Time before and after a loss in which the foot stands and its markers are visible."""
+MAX_FOOT_MARKER_DISTANCE_M = 0.13
+"""Mean distance of a marker from ankle or toes up to which it is lost with the foot; the ankle's marker is on the shin."""
+
+
+class FootLoss(NamedTuple):
+    """The frames `first` to `last` in which all markers of a foot are lost."""
+
+    side: str
+    first: int
+    last: int
+
+
+def find_true_contacts(joint_position: Float[np.ndarray, "T 3"], rate: float) -> Bool[np.ndarray, " T"]:
+    """Return when a joint of a foot truly stands: slow, for a while, and about as low as it ever is while slow."""
+    is_slow = compute_speed(joint_position, rate) < TRUE_STANDING_SPEED_M_S
+    if not is_slow.any():
+        return is_slow
+    base = np.percentile(joint_position[is_slow, 1], LOWEST_SHARE_PERCENT)
+    return remove_short_runs(is_slow & (joint_position[:, 1] < base + MAX_TRUE_HEIGHT_M), rate)
+
+
+def find_all_true_contacts(truth: SyntheticTake) -> Bool[np.ndarray, "T C"]:
+    """Return when each of CONTACT_JOINTS truly stands."""
+    joints = [truth.subject.skeleton.find_joint(name) for name in CONTACT_JOINTS]
+    return np.stack([find_true_contacts(truth.joint_positions[:, joint], truth.rate) for joint in joints], axis=1)
+
+
+def draw_foot_losses(truth: SyntheticTake, rng: np.random.Generator) -> list[FootLoss]:
+    """Return times in which a foot stands with heel and toes; never both feet at once."""
+    is_contact, losses = find_all_true_contacts(truth), list[FootLoss]()
+    is_free = np.ones(len(is_contact), bool)
+    margin, shortest = round(MIN_SEEN_S * truth.rate), round(LOSS_DURATION_S[0] * truth.rate)
+    for _ in range(LOSSES_PER_FOOT):
+        for side, joints in FOOT_JOINTS.items():
+            is_flat = is_contact[:, [CONTACT_JOINTS.index(joint) for joint in joints]].all(axis=1) & is_free
+            runs = [run for run in find_runs(is_flat) if run[1] + 1 - run[0] >= shortest + 2 * margin]
+            if not runs:
+                continue
+            first, last = runs[int(rng.integers(len(runs)))]
+            longest = min(last + 1 - first - 2 * margin, round(LOSS_DURATION_S[1] * truth.rate))
+            length = int(rng.integers(shortest, longest + 1))
+            start = int(rng.integers(first + margin, last + 2 - margin - length))
+            losses.append(FootLoss(side, start, start + length - 1))
+            is_free[max(0, start - margin) : start + length + margin] = False
+    return losses
+
+
+def find_foot_markers(truth: SyntheticTake, side: str) -> Bool[np.ndarray, " M"]:
+    """Return the markers on and about a foot."""
+    joints = [truth.subject.skeleton.find_joint(name) for name in FOOT_JOINTS[side]]
+    offsets = truth.marker_positions[:, :, None] - truth.joint_positions[:, None, joints]
+    return np.linalg.norm(offsets, axis=-1).mean(0).min(1) <= MAX_FOOT_MARKER_DISTANCE_M
+
+
+def lose_feet(truth: SyntheticTake, losses: Sequence[FootLoss]) -> SyntheticTake:
+    """Return the take without the markers of feet in some frames."""
+    missing = truth.missing_mask.copy()
+    for side, first, last in losses:
+        missing[first : last + 1, find_foot_markers(truth, side)] = True
+    damaged = np.where(missing[..., None], np.nan, truth.damaged_positions)
+    return replace(truth, missing_mask=missing, damaged_positions=damaged)
+
+
+CONTACT_TAKES = 6
+WHOLE, LOST_FEET = "whole", "feet lost"
+HELD_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
+KNEES = ("LeftLeg", "RightLeg")
+WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")
+"""quantities of which the largest value of all takes counts"""
+MM = 1e3
+
+
+@dataclass(frozen=True)
+class HeldFeetErrors:
+    """What one way to hold feet did to one take.
+
+    take, damage, mode
+    slide_mm_s           mean horizontal speed of heels and balls of the feet while these truly stand
+    true_slide_mm_s      the same of the truth
+    drift_mm             the largest horizontal distance in a true contact from its mean place, mean over contacts
+    feet_mm              mean error of heels and balls of the feet
+    other_joints_mm      mean error of all other joints
+    acceleration_ratio   the largest acceleration of any joint, over that with the feet as they were solved
+    knee_ratio           the same of the knees
+    sink_mm              how much lower the lowest place of a heel or ball of a foot is than with the feet as they were solved
+    lost_fill_mm         mean error of the filled markers of lost feet; NaN without a loss
+    """
+
+    take: str
+    damage: str
+    mode: str
+    slide_mm_s: float
+    true_slide_mm_s: float
+    drift_mm: float
+    feet_mm: float
+    other_joints_mm: float
+    acceleration_ratio: float
+    knee_ratio: float
+    sink_mm: float
+    lost_fill_mm: float
+
+
+@dataclass(frozen=True)
+class ContactAgreement:
+    """How many frames of the four joints of the feet are contacts in the truth, in the result, and in both."""
+
+    take: str
+    damage: str
+    true_frames: int
+    found_frames: int
+    common_frames: int
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall."""
+        return 2 * self.common_frames / max(self.true_frames + self.found_frames, 1)
+
+
+def measure_contacts(
+    motion_folder: Path | None = None, take_count: int = CONTACT_TAKES, report_progress: Callable[[str], None] = lambda _: None
+) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
+    """Return the errors of each take, damage and way to hold feet, and the agreement of contacts with the truth.
+
+    motion_folder  holds test.npz with recorded motion; None for composed motion
+
+    Raises ReadError if there is no such motion.
+    """
+    errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
+    for number, (name, sound) in enumerate(iterate_sound_takes(motion_folder, take_count)):
+        report_progress(name)
+        of_take = measure_take(name, sound, draw_foot_losses(sound, np.random.default_rng(number)))
+        errors += of_take[0]
+        agreements += of_take[1]
+    return errors, agreements
+
+
+def measure_take(
+    name: str, sound: SyntheticTake, losses: Sequence[FootLoss]
+) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
+    """Return the errors and agreements of one take without faults, whole and with these losses."""
+    errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
+    for damage, truth in ((WHOLE, sound), (LOST_FEET, lose_feet(sound, losses))):
+        if damage == LOST_FEET and not losses:
+            continue
+        results = {mode: clean_composed_take(truth, CleanOptions().change(feet=mode)) for mode in HELD_MODES}
+        agreements.append(compare_contacts(name, damage, truth, results[FEET_OFF]))
+        errors += [compute_held_errors(name, damage, truth, results, mode) for mode in HELD_MODES]
+    return errors, agreements
+
+
+def compare_contacts(name: str, damage: str, truth: SyntheticTake, result: "CleaningResult") -> ContactAgreement:
+    """Return how the contacts of a result agree with the truth."""
+    assert result.contacts is not None
+    is_true = find_all_true_contacts(truth)
+    is_found = result.contacts.is_contact[:, : len(CONTACT_JOINTS)]
+    return ContactAgreement(name, damage, int(is_true.sum()), int(is_found.sum()), int((is_true & is_found).sum()))
+
+
+def compute_held_errors(
+    name: str, damage: str, truth: SyntheticTake, results: "dict[str, CleaningResult]", mode: str
+) -> HeldFeetErrors:
+    """Return what one way to hold feet did to a take, beside the result in which they are as they were solved."""
+    position, unheld = get_joint_positions(results[mode]), get_joint_positions(results[FEET_OFF])
+    names = list(truth.subject.skeleton.names)
+    feet = [names.index(joint) for joint in CONTACT_JOINTS]
+    knees = [names.index(joint) for joint in KNEES]
+    others = [j for j in range(len(names)) if j not in feet]
+    is_contact = find_all_true_contacts(truth)
+    error = MM * np.linalg.norm(position - truth.joint_positions, axis=-1)
+    acceleration, before = compute_largest_accelerations(position), compute_largest_accelerations(unheld)
+    return HeldFeetErrors(
+        name,
+        damage,
+        mode,
+        compute_slide(position[:, feet], is_contact, truth.rate),
+        compute_slide(truth.joint_positions[:, feet], is_contact, truth.rate),
+        compute_drift(position[:, feet], is_contact),
+        float(error[:, feet].mean()),
+        float(error[:, others].mean()),
+        float(acceleration.max() / before.max()),
+        float(acceleration[knees].max() / before[knees].max()),
+        float(MM * (unheld[:, feet, 1].min(0) - position[:, feet, 1].min(0)).max()),
+        compute_fill_error(truth, results[mode]),
+    )
+
+
+def get_joint_positions(result: "CleaningResult") -> Float[np.ndarray, "T J 3"]:
+    """Return the joints' positions in metres. Raises TakeError where the take was cleaned without a body."""
+    if result.joint_position_world is None:
+        raise TakeError("The take was cleaned without a body; there are no feet to hold.")
+    return result.joint_position_world
+
+
+def compute_slide(position: Float[np.ndarray, "T C 3"], is_contact: Bool[np.ndarray, "T C"], rate: float) -> float:
+    """Return the mean horizontal speed in mm/s of joints in contact."""
+    flat = position * [1.0, 0.0, 1.0]
+    speeds = np.stack([compute_speed(flat[:, c], rate) for c in range(flat.shape[1])], axis=1)
+    return float(MM * speeds[is_contact].mean()) if is_contact.any() else np.nan
+
+
+def compute_drift(position: Float[np.ndarray, "T C 3"], is_contact: Bool[np.ndarray, "T C"]) -> float:
+    """Return the largest horizontal distance in mm from the mean place of a contact, mean over contacts."""
+    drifts: list[float] = []
+    for c in range(position.shape[1]):
+        for first, last in find_runs(is_contact[:, c]):
+            flat = position[first : last + 1, c][:, HORIZONTAL_AXES]
+            drifts.append(float(np.linalg.norm(flat - flat.mean(0), axis=1).max()))
+    return MM * float(np.mean(drifts)) if drifts else np.nan
+
+
+def compute_largest_accelerations(position: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " J"]:
+    """Return the largest second difference of each joint's path, in metres per squared frame."""
+    return np.linalg.norm(np.diff(position, 2, axis=0), axis=-1).max(0)
+
+
+def compute_fill_error(truth: SyntheticTake, result: "CleaningResult") -> float:
+    """Return the mean error in mm of the filled samples of lost markers; NaN without any."""
+    columns = [result.take.bare_labels.index(label) for label in truth.labels]
+    error = np.linalg.norm(result.take.markers[:, columns] - truth.marker_positions, axis=-1)[truth.missing_mask]
+    return float(MM * np.nanmean(error)) if len(error) and np.isfinite(error).any() else np.nan
+
+
+def average_errors(errors: Sequence[HeldFeetErrors], quantity: str) -> float:
+    """Return the mean of a quantity over takes, of the largest ratios and of sinking the largest; NaN without any value."""
+    values = np.array([getattr(each, quantity) for each in errors], float)
+    if not np.isfinite(values).any():
+        return np.nan
+    return float(np.nanmax(values) if quantity in WORST_QUANTITIES else np.nanmean(values))
+
+
+HIDDEN_GROUPS = {b"FORCE_PLATFORM": b"HIDDEN_PLATFOR", b"EVENT": b"HIDEV"}
+"""names of the groups of the plates and of events, and others of the same length"""
+MAX_EVENT_ERROR_S = 0.15
+"""Time from an event of a plate up to which an event of markers is the same."""
+JUDGED_MARGIN_S = 0.3
+"""Time before and after a load in which frames are compared."""
+RULE_HEIGHT_M, RULE_SPEED_M_S = 0.114, 0.93
+"""The height-and-speed rule: below both an ankle or a toe base is in contact (UnderPressure, 2022, baseline)."""
+
+
+@dataclass(frozen=True)
+class PlateEventError:
+    """An event of a plate, and how much later that of the markers is; NaN where the markers have none."""
+
+    capture: str
+    side: str
+    kind: str
+    error_ms: float
+
+
+@dataclass(frozen=True)
+class PlateAgreement:
+    """Frames about loads in which a foot is in contact: by the plate, by a method, and by both."""
+
+    capture: str
+    method: str
+    true_frames: int
+    found_frames: int
+    common_frames: int
+
+
+def measure_plate_events(
+    captures: Path, report_progress: Callable[[str], None] = lambda _: None
+) -> tuple[list[PlateEventError], list[PlateAgreement]]:
+    """Return the errors of events and the agreement of frames, for every C3D file in a folder that has usable loads.
+
+    captures  a folder, or a file; files that cannot be cleaned with a body are left out
+    """
+    errors, agreements = list[PlateEventError](), list[PlateAgreement]()
+    for path in sorted(captures.glob("*.c3d")) if captures.is_dir() else [captures]:
+        report_progress(path.name)
+        try:
+            result = clean_without_plates(path)
+        except MocapfixError:
+            continue
+        if result is None or result.contacts is None or result.subject is None or not result.contacts.has_feet:
+            continue
+        loads = find_loads(path, result)
+        errors += [each for load in loads for each in compare_events(path.stem, load, result.contacts)]
+        agreements += [each for load in loads for each in compare_frames(path.stem, load, result)]
+    return errors, agreements
+
+
+def clean_without_plates(path: Path) -> "CleaningResult | None":
+    """Return the result for a copy of a C3D file that hides its plates and events; None for a file without plates."""
+    data = path.read_bytes()
+    capture = read_capture(path)
+    layout = None if isinstance(capture, Animation) else capture.layout
+    if not isinstance(layout, C3dLayout) or not read_force_plates(data, layout, capture.rate):
+        return None
+    with TemporaryDirectory() as folder:
+        hidden = Path(folder) / path.name
+        shutil.copyfile(path, hidden)
+        head = data[:HEADER_EVENT_COUNT] + bytes(2) + data[HEADER_EVENT_COUNT + 2 : layout.data_start_byte]
+        for name, other in HIDDEN_GROUPS.items():
+            head = head.replace(name, other)
+        hidden.write_bytes(head + data[layout.data_start_byte :])
+        return mocapfix.clean(hidden, CleanOptions().change(feet=FEET_OFF))
+
+
+def find_loads(path: Path, result: "CleaningResult") -> list[PlateContact]:
+    """Return the loads of the plates of a capture by single feet that stand on them."""
+    assert result.contacts is not None
+    layout = result.input_take.layout
+    assert isinstance(layout, C3dLayout)
+    plates = read_force_plates(path.read_bytes(), layout, result.input_take.rate)
+    return find_plate_contacts(plates, get_foot_points(result), result.contacts.floor, result.contacts.rate)
+
+
+def get_foot_points(result: "CleaningResult") -> dict[str, FootPoints]:
+    """Return the heel and the toes of each foot of a result."""
+    subject, motion, take = result.subject, result.motion, result.relabelled_take
+    assert subject is not None
+    assert motion is not None
+    assert result.contacts is not None
+    _, body_markers = kinematics.compute_joint_and_marker_positions(subject, motion)
+    markers = np.full(body_markers.shape, np.nan)
+    for k, label in enumerate(subject.labels):
+        if label in take.bare_labels:
+            markers[:, k] = take.markers[:, take.bare_labels.index(label)]
+    return dict(build_foot_points(subject, motion, markers, body_markers, result.contacts.is_known))
+
+
+def compare_events(capture: str, load: PlateContact, contacts: BodyContacts) -> list[PlateEventError]:
+    """Return how far the events from markers are from those of a load."""
+    errors: list[PlateEventError] = []
+    for kind, time_s in (("foot strike", load.strike_s), ("foot off", load.off_s)):
+        if np.isnan(time_s):
+            continue
+        late_s = [each.time_s - time_s for each in contacts.events if (each.side, each.kind) == (load.side, kind)]
+        nearest_s = min(late_s, key=abs, default=np.nan)
+        errors.append(
+            PlateEventError(capture, load.side, kind, 1e3 * nearest_s if abs(nearest_s) <= MAX_EVENT_ERROR_S else np.nan)
+        )
+    return errors
+
+
+def compare_frames(capture: str, load: PlateContact, result: "CleaningResult") -> list[PlateAgreement]:
+    """Return in how many frames about a load the foot is in contact by the plate, by the events, and by a simple rule."""
+    contacts = result.contacts
+    assert contacts is not None
+    frame_s = np.arange(len(contacts.is_contact)) / contacts.rate
+    strike_s, off_s = np.nan_to_num(load.strike_s, nan=-np.inf), np.nan_to_num(load.off_s, nan=np.inf)
+    is_judged = (frame_s >= strike_s - JUDGED_MARGIN_S) & (frame_s <= off_s + JUDGED_MARGIN_S)
+    is_loaded = (frame_s >= strike_s) & (frame_s <= off_s)
+    found = {"events": find_contact_between_events(contacts, load.side), "height and speed": apply_simple_rule(result, load.side)}
+    return [
+        PlateAgreement(
+            capture,
+            method,
+            int(is_loaded[is_judged].sum()),
+            int(is_found[is_judged].sum()),
+            int((is_loaded & is_found)[is_judged].sum()),
+        )
+        for method, is_found in found.items()
+    ]
+
+
+def find_contact_between_events(contacts: BodyContacts, side: str) -> Bool[np.ndarray, " T"]:
+    """Return the frames from each strike of a foot to its next off; the take may begin and end in contact."""
+    frame_s = np.arange(len(contacts.is_contact)) / contacts.rate
+    own = [event for event in contacts.events if event.side == side]
+    if not own:
+        return contacts.find_foot_contact(side)
+    is_contact = np.zeros(len(frame_s), bool)
+    start_s = -np.inf if own[0].kind == "foot off" else np.nan
+    for event in own:
+        if event.kind == "foot strike":
+            start_s = event.time_s
+        else:
+            is_contact |= (frame_s >= start_s) & (frame_s <= event.time_s)
+            start_s = np.nan
+    return is_contact | (frame_s >= start_s)
+
+
+def apply_simple_rule(result: "CleaningResult", side: str) -> Bool[np.ndarray, " T"]:
+    """Return the frames in which the height-and-speed rule finds the ankle or the toe base of a foot in contact."""
+    position, contacts, subject = result.joint_position_world, result.contacts, result.subject
+    assert position is not None
+    assert contacts is not None
+    assert subject is not None
+    is_contact = np.zeros(len(position), bool)
+    for joint in FOOT_JOINTS[side]:
+        path: Float[np.ndarray, "T 3"] = position[:, subject.skeleton.find_joint(joint)]
+        is_low = contacts.floor.compute_height_above(path) < RULE_HEIGHT_M
+        is_contact |= is_low & (compute_speed(path, contacts.rate) < RULE_SPEED_M_S)
+    return is_contact
+
+
+def compute_frame_f1(agreements: Sequence[PlateAgreement], method: str) -> float:
+    """Return the F1 by frame of a method over all loads; NaN without any."""
+    own = [each for each in agreements if each.method == method]
+    total = sum(each.true_frames + each.found_frames for each in own)
+    return 2 * sum(each.common_frames for each in own) / total if total else np.nan

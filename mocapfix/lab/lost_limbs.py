@@ -1,0 +1,199 @@
+"""Benchmark of lost limbs: the error of an arm or a leg that is reconstructed after its markers were missing for a while.
+
+Recordings of subjects that no model was trained on are performed by the average body, which has the markers of its marker set and
+one on every joint. An arm or a leg, without shoulder or hip, is hidden in a gap, and the take is solved. For comparison, each
+method of filling the gap is also used alone.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import SolveOptions
+from mocapfix.report.stage_timer import ProgressCallback
+from mocapfix.solve import initial_motion, kinematics, motion_solver
+from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
+from mocapfix.solve.motion_prior import predict_shipped_gap
+from mocapfix.solve.pose_prior import PoseModel
+from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.subject.library import load_marker_set
+
+LIMB_GAP_DURATIONS_S = (0.5, 1.0, 2.0)
+MIN_CONTEXT_S = 0.4  # frames that are visible before and after a gap
+EDGE_SPEED_WINDOW_S = 0.067  # interval over which the angular speed at the edge of a gap is measured
+LIMB_JOINTS = {  # joints whose rotations are lost, and joints whose positions are scored
+    "arm": (("Arm", "ForeArm", "Hand"), ("ForeArm", "Hand", "FingerBase")),
+    "leg": (("UpLeg", "Leg", "Foot"), ("Leg", "Foot", "ToeBase")),
+}
+
+
+class LimbGap(NamedTuple):
+    """Frames `first` to `last` of a performance, in which the limb of one side is lost."""
+
+    performance: PerformedMotion
+    side: str
+    first: int
+    last: int
+
+
+def measure_lost_limbs(
+    motion_folder: Path, model: PoseModel | None, gap_count: int = 20, seed: int = 0, progress: ProgressCallback = lambda _: None
+) -> dict[str, Any]:
+    """Return the mean error in mm of the lost joints by limb and gap duration ("0.5", "1", "2").
+
+    The entry `ways` has the same by each method of filling the gap alone.
+
+    motion_folder  holds test.npz and skeletons.json: motion of subjects that the model was not trained on
+    model          the trained prior of the solve; None for the take and temporal smoothness only
+    gap_count      number of gaps of each limb and duration, uniformly distributed over all frames
+
+    Raises ReadError if there is no such motion.
+    """
+    performances, rng = list(read_performed_motions(motion_folder / "test.npz")), np.random.default_rng(seed)
+    table: dict[str, dict[str, Any]] = {}
+    for limb in LIMB_JOINTS:
+        for duration_s in LIMB_GAP_DURATIONS_S:
+            errors: dict[str, list[float]] = {}
+            for n, gap in enumerate(draw_limb_gaps(performances, duration_s, gap_count, rng)):
+                progress(f"{limb} lost for {duration_s:g} s, {n + 1} of {gap_count}")
+                for method, motion in solve_limb_gap(gap, limb, model):
+                    errors.setdefault(method, []).append(compute_limb_error(gap, limb, motion))
+            for method, values in errors.items():
+                table.setdefault(method, {}).setdefault(limb, {})[f"{duration_s:g}"] = 1e3 * float(np.mean(values))
+    return table.pop("mocapfix") | {"ways": table}
+
+
+def draw_limb_gaps(motions: list[PerformedMotion], duration_s: float, count: int, rng: np.random.Generator) -> list[LimbGap]:
+    """Return gaps whose first frame is uniformly distributed over all frames where a gap fits."""
+    room = [each.motion.frame_count - round((duration_s + 2 * MIN_CONTEXT_S) * each.rate_hz) for each in motions]
+    start_counts = np.maximum(room, 0)
+    gaps: list[LimbGap] = []
+    for start in rng.integers(start_counts.sum(), size=count):
+        n = int(np.searchsorted(np.cumsum(start_counts), start, side="right"))
+        performance = motions[n]
+        first = int(start - start_counts[:n].sum()) + round(MIN_CONTEXT_S * performance.rate_hz)
+        side = ("Left", "Right")[rng.integers(2)]
+        gaps.append(LimbGap(performance, side, first, first + round(duration_s * performance.rate_hz) - 1))
+    return gaps
+
+
+def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator[tuple[str, Motion]]:
+    """Yield the names of methods and the motions: the solve of the take with the gap, and the same with the gap filled
+    otherwise."""
+    body, subject = load_cmu31_body(), build_full_marker_subject()
+    prior, limits = load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
+    take = remove_limb_markers(gap, limb, subject)
+    start = initial_motion.initialise_motion(take, subject, body, prior)
+    conditioner = PriorConditioner(lambda: model, 1.0) if model else None
+    solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=conditioner)
+    yield "mocapfix", solution
+    lost_joints = np.array([body.skeleton.find_joint(gap.side + name) for name in LIMB_JOINTS[limb][0]])
+    yield from fill_limb_gap(solution, lost_joints, gap, model)
+    if model is not None:
+        with_motion_prior = PriorConditioner(lambda: model, 1.0, predict_shipped_gap)
+        yield (
+            "with the motion prior",
+            motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=with_motion_prior),
+        )
+        yield "the take and time", motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
+
+
+def fill_limb_gap(
+    solution: Motion, lost_joints: Int[np.ndarray, " L"], gap: LimbGap, model: PoseModel | None
+) -> Iterator[tuple[str, Motion]]:
+    """Yield the names of methods and the solved motion with the lost joints' rotations in the gap filled by each method."""
+    first, last, rate_hz = gap.first, gap.last, gap.performance.rate_hz
+    frames, ends = np.arange(first, last + 1), np.array([first - 1, last + 1])
+    rotations = {j: solution.local_rotations[:, j] for j in lost_joints}
+    slerp = {j: Slerp(ends, Rotation.from_matrix(rotations[j][ends]))(frames) for j in lost_joints}
+    yield "slerp", replace_rotations(solution, frames, slerp)
+    cubic = {j: interpolate_hermite(rotations[j], ends, frames, rate_hz) for j in lost_joints}
+    yield "cubic", replace_rotations(solution, frames, cubic)
+    if model is not None:
+        inferred = infer_lost_joints(solution, lost_joints, np.arange(first - 1, last + 2), model)
+        inside = {j: Rotation.from_matrix(inferred[j][1:-1]) for j in lost_joints}
+        yield "model, each frame alone", replace_rotations(solution, frames, inside)
+        blended = {j: blend_edge_errors(inferred[j], rotations[j][ends]) for j in lost_joints}
+        yield "model, corrected at both edges", replace_rotations(solution, frames, blended)
+
+
+def replace_rotations(solution: Motion, frames: Int[np.ndarray, " N"], rotations: dict[int, Rotation]) -> Motion:
+    """Return the motion with other rotations of some joints in some frames."""
+    local_rotations = solution.local_rotations.copy()
+    for joint, rotation in rotations.items():
+        local_rotations[frames, joint] = rotation.as_matrix()
+    return replace(solution, local_rotations=local_rotations)
+
+
+def interpolate_hermite(
+    rotations: Float[np.ndarray, "T 3 3"], ends: Int[np.ndarray, "2"], frames: Int[np.ndarray, " N"], rate_hz: float
+) -> Rotation:
+    """Return the cubic Hermite interpolation of a joint's rotation vectors relative to the first end, with the speeds at both
+    ends."""
+    span, (a, b) = max(1, round(EDGE_SPEED_WINDOW_S * rate_hz)), ends
+    before, after = max(a - span, 0), min(b + span, len(rotations) - 1)
+    reference = Rotation.from_matrix(rotations[a])
+    vectors = (Rotation.from_matrix(rotations[[before, a, b, after]]) * reference.inv()).as_rotvec()
+    start_speed, end_speed = -vectors[0] / max(a - before, 1), (vectors[3] - vectors[2]) / max(after - b, 1)
+    return Rotation.from_rotvec(CubicHermiteSpline(ends, vectors[1:3], [start_speed, end_speed])(frames)) * reference
+
+
+def infer_lost_joints(
+    solution: Motion, lost_joints: Int[np.ndarray, " L"], frames: Int[np.ndarray, " N"], model: PoseModel
+) -> dict[int, Float[np.ndarray, "N 3 3"]]:
+    """Return the rotations that the model predicts for each lost joint in each frame, given the other joints."""
+    body = load_cmu31_body()
+    known_joints = np.array([j for j in np.flatnonzero(body.free_joints)[1:] if j not in lost_joints])
+    nearby = np.ones((len(frames), 4 * len(lost_joints)))
+    conditioner = PriorConditioner(lambda: model, 1.0)
+    quaternions = conditioner.predict_rotations(solution.local_rotations, known_joints, lost_joints, frames, nearby)
+    return {j: Rotation.from_quat(quaternions[:, 4 * i : 4 * i + 4]).as_matrix() for i, j in enumerate(lost_joints)}
+
+
+def blend_edge_errors(inferred: Float[np.ndarray, "N 3 3"], edges: Float[np.ndarray, "2 3 3"]) -> Rotation:
+    """Return inferred rotations inside a gap, corrected by a linear blend of their errors in the frames at its edges."""
+    share = np.linspace(0, 1, len(inferred))[1:-1, None]
+    errors = (Rotation.from_matrix(edges) * Rotation.from_matrix(inferred[[0, -1]]).inv()).as_rotvec()
+    return Rotation.from_rotvec((1 - share) * errors[0] + share * errors[1]) * Rotation.from_matrix(inferred[1:-1])
+
+
+def build_full_marker_subject() -> Subject:
+    """Return the average body with the markers of the CMU marker set and one on every joint, attached to the joint's parent."""
+    skeleton, marker_set = load_cmu31_body().skeleton, load_marker_set("cmu41")
+    joints = np.r_[marker_set.joints, np.maximum(skeleton.parents, 0)]
+    offsets = np.r_[marker_set.marker_offsets, skeleton.offsets * (skeleton.parents >= 0)[:, None]]
+    labels = marker_set.labels + skeleton.names
+    return Subject(skeleton, marker_set.name, labels, joints, np.ascontiguousarray(offsets), np.zeros(len(labels)))
+
+
+def remove_limb_markers(gap: LimbGap, limb: str, subject: Subject) -> Take:
+    """Return the performance's markers, with those on the limb missing in the gap."""
+    parents, names = subject.skeleton.parents, subject.skeleton.names
+    is_lost = np.isin(names, [gap.side + name for name in LIMB_JOINTS[limb][0]])
+    for j in range(1, len(names)):
+        is_lost[j] |= is_lost[parents[j]]
+    markers = kinematics.compute_joint_and_marker_positions(subject, gap.performance.motion)[1]
+    markers[gap.first : gap.last + 1, is_lost[subject.joints]] = np.nan
+    return Take(markers, subject.labels, gap.performance.rate_hz)
+
+
+def compute_limb_error(gap: LimbGap, limb: str, solution: Motion) -> float:
+    """Return the mean distance in metres of the limb's joints from the true ones over the gap."""
+    skeleton, frames = load_cmu31_body().skeleton, np.arange(gap.first, gap.last + 1)
+    joints = [skeleton.find_joint(gap.side + name) for name in LIMB_JOINTS[limb][1]]
+    true, solved = (
+        kinematics.compute_world_poses(skeleton, motion.select_frames(frames))[0][:, joints]
+        for motion in (gap.performance.motion, solution)
+    )
+    return float(np.linalg.norm(solved - true, axis=-1).mean())

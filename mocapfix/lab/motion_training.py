@@ -1,0 +1,368 @@
+"""Training of the motion prior: what moves during a gap, given the motion on either side and the joints that are seen.
+
+The motion prior's network for training: layers that mix the moments of a gap and its features in turn, and its loss.
+
+The model card of the motion prior: its data, scores, settings and acknowledgements.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from mocapfix.errors import WriteError
+from mocapfix.io.files import replace_atomically
+from mocapfix.lab.cards import build_acknowledgement, format_frame_counts, format_sources
+from mocapfix.lab.motion_windows import (
+    MotionStretches,
+    TrainingWindows,
+    compute_stretch_weights,
+    draw_training_windows,
+    gather_motion_stretches,
+)
+from mocapfix.lab.settings import MotionSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
+from mocapfix.solve.motion_prior import (
+    INITIAL_LOG_SD,
+    INNER_COUNT,
+    INNER_TOKENS,
+    MAX_LOG_SD,
+    MIN_LOG_SD,
+    TOKEN_COUNT,
+    MotionPrior,
+    build_motion_tree,
+    compute_carried_points,
+    compute_output_scale,
+    compute_quaternion_matrices,
+    compute_window_features,
+    count_features,
+    count_outputs,
+    interpolate_missing_values,
+    remove_window_heading,
+    write_motion_prior,
+)
+from mocapfix.solve.pose_features import compute_rotation_tensor
+
+ROTATION_LOSS_M_RAD = 0.03
+"""Weight of rotation errors compared with position errors."""
+DEVIATION_LOSS_WEIGHT = 0.02
+"""Weight of the likelihood from which the standard deviations are learned."""
+SHORT_GAP_WEIGHT_S = 0.1
+"""Gaps have a weight that is inverse to their duration plus this."""
+MIN_MOTION_FEATURE_SD = 0.05
+"""Least standard deviation of a feature."""
+MIN_ERROR_M = 0.005
+"""Position errors below this count by their square."""
+
+
+class MixingBlock(nn.Module):
+    """A residual block: normalisation, a linear layer over the moments and one over the channels."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.time = nn.Linear(TOKEN_COUNT, TOKEN_COUNT)
+        self.channel = nn.Linear(width, width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        mixed = self.time.weight @ self.norm(hidden) + self.time.bias[:, None]
+        return hidden + self.out(nn.functional.silu(self.channel(mixed)))
+
+
+class MotionNetwork(nn.Module):
+    """From features (B, T, F) of all moments to outputs (B, I, O) of those inside the gap."""
+
+    feature_mean: Tensor
+    feature_sd: Tensor
+
+    def __init__(self, width: int, block_count: int, feature_mean: Tensor, feature_sd: Tensor):
+        super().__init__()
+        self.register_buffer("feature_mean", feature_mean)
+        self.register_buffer("feature_sd", feature_sd)
+        self.input = nn.Linear(count_features(), width)
+        self.position = nn.Parameter(0.1 * torch.randn(TOKEN_COUNT, width))
+        self.blocks = nn.ModuleList(MixingBlock(width) for _ in range(block_count))
+        self.norm = nn.LayerNorm(width)
+        self.output = nn.Linear(width, count_outputs())
+        with torch.no_grad():
+            self.output.weight *= 0.1
+            self.output.bias.zero_()
+
+    def forward(self, features: Tensor) -> Tensor:
+        hidden = self.input((features - self.feature_mean) / self.feature_sd) + self.position
+        for block in self.blocks:
+            hidden = block(hidden)
+        return self.output(self.norm(hidden[:, INNER_TOKENS]))
+
+
+class MotionExamples:
+    """Gaps as tensors: features (B, T, F); and of the R = B I moments inside them the interpolated and true poses."""
+
+    def __init__(self, windows: TrainingWindows):
+        interpolated = interpolate_missing_values(windows.quaternions, windows.position, windows.is_known, windows.times_s)
+        relative, heading, origin = remove_window_heading(interpolated)
+        features = compute_window_features(relative, windows.is_known, windows.is_inside, windows.times_s)
+        self.features = torch.from_numpy(features)
+        turn = np.repeat(compute_quaternion_matrices(heading), INNER_COUNT, axis=0)
+        true = compute_quaternion_matrices(select_inner_moments(windows.quaternions))
+        true[:, 0] = np.swapaxes(turn, 1, 2) @ true[:, 0]
+        shifted = select_inner_moments(windows.position - origin[:, None])
+        position = (shifted[:, None] @ turn)[:, 0]
+        self.true_points = torch.from_numpy(compute_carried_points(true, position, np.arange(31)))
+        self.true_matrices, self.true_position = torch.from_numpy(true), torch.from_numpy(position)
+        self.matrices = torch.from_numpy(compute_quaternion_matrices(select_inner_moments(relative.quaternions)))
+        self.position = torch.from_numpy(select_inner_moments(relative.position))
+        self.scale = torch.from_numpy(compute_output_scale(select_inner_moments(interpolated.edge_s)))
+        self.is_missing = torch.from_numpy(~select_inner_moments(windows.is_known))
+        weight = 1 / (SHORT_GAP_WEIGHT_S + windows.gap_s)
+        self.row_weight = torch.from_numpy(np.repeat(weight / weight.sum() / INNER_COUNT, INNER_COUNT).astype(np.float32))
+
+
+def select_inner_moments(values: np.ndarray) -> np.ndarray:
+    """Return the values (B I, ...) of the moments inside each gap, given (B, T, ...)."""
+    inner = values[:, INNER_TOKENS]
+    return np.ascontiguousarray(inner.reshape(-1, *inner.shape[2:]))
+
+
+def compute_points(matrices: Tensor, position: Tensor) -> Tensor:
+    """Return the 31 joints (R, 31, 3) of poses: local rotations (R, J, 3, 3) and root positions (R, 3)."""
+    tree = build_motion_tree()
+    world, origins = [matrices[:, 0]], [position]
+    for j in range(1, len(tree.parents)):
+        parent = int(tree.parents[j])
+        origins.append(origins[parent] + world[parent] @ torch.from_numpy(tree.offsets[j]))
+        world.append(world[parent] @ matrices[:, j])
+    rotations, carried = torch.stack(world, 1)[:, tree.carriers], torch.stack(origins, 1)[:, tree.carriers]
+    return carried + (rotations @ torch.from_numpy(tree.points)[..., None])[..., 0]
+
+
+def predict_rows(outputs: Tensor, examples: MotionExamples) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the predicted local rotations (R, J, 3, 3), root positions (R, 3) and standard deviations (R, J + 1)."""
+    count = examples.matrices.shape[1]
+    rows = outputs.flatten(0, 1)
+    vectors = rows[:, : 3 * count].unflatten(1, (count, 3)) * examples.scale[..., None]
+    matrices = examples.matrices @ compute_rotation_tensor(vectors)
+    position = examples.position + rows[:, 3 * count : 3 * count + 3] * examples.scale[:, :1]
+    scale = torch.cat([examples.scale, examples.scale[:, :1]], 1)
+    deviation = scale * (rows[:, 3 * count + 3 :] + INITIAL_LOG_SD).clamp(MIN_LOG_SD, MAX_LOG_SD).exp()
+    return matrices, position, deviation
+
+
+def compute_motion_loss(outputs: Tensor, examples: MotionExamples) -> tuple[Tensor, Tensor]:
+    """Return the loss, and the mean position error (R,) in metres over the 31 joints of each frame."""
+    matrices, position, deviation = predict_rows(outputs, examples)
+    distance = ((compute_points(matrices, position) - examples.true_points) ** 2).sum(-1)
+    distance = (distance + MIN_ERROR_M**2).sqrt() - MIN_ERROR_M
+    relative = (matrices - examples.true_matrices).flatten(2)
+    chordal = ((relative**2).sum(-1) / 2 + 1e-6).sqrt() - 1e-3  # close to the angle
+    row_loss = distance.mean(1) + ROTATION_LOSS_M_RAD * chordal.mean(1)
+    with torch.no_grad():
+        square = (relative**2).sum(-1) / 6  # a small rotation's mean square per axis
+        root_square = ((position - examples.true_position) ** 2).mean(1, keepdim=True)
+        squares = torch.cat([square, root_square], 1)
+        is_missing = torch.cat([examples.is_missing, examples.is_missing[:, :1]], 1)
+    sd = torch.where(is_missing, deviation, 1.0)
+    likelihood = torch.where(is_missing, sd.log() + squares / (2 * sd**2), 0.0).mean(1)
+    weight = examples.row_weight
+    loss = (weight * row_loss).sum() + DEVIATION_LOSS_WEIGHT * (weight * likelihood).sum()
+    return loss, distance.mean(1).detach()
+
+
+def draw_initial_network(width: int, block_count: int, seed: int, features: Tensor) -> MotionNetwork:
+    """Return the untrained network, drawn with a seed; it normalises features as some examples (B, T, F) show them."""
+    mean, sd = features.mean((0, 1)), features.std((0, 1)).clamp_min(MIN_MOTION_FEATURE_SD)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return MotionNetwork(width, block_count, mean, sd)
+
+
+def average_moments(errors: Float[np.ndarray, " R"]) -> Float[np.ndarray, " B"]:
+    """Return the mean of each gap's moments."""
+    return errors.reshape(-1, INNER_COUNT).mean(axis=1)
+
+
+SCORED_DURATIONS_S = (0.2, 0.4, 0.75, 1.25, 2.1)
+"""Limits of the durations that the card distinguishes."""
+MOTION_CARD = """\
+# {name}
+
+{title}
+
+It is given a second of motion before and after a gap, with what is seen in the gap, and predicts the difference of what is lost
+from its interpolation, with standard deviations. Trained by `mocapfix train motion` on {frame_count:,} frames at 30 Hz of
+{subject_count} subjects, in windows in which a limb, several limbs or the whole body is lost for 0.2 to 2 s.
+
+| subjects | with their frames |
+|---|---|
+| trained on | {trained_on} |
+| held out, for the scores and the weight of the predictions | {held_out} |
+| never read, for the benchmarks | {test} |
+
+## Scores
+
+Mean error of the 31 joints in mm during gaps of held-out people, and the ratio of both.
+
+| lost | seconds | interpolation | prediction | ratio |
+|---|---|---|---|---|
+{rows}
+
+## Settings
+
+{settings}
+
+## Data
+
+{sources}{acknowledgement}"""
+
+
+@dataclass(frozen=True)
+class GapScores:
+    """(N,) gaps of held-out people: whether the whole body is lost, the duration, and the mean joint errors in metres."""
+
+    is_body_gap: Bool[np.ndarray, " N"]
+    gap_s: Float[np.ndarray, " N"]
+    interpolated_m: Float[np.ndarray, " N"]
+    predicted_m: Float[np.ndarray, " N"]
+
+
+def write_motion_card(
+    path: Path, settings: MotionSettings, stretches: MotionStretches, held_out: MotionStretches, scores: GapScores
+) -> None:
+    """Write the card, replacing the file atomically. Raises WriteError if it cannot be written."""
+    frame_counts = stretches.count_frames()
+    source_frames = Counter(stretches.count_source_frames() + held_out.count_source_frames())
+    values = settings.model_dump(exclude={"title", "test_subjects", "held_out_subjects"})
+    text = MOTION_CARD.format(
+        name=path.stem,
+        title=settings.title,
+        frame_count=sum(frame_counts.values()),
+        subject_count=len(frame_counts),
+        trained_on=format_frame_counts(frame_counts),
+        held_out=format_frame_counts(held_out.count_frames()),
+        test=", ".join(sorted(settings.test_subjects)),
+        rows="\n".join(format_gap_rows(scores)),
+        settings="\n".join(f"- {key}: {value}" for key, value in values.items()),
+        sources=format_sources(source_frames),
+        acknowledgement=build_acknowledgement(source_frames, is_conformed=False),
+    )
+    with replace_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def format_gap_rows(scores: GapScores) -> list[str]:
+    """Return the rows of the table of scores."""
+    rows: list[str] = []
+    for is_body_gap, lost in ((True, "whole body"), (False, "limbs")):
+        for low, high in pairwise(SCORED_DURATIONS_S):
+            is_row = (scores.is_body_gap == is_body_gap) & (scores.gap_s >= low) & (scores.gap_s < high)
+            if is_row.any():
+                before, after = (1e3 * float(each[is_row].mean()) for each in (scores.interpolated_m, scores.predicted_m))
+                rows.append(f"| {lost} | {low:g} to {high:g} | {before:.0f} | {after:.0f} | {after / before:.2f} |")
+    return rows
+
+
+CHECKPOINT_STEPS = 250
+"""Steps between two checkpoints."""
+RISE_STEPS = 100
+"""Steps in which the learning rate rises."""
+DECAY_SHARE = 0.3
+"""Share of the steps, the last ones, in which the learning rate falls to zero."""
+GRADIENT_NORM_LIMIT = 1.0
+NORMALISATION_WINDOWS = 512
+"""Windows that show the mean and standard deviation of the features."""
+AVERAGED_STEPS = 100
+"""Steps over which the reported loss is averaged."""
+
+
+SCORE_BATCHES, SCORE_WINDOWS = 12, 128
+"""Number of batches of held-out windows, and windows in each, on which the scores are measured."""
+
+
+def train_motion_prior(
+    settings: MotionSettings, folders: Sequence[Path], target: Path, progress: Callable[[str], object]
+) -> GapScores:
+    """Train a network, write it to `target` and its card to the same path with the suffix .md, and return its scores.
+
+    Interrupted training continues from `target` with the suffix .checkpoint when it is started again.
+
+    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
+    """
+    if target.suffix != ".safetensors":
+        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
+    test, held_out = settings.test_subjects, settings.held_out_subjects
+    stretches = gather_motion_stretches(folders, lambda subject: subject not in test | held_out, progress)
+    held_out_stretches = gather_motion_stretches(folders, lambda subject: subject in held_out, progress)
+    checkpoint = target.with_suffix(".checkpoint")
+    network = fit_motion_network(settings, stretches, checkpoint, progress)
+    progress("measuring")
+    model = extract_motion_weights(network)
+    scores = compute_gap_scores(model, held_out_stretches, settings)
+    write_motion_prior(target, model)
+    write_motion_card(target.with_suffix(".md"), settings, stretches, held_out_stretches, scores)
+    checkpoint.unlink(missing_ok=True)
+    return scores
+
+
+def extract_motion_weights(network: MotionNetwork) -> MotionPrior:
+    """Return the network in the form that inference evaluates, rounded to the precision of its file."""
+    return MotionPrior({name: values.half().float().numpy() for name, values in network.state_dict().items()})
+
+
+def compute_gap_scores(model: MotionPrior, stretches: MotionStretches, settings: MotionSettings) -> GapScores:
+    """Return the errors in windows of people that were not trained on."""
+    weights, rng = (
+        compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight),
+        np.random.default_rng([settings.seed, 1]),
+    )
+    parts: list[np.ndarray] = []
+    for _ in range(SCORE_BATCHES):
+        windows = draw_training_windows(stretches, weights, SCORE_WINDOWS, rng)
+        examples = MotionExamples(windows)
+        with torch.inference_mode():
+            outputs = torch.from_numpy(model.evaluate(examples.features.numpy()))
+            errors = [compute_motion_loss(each, examples)[1].numpy() for each in (torch.zeros_like(outputs), outputs)]
+        parts.append(np.stack([windows.is_body_gap, windows.gap_s, *map(average_moments, errors)]))
+    is_body_gap, gap_s, interpolated_m, predicted_m = np.concatenate(parts, axis=1)
+    return GapScores(is_body_gap > 0, gap_s, interpolated_m, predicted_m)
+
+
+def fit_motion_network(
+    settings: MotionSettings, stretches: MotionStretches, checkpoint: Path, progress: Callable[[str], object]
+) -> MotionNetwork:
+    """Return a trained network. An interrupted training continues from its checkpoint, with the same result.
+
+    Raises ReadError if the checkpoint is not one.
+    """
+    weights = compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight)
+    first = draw_training_windows(stretches, weights, NORMALISATION_WINDOWS, np.random.default_rng(settings.seed))
+    network = draw_initial_network(settings.width, settings.blocks, settings.seed, MotionExamples(first).features)
+    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    states: dict[str, Stateful] = {"network": network, "optimizer": optimizer}
+    fingerprint, mean_loss = compute_training_fingerprint(settings, stretches.quaternions), 0.0
+    first_step = resume_training(checkpoint, fingerprint, states)
+    for step in range(first_step, settings.steps):
+        remaining = (settings.steps - step) / (DECAY_SHARE * settings.steps)
+        rate = settings.learning_rate * min(1, (step + 1) / RISE_STEPS, remaining)
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        rng = np.random.default_rng([settings.seed, step])
+        examples = MotionExamples(draw_training_windows(stretches, weights, settings.batch_windows, rng))
+        with torch.autocast("cpu", torch.bfloat16):
+            outputs = network(examples.features)
+        loss, _ = compute_motion_loss(outputs.float(), examples)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), GRADIENT_NORM_LIMIT)
+        optimizer.step()
+        share = 1 / min(step + 1 - first_step, AVERAGED_STEPS)
+        mean_loss += share * (float(loss.detach()) - mean_loss)
+        if (step + 1) % CHECKPOINT_STEPS == 0 or step + 1 == settings.steps:
+            write_checkpoint(checkpoint, fingerprint, step + 1, states)
+            progress(f"step {step + 1} of {settings.steps}, loss {mean_loss:.5f}")
+    return network

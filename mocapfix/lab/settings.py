@@ -1,0 +1,259 @@
+"""The settings of training: the form of priors/NAME.yaml.
+
+Checkpoints of trainings, from which an interrupted training continues.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+import torch
+from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter, model_validator
+
+from mocapfix.errors import ReadError
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.yaml_files import StrictModel, read_validated_yaml, read_yaml_model
+
+NonNegativeFloat = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class SubjectSettings(StrictModel):
+    """Settings that all training has.
+
+    title              one line for the card
+    test_subjects      subjects that training never reads; the benchmarks use them
+    held_out_subjects  subjects that are not trained on; standard deviations and scores are measured on them
+    subject_balance    0 samples every pose equally often, 1 every subject equally often; values between interpolate
+    retargeted_weight  how often a pose of a retargeted subject is sampled relative to one of the others
+    """
+
+    title: str
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
+    subject_balance: Fraction
+    retargeted_weight: Annotated[float, Field(gt=0, le=1)]
+
+
+class GaussianSettings(SubjectSettings):
+    """Probabilistic principal component analysis.
+
+    components  number of components; "all" keeps those above the noise floor, which gives the full Gaussian
+    """
+
+    model: Literal["linear"]
+    components: PositiveInt | Literal["all"]
+
+
+class AutoencoderSettings(SubjectSettings):
+    """An autoencoder.
+
+    seed               of weights, order and corruption
+    input_features, output_features, hidden_widths, code_size, residual_directions, activation, skip_connection
+                       the architecture, see mocapfix.solve.prior_network.NetworkArchitecture
+    initial_weight_sd  standard deviation of the initial weights; null for torch's default
+    epochs             passes over all poses
+    batch_poses        poses per step
+    learning_rate      at the start
+    rate_schedule      "cosine", down to zero at the end; or a factor that is applied every 2,000 steps
+    weight_decay       of AdamW
+    norm_weight        weight of the norm of all weights in the loss (MNN-IK, Eq. 3.2)
+    loss               "paper" for squared errors and the norm (MNN-IK, Eq. 3.2); "evidence" for the evidence lower bound, see
+                       mocapfix.lab.autoencoder_training.compute_evidence_loss
+    corrupted_share    fraction of the poses that are corrupted, from which a denoising autoencoder learns
+    """
+
+    model: Literal["autoencoder"]
+    seed: int
+    input_features: Literal["continuous", "euler", "vectors"]
+    output_features: Literal["euler", "vectors"]
+    hidden_widths: tuple[PositiveInt, ...]
+    code_size: PositiveInt
+    residual_directions: Annotated[int, Field(ge=0)]
+    activation: Literal["silu", "relu"]
+    skip_connection: bool
+    initial_weight_sd: PositiveFloat | None
+    epochs: PositiveInt
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    rate_schedule: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
+    weight_decay: NonNegativeFloat
+    norm_weight: NonNegativeFloat
+    loss: Literal["paper", "evidence"]
+    corrupted_share: Fraction
+
+
+class MixtureSettings(SubjectSettings):
+    """A Gaussian mixture.
+
+    seed            of the initial values of the fits
+    variance_share  fraction of the poses' variance that the principal axes keep
+    components      number of Gaussians
+    restarts        number of fits from different initial values; the one of greatest likelihood is used
+    tolerance       EM has converged when an iteration raises the mean log-likelihood of a pose by less
+    max_iterations  of EM
+    """
+
+    model: Literal["mixture"]
+    seed: int
+    variance_share: Annotated[float, Field(gt=0, lt=1)]
+    components: PositiveInt
+    restarts: PositiveInt
+    tolerance: PositiveFloat
+    max_iterations: PositiveInt
+
+
+class TwistSettings(SubjectSettings):
+    """The twist regressor, which is not a pose prior.
+
+    seed             of weights, order, bodies and displacements
+    hidden_widths    widths of the hidden layers
+    epochs           passes over all poses
+    batch_poses      poses per step
+    learning_rate    at the start; it falls to zero along a cosine
+    weight_decay     of AdamW
+    """
+
+    model: Literal["twist"]
+    seed: int
+    hidden_widths: tuple[PositiveInt, ...]
+    epochs: PositiveInt
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: NonNegativeFloat
+
+
+class MotionSettings(SubjectSettings):
+    """The motion prior.
+
+    seed           of weights and windows
+    width          channels of the network
+    blocks         number of its residual blocks
+    steps          number of steps
+    batch_windows  windows per step
+    learning_rate  in most steps; in the last ones it falls to zero
+    weight_decay   of AdamW
+    """
+
+    model: Literal["motion"]
+    seed: int
+    width: PositiveInt
+    blocks: PositiveInt
+    steps: PositiveInt
+    batch_windows: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: NonNegativeFloat
+
+
+PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings
+PRIOR_SETTINGS_ADAPTER: TypeAdapter[PriorSettings] = TypeAdapter(Annotated[PriorSettings, Field(discriminator="model")])
+
+
+def read_prior_settings(path: Path) -> PriorSettings:
+    """Return the training settings of a pose prior. Raises SceneError that names the file and the first invalid key."""
+    return read_validated_yaml(PRIOR_SETTINGS_ADAPTER.validate_python, path)
+
+
+def read_twist_settings(path: Path) -> TwistSettings:
+    """Return the training settings of the twist regressor. Raises SceneError that names the file and the first invalid key."""
+    return read_yaml_model(TwistSettings, path)
+
+
+class LearnedIkSettings(SubjectSettings):
+    """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior.
+
+    seed             of weights and pairs
+    network          "closed-form": a multilayer perceptron that corrects poses brought to the joints in closed form;
+                     "graph": the network of the paper
+    hidden_widths    widths of the hidden layers
+    graph_widths     "graph" only: channels of the ST-GCN blocks
+    is_normalised    "graph" only: whether joints are given in the human-centric frame (Eqs. 7-13), or in the axes of the world
+    is_residual      "graph" only: whether rotations relative to the start are predicted (Eq. 16), or the rotations themselves
+    has_corruption   whether joints are noisy and missing, and some starts are not frames nearby
+    frame_offsets    numbers of frames between start and target (Eq. 17)
+    loss_weights     of joints, pose and vertices (Eq. 21)
+    steps            of the optimiser
+    batch_poses      pairs per step
+    learning_rate    at the start; it falls to zero along a cosine
+    weight_decay     of AdamW
+    """
+
+    model: Literal["ik"]
+    seed: int
+    network: Literal["closed-form", "graph"]
+    hidden_widths: tuple[PositiveInt, ...]
+    graph_widths: tuple[PositiveInt, ...] = ()
+    is_normalised: bool = True
+    is_residual: bool = True
+    has_corruption: bool
+    frame_offsets: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
+    loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
+    steps: PositiveInt
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: NonNegativeFloat
+
+    @model_validator(mode="after")
+    def _check_network(self) -> Self:
+        if self.network == "graph" and (self.has_corruption or not self.hidden_widths):
+            raise ValueError('the network "graph" has hidden layers and no has_corruption: it needs all joints')
+        return self
+
+
+def read_ik_settings(path: Path) -> LearnedIkSettings:
+    """Return the training settings of learned inverse kinematics. Raises SceneError that names the first invalid key."""
+    return read_yaml_model(LearnedIkSettings, path)
+
+
+def read_motion_settings(path: Path) -> MotionSettings:
+    """Return the training settings of the motion prior. Raises SceneError that names the file and the first invalid key."""
+    return read_yaml_model(MotionSettings, path)
+
+
+@runtime_checkable
+class Stateful(Protocol):
+    """A part of the training whose state a checkpoint holds."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> object: ...
+
+
+def compute_training_fingerprint(settings: SubjectSettings, motion: np.ndarray) -> str:
+    """Return a string that identifies settings and motion, for the comparison with those of a checkpoint."""
+    # The sets of subjects have no defined order; the motion depends on them.
+    values = settings.model_dump(exclude={"test_subjects", "held_out_subjects"})
+    sums = f"{motion.sum(dtype=float):.9g} {np.abs(motion).sum(dtype=float):.9g}"
+    return f"{values} {motion.shape} {sums}"
+
+
+def write_checkpoint(checkpoint: Path, fingerprint: str, finished: int, states: Mapping[str, Stateful]) -> None:
+    """Write a checkpoint, replacing the file atomically.
+
+    finished  number of epochs or steps that are done
+
+    Raises WriteError if it cannot be written.
+    """
+    state_dicts = {name: each.state_dict() for name, each in states.items()}
+    with replace_atomically(checkpoint) as temporary:
+        torch.save({"fingerprint": fingerprint, "finished": finished} | state_dicts, temporary)
+
+
+def resume_training(checkpoint: Path, fingerprint: str, states: Mapping[str, Stateful]) -> int:
+    """Return how many epochs or steps are done. If the checkpoint has the same fingerprint, its states are restored; else 0.
+
+    Raises ReadError if a file of this name is not a checkpoint.
+    """
+    if not checkpoint.is_file():
+        return 0
+    try:
+        content = torch.load(checkpoint, weights_only=True)
+        if content["fingerprint"] != fingerprint:
+            return 0
+        for name, state in states.items():
+            state.load_state_dict(content[name])
+        return int(content["finished"])
+    except (OSError, EOFError, RuntimeError, UnpicklingError, KeyError, TypeError, ValueError) as error:
+        raise ReadError(f"{checkpoint}: is not a training checkpoint; move it away.") from error

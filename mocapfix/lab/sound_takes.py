@@ -1,0 +1,204 @@
+"""Motion with known truth of people that no shipped model was trained on: takes without faults, and single poses.
+
+Composed takes need no data. Performed takes are recordings of subjects that no model was trained on, at the rate of a capture
+system. In both cases the body is drawn with asymmetric bones, sliding skin and camera noise. Faults can be injected into them.
+
+The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from mocapfix import synthetic
+from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.recordings import Recording, read_recordings, read_shard_recordings
+from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints, select_interleaved_frames
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.solve.pose_prior import remove_heading
+from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
+
+CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases
+SOUND_TAKE_RATE_HZ = 120.0
+SOUND_TAKE_DURATION_S = 20.0  # of a longer recording the beginning is used
+MIN_RECORDING_S = 8.0  # shorter recordings are not used
+
+
+class PerformedMotion(NamedTuple):
+    """A recording without jumps, as motion of the average body."""
+
+    motion: Motion
+    rate_hz: float
+    name: str
+
+
+def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator[tuple[str, SyntheticTake]]:
+    """Yield the names of takes and the takes: `take_count` composed ones, or as many as the motion folder's recordings allow.
+
+    Raises SceneError if `take_count` is less than one, ReadError if the folder has no test.npz or its recordings are too short.
+    """
+    if take_count < 1:
+        raise SceneError(f"The number of takes must be at least 1, not {take_count}.")
+    if motion_folder is None:
+        for seed in range(take_count):
+            take = synthetic.compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)
+            yield f"seed {seed}", remove_damage(take)
+        return
+    performances = choose_performances(list(read_performed_motions(motion_folder / "test.npz")), take_count)
+    if not performances:
+        raise ReadError(f"{motion_folder / 'test.npz'}: holds no recording of {MIN_RECORDING_S:g} s or longer.")
+    for number, performance in enumerate(performances):
+        yield performance.name, perform_take(performance, np.random.default_rng(number))
+
+
+def read_performed_motions(path: Path) -> Iterator[PerformedMotion]:
+    """Yield the recordings of a shard without jumps, with root positions. Raises ReadError if the file is not a shard."""
+    joint_names = load_cmu31_body().skeleton.names
+    try:
+        with np.load(path) as shard:
+            root_positions = np.split(CMU_UNIT_M * shard["root"].astype(float), shard["start"][1:])
+        json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError) as error:
+        raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
+    is_observed = ~find_weakly_observed_joints(joint_names)
+    for recording, root_position in zip(read_shard_recordings(path), root_positions, strict=True):
+        kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
+        motion = build_known_motion(root_position[kept], recording.rotations[kept])
+        yield PerformedMotion(motion, recording.rate_hz, recording.name)
+
+
+def remove_damage(truth: SyntheticTake) -> SyntheticTake:
+    """Return the take without missing samples and spikes."""
+    empty = np.zeros_like(truth.missing_mask)
+    return replace(truth, damaged_positions=truth.marker_positions, missing_mask=empty, spike_mask=empty)
+
+
+def choose_performances(performances: list[PerformedMotion], take_count: int) -> list[PerformedMotion]:
+    """Return at most `take_count` recordings that are long enough: first the longest of every subject, then the second
+    longest."""
+    ranked: list[tuple[int, PerformedMotion]] = []
+    for _, group in groupby(performances, lambda performance: performance.name.split("_")[0]):
+        by_duration = sorted(group, key=lambda performance: -_compute_duration_s(performance))
+        ranked += [(rank, each) for rank, each in enumerate(by_duration) if _compute_duration_s(each) >= MIN_RECORDING_S]
+    return [performance for _, performance in sorted(ranked, key=lambda pair: pair[0])][:take_count]
+
+
+def perform_take(performance: PerformedMotion, rng: np.random.Generator) -> SyntheticTake:
+    """Return the recording as a take of a random subject with the same joint rotations."""
+    subject, motion = draw_subject(rng, asymmetric=True), resample_performance(performance)
+    joint_positions, marker_positions = simulate_markers(rng, subject, motion, SOUND_TAKE_RATE_HZ)
+    empty = np.zeros(marker_positions.shape[:2], bool)
+    return SyntheticTake(
+        motion,
+        subject,
+        joint_positions,
+        marker_positions,
+        damaged_positions=marker_positions,
+        missing_mask=empty,
+        spike_mask=empty,
+        labels=subject.labels,
+        rate=SOUND_TAKE_RATE_HZ,
+    )
+
+
+def resample_performance(performance: PerformedMotion) -> Motion:
+    """Return the first SOUND_TAKE_DURATION_S of the motion at SOUND_TAKE_RATE_HZ, by smooth splines of rotations and
+    positions."""
+    frame_count = min(performance.motion.frame_count, round(SOUND_TAKE_DURATION_S * performance.rate_hz))
+    old_times_s = np.arange(frame_count) / performance.rate_hz
+    new_times_s = np.arange(round(old_times_s[-1] * SOUND_TAKE_RATE_HZ) + 1) / SOUND_TAKE_RATE_HZ
+    rotations = performance.motion.local_rotations[:frame_count]
+    resampled = [
+        RotationSpline(old_times_s, Rotation.from_matrix(rotations[:, j]))(new_times_s).as_matrix()
+        for j in range(rotations.shape[1])
+    ]
+    root_position = make_interp_spline(old_times_s, performance.motion.root_position[:frame_count])(new_times_s)
+    return build_known_motion(root_position, np.ascontiguousarray(np.stack(resampled, 1)))
+
+
+def _compute_duration_s(performance: PerformedMotion) -> float:
+    return performance.motion.frame_count / performance.rate_hz
+
+
+def find_informative_markers(subject: Subject) -> Bool[np.ndarray, "J K"]:
+    """Return the markers on the segments on either side of each joint, or those on the nearest ancestor with markers."""
+    parents = subject.skeleton.parents
+    is_attached = subject.joints == np.arange(len(subject.skeleton.names))[:, None]
+    is_informative = is_attached.copy()
+    for j in range(1, len(parents)):
+        ancestor = parents[j]
+        is_informative[j] |= is_attached[ancestor]
+        while not is_informative[j].any() and ancestor > 0:
+            ancestor = parents[ancestor]
+            is_informative[j] |= is_attached[ancestor]
+    return is_informative
+
+
+# `test_subjects` of all settings in priors/
+UNSEEN_SUBJECTS = frozenset({"02", "05", "06", "16", "49", "85", "tilling-mmk", "basket-s010", "ys2010-boxer"})
+UNSEEN_POSES_FILE = "bench/unseen-poses.npz"  # in scenes/
+HALF_TURN_STEPS = 32767  # integer that stands for half a turn in the shipped Euler angles
+
+
+def load_unseen_poses() -> Float[np.ndarray, "N J 3 3"]:
+    """Return the shipped poses, 1000 of them, as local rotations without heading."""
+    with np.load(find_shipped_folder("scenes") / UNSEEN_POSES_FILE) as file:
+        angles = file["euler"] * (np.pi / HALF_TURN_STEPS)
+    return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+
+
+def write_unseen_poses(target: Path, poses: Float[np.ndarray, "N J 3 3"]) -> None:
+    """Write poses as `load_unseen_poses` reads them: ZYX Euler angles as integers."""
+    angles = Rotation.from_matrix(poses.reshape(-1, 3, 3)).as_euler("ZYX").reshape(*poses.shape[:2], 3)
+    np.savez_compressed(target, euler=np.round(angles * (HALF_TURN_STEPS / np.pi)).astype(np.int16))
+
+
+def sample_subject_poses(
+    motion_folder: Path, max_poses: int, subjects: frozenset[str] = UNSEEN_SUBJECTS
+) -> Float[np.ndarray, "N J 3 3"]:
+    """Return poses of some subjects, evenly spaced over all their frames in a folder of motion.
+
+    Raises ReadError if the folder holds no motion of these subjects.
+    """
+
+    def select_subjects(recording: Recording, is_kept: np.ndarray) -> np.ndarray:
+        return is_kept & (recording.subject in subjects)
+
+    return sample_poses(motion_folder, max_poses, select_subjects)
+
+
+def sample_interleaved_poses(motion_folder: Path, max_poses: int) -> Float[np.ndarray, "N J 3 3"]:
+    """Return poses of all subjects out of the two of every five frames that MNN-IK's split does not train on (4.1)."""
+    return sample_poses(motion_folder, max_poses, lambda _, is_kept: is_kept & ~select_interleaved_frames(len(is_kept)))
+
+
+def sample_poses(
+    motion_folder: Path, max_poses: int, select: Callable[[Recording, Bool[np.ndarray, " _"]], Bool[np.ndarray, " _"]]
+) -> Float[np.ndarray, "N J 3 3"]:
+    """Return at most `max_poses` poses, evenly spaced over the frames that `select` keeps of those without jumps."""
+    is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
+    parts: list[np.ndarray] = []
+    for recording in read_recordings([motion_folder]):
+        is_kept = np.zeros(len(recording.rotations), bool)
+        is_kept[find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)] = True
+        parts.append(recording.rotations[select(recording, is_kept)])
+    poses = np.concatenate(parts)
+    if not len(poses):
+        subjects = ", ".join(sorted(UNSEEN_SUBJECTS))
+        raise ReadError(f"{motion_folder}: holds no motion of the test subjects {subjects}.")
+    poses = poses[np.linspace(0, len(poses) - 1, min(max_poses, len(poses))).astype(int)]
+    poses[:, 0] = remove_heading(poses[:, 0])
+    return np.ascontiguousarray(poses)

@@ -1,0 +1,134 @@
+"""Training of the twist regressor (HybrIK, section 3.3): from joint positions to cosine and sine of each bone's twist."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from mocapfix.errors import WriteError
+from mocapfix.lab.autoencoder_training import sample_epoch
+from mocapfix.lab.cards import TwistScores, write_twist_card
+from mocapfix.lab.frame_pairs import (
+    HAS_TWIST,
+    INPUT_COUNT,
+    build_epoch_examples,
+    build_examples,
+    compute_local_rotations,
+    compute_twist_targets,
+)
+from mocapfix.lab.pose_prior_training import SD_INFLATION, select_measured_poses
+from mocapfix.lab.settings import TwistSettings
+from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve.mean_pose import load_mean_pose_prior
+from mocapfix.solve.prior_network import build_layers
+from mocapfix.solve.twist_regressor import TwistRegressor, write_twist_regressor
+
+MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton
+
+
+def train_twist_regressor(
+    settings: TwistSettings, folders: Sequence[Path], target: Path, progress: Callable[[str], object]
+) -> TwistScores:
+    """Train a network, write it to `target` and its card to the same path with the suffix .md, and return its scores.
+
+    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
+    """
+    if target.suffix != ".safetensors":
+        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
+    skeleton = load_cmu31_body().skeleton
+    reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
+    test, held_out = settings.test_subjects, settings.held_out_subjects
+    gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress)
+    poses = conform_training_poses(gathered, skeleton.names, settings.subject_balance)
+    training_rotations, held_out_rotations = (
+        compute_local_rotations(each, reference_rotations) for each in (poses.training_vectors, select_measured_poses(poses))
+    )
+    balance, weight = settings.subject_balance, settings.retargeted_weight
+    weights = compute_sampling_weights(poses.subject_index, balance, poses.is_retargeted, weight)
+    unscaled = fit_twist_regressor(training_rotations, weights, settings, progress)
+    progress("measuring")
+    rng = np.random.default_rng(settings.seed)
+    scores, error_rad = compute_twist_scores(unscaled, training_rotations, held_out_rotations, rng)
+    network = replace(unscaled, sd_rad=unscaled.sd_rad * np.maximum(SD_INFLATION * error_rad, MIN_TWIST_SD_RAD))
+    write_twist_regressor(target, network)
+    write_twist_card(target.with_suffix(".md"), settings, network, poses, scores)
+    return scores
+
+
+def fit_twist_regressor(
+    rotations: Float[np.ndarray, "N J 3 3"],
+    weights: Float[np.ndarray, " N"],
+    settings: TwistSettings,
+    progress: Callable[[str], object],
+) -> TwistRegressor:
+    """Return a network trained on local rotations, which are sampled by their weights; its standard deviations are 1.
+
+    Bodies, displacements and missing joints are drawn again in every epoch.
+    """
+    rng, generator = np.random.default_rng(settings.seed), torch.Generator().manual_seed(settings.seed)
+    network = initialise_twist_network(settings)
+    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    step_count = settings.epochs * -(-len(rotations) // settings.batch_poses)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, step_count)
+    for epoch in range(settings.epochs):
+        total_loss, order = 0.0, sample_epoch(torch.as_tensor(weights), generator).numpy()
+        inputs, targets = map(torch.as_tensor, build_epoch_examples(rotations[order], rng))
+        for batch in torch.randperm(len(inputs), generator=generator).split(settings.batch_poses):
+            loss = compute_twist_loss(network(inputs[batch]), targets[batch])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total_loss += float(loss.detach()) * len(batch)
+        progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total_loss / len(inputs):.4f}")
+    return extract_twist_weights(network)
+
+
+def initialise_twist_network(settings: TwistSettings) -> nn.Sequential:
+    """Return the untrained network, drawn with the seed of the settings."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        return build_layers((INPUT_COUNT, *settings.hidden_widths, 2 * int(HAS_TWIST.sum())), "relu")
+
+
+def compute_twist_loss(predicted: Tensor, true: Tensor) -> Tensor:
+    """Return the mean squared distance of cosines and sines (N, 2 B), summed over bones (HybrIK, Eq. 19)."""
+    return ((predicted - true) ** 2).sum(1).mean()
+
+
+def extract_twist_weights(network: nn.Sequential) -> TwistRegressor:
+    """Return the network in the form that initialisation evaluates, rounded to the precision of its file."""
+    linear = [layer.half().float() for layer in network if isinstance(layer, nn.Linear)]
+    weights = tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in linear)
+    sd_rad = np.where(HAS_TWIST, 1.0, np.inf)
+    return TwistRegressor(weights, tuple(layer.bias.detach().numpy() for layer in linear), sd_rad)
+
+
+def compute_twist_scores(
+    network: TwistRegressor,
+    training_rotations: Float[np.ndarray, "N J 3 3"],
+    held_out_rotations: Float[np.ndarray, "M J 3 3"],
+    rng: np.random.Generator,
+) -> tuple[TwistScores, Float[np.ndarray, " J"]]:
+    """Return the scores on held-out poses, and the root mean square error of each joint in radians with displaced joints."""
+    skeleton = load_cmu31_body().skeleton
+    inputs, true = build_examples(held_out_rotations, skeleton, None)
+    no_twist, mean = np.array([1.0, 0.0]), compute_twist_targets(training_rotations, skeleton).mean(axis=0)
+    errors = [compute_angle_errors(each, true) for each in (no_twist, mean, network.evaluate(inputs))]
+    inputs, true = build_examples(held_out_rotations, skeleton, rng)
+    errors.append(compute_angle_errors(network.evaluate(inputs), true))
+    rms_error_rad = np.zeros(len(skeleton.names))
+    rms_error_rad[HAS_TWIST] = np.sqrt((errors[-1] ** 2).mean(axis=0))
+    return TwistScores(*(np.degrees(each.mean(axis=0)) for each in errors)), rms_error_rad
+
+
+def compute_angle_errors(predicted: Float[np.ndarray, "... 2"], true: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "..."]:
+    """Return the absolute differences in radians between angles given by cosine and sine, which are broadcast."""
+    cosine = (predicted * true).sum(-1)
+    sine = predicted[..., 0] * true[..., 1] - predicted[..., 1] * true[..., 0]
+    return np.abs(np.arctan2(sine, cosine))

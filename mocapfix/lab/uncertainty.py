@@ -1,0 +1,175 @@
+"""Benchmark of predicted uncertainty: how often the truth lies within the predicted standard deviations on composed takes,
+or on takes of recorded motion.
+
+Errors are per coordinate axis and include the error of calibration. Of a normal distribution, 68 % lie within one standard
+deviation and 95 % within two.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import mocapfix
+from mocapfix import synthetic
+from mocapfix.lab.common_task import clean_composed_take
+from mocapfix.lab.sound_takes import find_informative_markers, iterate_sound_takes
+from mocapfix.model.subject import Subject
+from mocapfix.options import CleanOptions
+from mocapfix.result import CleaningResult
+from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, draw_gaps, draw_spikes, simulate_markers
+
+UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
+MAX_SHORT_FILL_S = 0.2
+MIN_LONG_FILL_S = 1.0
+MIN_LOST_ARM_MARKERS = 6  # missing at the same time: a whole arm
+OTHER_TAKE_SEED = 1000  # of the skin in the take from which a known subject is calibrated
+MIN_ARM_LOSS_S = 0.5  # minimum duration of the gaps of a lost arm
+
+
+class PredictedErrors(NamedTuple):
+    """The errors of N points and their predicted standard deviations."""
+
+    error_m: np.ndarray  # (N, 3)
+    predicted_sd_m: np.ndarray  # (N,) per axis
+
+
+ErrorGroups = dict[str, PredictedErrors]
+
+
+def measure_uncertainty(
+    seeds: Iterable[int] = UNCERTAINTY_SEEDS,
+    motion_folder: Path | None = None,
+    *,
+    is_subject_known: bool = False,
+    report_progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, dict[str, Any]]:
+    """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`, and of joints as `by_joint`.
+
+    seeds             of the composed takes, or of the damage of the performed takes, one take for each
+    motion_folder     holds test.npz of motion, of which takes are made; None for composed takes
+    is_subject_known  whether the subject is calibrated from another take of the same person, not from the take itself
+
+    Raises ReadError if there is no such motion.
+    """
+    joints: list[ErrorGroups] = []
+    joint_groups: list[ErrorGroups] = []
+    fills: list[ErrorGroups] = []
+    for name, truth in iterate_damaged_takes(list(seeds), motion_folder):
+        report_progress(name)
+        options = CleanOptions().change(subject=calibrate_from_other_take(truth)) if is_subject_known else CleanOptions()
+        result = clean_composed_take(truth, options)
+        joints.append(gather_joint_errors(truth, result))
+        joint_groups.append(gather_errors_by_joint(truth, result))
+        fills.append(gather_fill_errors(truth, result))
+    by_joint = {"by_joint": summarise_error_groups(joint_groups)["by"]}
+    return {"joints": summarise_error_groups(joints) | by_joint, "filled_markers": summarise_error_groups(fills)}
+
+
+def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Iterator[tuple[str, SyntheticTake]]:
+    """Yield the names of takes and the takes, with gaps and spikes. Raises ReadError if the folder holds no motion."""
+    if motion_folder is None:
+        for seed in seeds:
+            yield f"seed {seed}", synthetic.compose_take(seed=seed)
+        return
+    for seed, (name, truth) in zip(seeds, iterate_sound_takes(motion_folder, len(seeds)), strict=False):
+        yield name, damage_take(truth, np.random.default_rng(seed))
+
+
+def damage_take(truth: SyntheticTake, rng: np.random.Generator) -> SyntheticTake:
+    """Return a take with gaps and spikes like those of a composed take."""
+    is_arm_marker = np.isin(truth.subject.joints, [truth.subject.skeleton.find_joint(name) for name in DAMAGED_ARM_JOINTS])
+    missing = draw_gaps(rng, truth.motion.frame_count, truth.rate, is_arm_marker)
+    shift = draw_spikes(rng, ~missing, truth.rate)
+    damaged = np.where(missing[..., None], np.nan, truth.marker_positions + shift)
+    return replace(truth, damaged_positions=damaged, missing_mask=missing, spike_mask=(shift != 0).any(axis=2))
+
+
+def calibrate_from_other_take(truth: SyntheticTake) -> Subject:
+    """Return the person of a take, calibrated from a take of the same motion with other skin and without damage."""
+    _, markers = simulate_markers(np.random.default_rng(OTHER_TAKE_SEED), truth.subject, truth.motion, truth.rate)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "other.c3d"
+        synthetic.write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
+        return mocapfix.calibrate_takes([path])
+
+
+def gather_errors_by_joint(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+    """Return the errors of all joints, left and right together."""
+    if result.joint_position_world is None or result.motion is None:
+        raise ValueError("a composed take has a known marker set, so it is solved")
+    error_m, sd_m = result.joint_position_world - truth.joint_positions, result.motion.joint_sd
+    names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in truth.subject.skeleton.names]
+    groups = {name: np.array([each == name for each in names]) for name in dict.fromkeys(names)}
+    return {name: PredictedErrors(error_m[:, group].reshape(-1, 3), sd_m[:, group].ravel()) for name, group in groups.items()}
+
+
+def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+    """Return the errors of all joints, grouped by how many of their informative markers were missing."""
+    if result.joint_position_world is None or result.motion is None:
+        raise ValueError("a composed take has a known marker set, so it is solved")
+    error_m, sd_m = result.joint_position_world - truth.joint_positions, result.motion.joint_sd
+    is_informative = find_informative_markers(truth.subject)
+    missing_share = truth.missing_mask.astype(int) @ is_informative.T / is_informative.sum(1)
+    groups = {
+        "all their markers seen": missing_share == 0,
+        "some missing": (missing_share > 0) & (missing_share < 1),
+        "all missing": missing_share == 1,
+    }
+    return {name: PredictedErrors(error_m[group], sd_m[group]) for name, group in groups.items()}
+
+
+def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+    """Return the errors of all estimated samples, grouped by the reason for the estimate."""
+    duration_s = np.zeros(truth.missing_mask.shape)
+    for m in range(truth.missing_mask.shape[1]):
+        for first, last in find_runs(truth.missing_mask[:, m]):
+            duration_s[first : last + 1, m] = (last - first + 1) / truth.rate
+    is_arm = duration_s >= MIN_ARM_LOSS_S
+    is_arm &= (is_arm.sum(1) >= MIN_LOST_ARM_MARKERS)[:, None]
+    is_short, is_long = duration_s < MAX_SHORT_FILL_S, duration_s >= MIN_LONG_FILL_S
+    groups = {
+        "spikes and other faulty samples": ~truth.missing_mask,
+        f"gaps under {MAX_SHORT_FILL_S:g} s": truth.missing_mask & is_short,
+        f"gaps of {MAX_SHORT_FILL_S:g} to {MIN_LONG_FILL_S:g} s": ~is_short & ~is_long & ~is_arm,
+        f"gaps over {MIN_LONG_FILL_S:g} s": is_long & ~is_arm,
+        "a whole arm lost": is_arm,
+    }
+    sd_m = result.take.sample_sd
+    if sd_m is None:
+        raise ValueError("the pipeline predicts the standard deviations of the samples that it fills")
+    error_m, is_estimated = result.take.markers - truth.marker_positions, ~np.isnan(sd_m)
+    return {name: PredictedErrors(error_m[group & is_estimated], sd_m[group & is_estimated]) for name, group in groups.items()}
+
+
+def summarise_error_groups(takes: list[ErrorGroups]) -> dict[str, Any]:
+    """Return the row of all samples of several takes, and as `by` the rows of the groups that have samples."""
+    groups = {name: _concatenate_errors([take[name] for take in takes]) for name in takes[0]}
+    rows = {name: summarise_errors(group) for name, group in groups.items() if len(group.predicted_sd_m)}
+    return summarise_errors(_concatenate_errors(list(groups.values()))) | {"by": rows}
+
+
+def summarise_errors(samples: PredictedErrors) -> dict[str, float]:
+    """Return the number of samples, the root mean squares of errors and standard deviations per axis in mm, and the fractions of
+    errors within one and two standard deviations.
+    """
+    ratio = np.abs(samples.error_m) / samples.predicted_sd_m[:, None]
+    return {
+        "samples": len(samples.predicted_sd_m),
+        "error_mm": 1e3 * float(np.sqrt((samples.error_m**2).mean())),
+        "deviation_mm": 1e3 * float(np.sqrt((samples.predicted_sd_m**2).mean())),
+        "within_1_sigma": float((ratio <= 1).mean()),
+        "within_2_sigma": float((ratio <= 2).mean()),
+    }
+
+
+def _concatenate_errors(parts: list[PredictedErrors]) -> PredictedErrors:
+    return PredictedErrors(
+        np.concatenate([part.error_m for part in parts]), np.concatenate([part.predicted_sd_m for part in parts])
+    )

@@ -1,0 +1,328 @@
+"""Label swaps: two labels, or three in a cycle, that follow one another's markers for a while.
+
+Where labels are exchanged, each trajectory leaps to where another one was going. In between, the distances to each marker's
+segment are broken, and they hold again after the exchange ends. Often the exchange happens in a gap and no leap is visible, or
+the take ends before the exchange does. Then the distances decide which part is wrong; without them the shorter part is assumed
+to be wrong. A swap without such evidence has a low confidence, and its labels are left unchanged.
+
+Swaps are searched among few candidates. Marker i may have label j's samples if j leaps or appears where i would have
+continued while i leaps or disappears, or if i's own samples contradict i's distances for some time and those of j match
+them.
+
+In a small group of candidates, the markers that the labels follow are found frame by frame, as the cheapest sequence of
+permutations. In each state, every marker of the group has the samples of one label of the group. A sequence of states pays for
+each leap of its markers, for samples that contradict the distances of the markers that they are assigned to, and for each change
+of state. The cheapest sequence is found exactly (Viterbi's algorithm). All costs are in leaps, where 1 is the largest leap that
+counts, so neither a spike nor a momentary contradiction causes a change. Where labels change within a gap, without a visible
+leap, the distances alone decide.
+
+Label swaps detected against the solved body: each label has the samples of another label's marker.
+
+An outlier under a label that lies where the body has another marker, which is not visible there itself, has that marker's
+samples. Where two labels, or three in a cycle, have one another's markers, they are exchanged. The exchange extends from
+leap to leap, because a label that continues smoothly has not changed its marker, even where the exchange misled the body and
+other markers with it.
+"""
+
+from bisect import bisect_left, bisect_right
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix.detect.body_outliers import BodyOutlier, BodyResiduals
+from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
+from mocapfix.detect.trajectory_segments import MarkerTrajectories, build_trajectories
+from mocapfix.kernels.label_evidence import (
+    MAX_SMOOTH_LEAP,
+    compute_exchange_costs,
+    compute_own_contradictions,
+    compute_own_leaps,
+    mark_continuations,
+    mark_distance_matches,
+)
+from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
+from mocapfix.model.take import Take
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
+
+# Shortest exchange with a label that is missing at that time: a shorter one may be a spike.
+MIN_PARTIAL_SWAP_DURATION_S = 0.1
+# Cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct.
+SWAPPED_COST_PER_S = 0.1
+# Smallest cost, in leaps, that an exchange saves.
+MIN_SWAP_GAIN = 0.7
+# Largest contradiction of exchanged samples, relative to that of the labels as they are, if no leap shows the exchange. In a rare
+# pose of several seconds neither fits: 0.76 to 0.96 were measured there for the two markers of a wrist.
+MAX_EXCHANGED_MISFIT = 0.6
+
+
+class LabelExchange(NamedTuple):
+    """An exchange of labels over the frames first..last.
+
+    Attributes:
+        cycle: Marker indices. The samples of each marker are under the next one's label.
+        first: Index of the first frame.
+        last: Index of the last frame.
+        gain: Cost in leaps that undoing the exchange saves.
+        counter_evidence: Cost in leaps, by the distances, if these frames were correct and all others exchanged.
+    """
+
+    cycle: tuple[int, ...]
+    first: int
+    last: int
+    gain: float
+    counter_evidence: float
+
+
+def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[LabelExchange]:
+    """Find the exchanges of labels in a group of two or three markers, ordered by first frame."""
+    states = np.array(list(permutations(range(len(group)))))  # marker i has the samples of label states[s, i]
+    step_cost, state_cost = compute_exchange_costs(states, np.array(group), trajectories, distances)
+    swapped_cost = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
+    state = find_cheapest_states(step_cost[1:], state_cost + swapped_cost)
+    visible = ~np.isnan(trajectories.markers[:, group, 0])
+    exchanges: list[LabelExchange] = []
+    for s in range(1, len(states)):
+        extra_cost = state_cost[:, s] - state_cost[:, 0]
+        for first, last in find_runs(state == s):
+            inside = slice(first, last + 1)
+            leap_gain = _compute_saved_step_cost(step_cost, state, first, last)
+            misfit_share = float(state_cost[inside, s].sum()) / max(float(state_cost[inside, 0].sum()), 1e-9)
+            if leap_gain < MIN_SWAP_GAIN and misfit_share > MAX_EXCHANGED_MISFIT:
+                continue
+            gain = leap_gain - float(extra_cost[inside].sum())
+            counter_evidence = float(extra_cost[state == 0].sum() - extra_cost[inside].sum())
+            for cycle in find_permutation_cycles(states[s]):
+                exchanged = first + np.flatnonzero(visible[inside][:, cycle].any(1))
+                is_complete = visible[inside][:, cycle].any(0).all()
+                if len(exchanged) >= (1 if is_complete else MIN_PARTIAL_SWAP_DURATION_S * trajectories.rate):
+                    markers = tuple(group[i] for i in cycle)
+                    exchanges.append(LabelExchange(markers, int(exchanged[0]), int(exchanged[-1]), gain, counter_evidence))
+    return sorted(exchanges, key=lambda exchange: exchange.first)
+
+
+def find_permutation_cycles(permutation: np.ndarray) -> list[tuple[int, ...]]:
+    """Find the cycles of at least two elements of a permutation; each element i is followed by permutation[i]."""
+    cycles: list[tuple[int, ...]] = []
+    remaining = set(range(len(permutation)))
+    while remaining:
+        cycle = [min(remaining)]
+        while (following := int(permutation[cycle[-1]])) != cycle[0]:
+            cycle.append(following)
+        remaining -= set(cycle)
+        if len(cycle) > 1:
+            cycles.append(tuple(cycle))
+    return cycles
+
+
+def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: int, last: int) -> float:
+    """Compute how much more the steps into first..last + 1 cost with the labels as they are than with the given states."""
+    unchanged = state.copy()
+    unchanged[first : last + 1] = 0
+    t = np.arange(max(first, 1), min(last + 2, len(state)))
+    return float((step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]).sum())
+
+
+MAX_SWAP_PASSES = 5
+# A label that is visible in a smaller fraction of the take is a fragment, not a marker.
+MIN_LABEL_VISIBLE_FRACTION = 0.5
+# Number of triples above which only pairs are compared: then labels are not exchanged here and there, but arbitrary.
+MAX_SWAP_TRIPLES = 1000
+
+
+def detect_label_swaps(take: Take) -> list[Fault]:
+    """Detect the swaps of a take.
+
+    Returns:
+        The faults, in the order in which they have to be undone. Their severity is the median distance in metres between the
+        exchanged samples.
+    """
+    swaps: list[Fault] = []
+    for _ in range(MAX_SWAP_PASSES):
+        found = [_build_swap_fault(take, exchange) for exchange in _select_exchanges(take)]
+        found = [swap for swap in found if not any(swap.overlaps(old) for old in swaps)]
+        swaps += found
+        for swap in found:
+            if swap.confidence >= MIN_LABEL_CONFIDENCE:
+                take = take.exchange_labels(swap.markers, swap.first, swap.last)
+        if not any(swap.confidence >= MIN_LABEL_CONFIDENCE for swap in found):
+            break
+    return swaps
+
+
+def _select_exchanges(take: Take) -> list[LabelExchange]:
+    """Select the exchanges with the largest gain, ordered by first frame.
+
+    An exchange that overlaps with a better one is left to the next pass.
+    """
+    if take.frame_count < 2 or not len(take.labels):
+        return []
+    trajectories, distances = build_trajectories(take.markers, take.rate), estimate_distances(take.markers)
+    candidates = [
+        exchange
+        for group in find_swap_candidates(trajectories, distances)
+        for exchange in find_exchanges(group, trajectories, distances)
+    ]
+    selected: list[LabelExchange] = []
+    for exchange in sorted(candidates, key=lambda exchange: -exchange.gain):
+        if exchange.gain > MIN_SWAP_GAIN and not any(overlap_in_time(exchange, other) for other in selected):
+            selected.append(exchange)
+    return sorted(selected, key=lambda exchange: exchange.first)
+
+
+def _build_swap_fault(take: Take, exchange: LabelExchange) -> Fault:
+    cycle, first, last = exchange.cycle, exchange.first, exchange.last
+    separation_m = _measure_separation(take.markers[first : last + 1], cycle)
+    share = (last - first + 1) / (take.frame_count + 1)
+    wrong_part_odds = share / (1 - share) * np.exp(-np.clip(exchange.counter_evidence, -50, 50))
+    confidence = float((1 - np.exp(-exchange.gain)) / (1 + wrong_part_odds))
+    labels = [take.bare_labels[m] for m in cycle]
+    duration = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
+    distance = f"{separation_m * 1e3:.0f} mm" if np.isfinite(separation_m) else "away"
+    names = f"{', '.join(labels[:-1])} and {labels[-1]}"
+    exchange_text = "exchanged their labels" if len(cycle) == 2 else "exchanged their labels in a cycle"
+    reason = f"{names} have {exchange_text} for {duration}: their samples lie {distance} from their markers."
+    return Fault("swap", cycle[0], first, last, separation_m, reason, confidence, cycle[1:])
+
+
+def _measure_separation(points: np.ndarray, cycle: tuple[int, ...]) -> float:
+    """Measure the median distance in metres between the samples of successive labels, NaN if no two are visible together."""
+    distance_m = np.linalg.norm(points[:, cycle] - points[:, np.roll(cycle, -1)], axis=-1)
+    return float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
+
+
+def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[tuple[int, ...]]:
+    """Find the pairs and triples of markers whose labels may have been exchanged; no triples if there are too many."""
+    count = trajectories.previous_frame.shape[1]
+    is_candidate = np.zeros((count, count), bool)
+    own = compute_own_contradictions(trajectories.markers, distances, 1.0)
+    mark_continuations(trajectories, distances, compute_own_leaps(trajectories), own, is_candidate)
+    mark_distance_matches(trajectories, distances, own, is_candidate)
+    is_rare = np.isnan(trajectories.markers[..., 0]).mean(0) > 1 - MIN_LABEL_VISIBLE_FRACTION
+    is_candidate[is_rare] = is_candidate[:, is_rare] = False
+    pairs: set[tuple[int, ...]] = {tuple(sorted(map(int, pair))) for pair in np.argwhere(is_candidate)}
+    triples: set[tuple[int, ...]] = set()
+    for i, j in np.argwhere(is_candidate):
+        for k in np.flatnonzero(is_candidate[j]):
+            if len({i, j, k}) == 3:
+                triples.add(tuple(sorted((int(i), int(j), int(k)))))
+    return sorted(pairs) + (sorted(triples) if len(triples) <= MAX_SWAP_TRIPLES else [])
+
+
+# A marker within this distance, in standard deviations, is at its position.
+MAX_HOME_DISTANCE_SD = 4.5
+# Largest distance from the other marker's position, relative to that from the label's own marker's position.
+MAX_RELATIVE_DISTANCE = 0.4
+# Largest fraction of the time in which the other marker is visible at its position.
+MAX_HOME_FRACTION = 0.2
+# Smallest overlap of two outliers that are exchanged, as a fraction of the longer one.
+MIN_OVERLAP_FRACTION = 0.5
+# A shorter outlier may lie at the position of a missing marker by chance.
+MIN_OCCUPIED_DURATION_S = 0.1
+
+
+class CarriedMarker(NamedTuple):
+    """An outlier that lies where the body has another marker.
+
+    Attributes:
+        outlier: The outlier.
+        marker: Index of the other marker.
+        distance_sd: Median distance from the other marker's position, in standard deviations.
+    """
+
+    outlier: BodyOutlier
+    marker: int
+    distance_sd: float
+
+    @property
+    def relative_distance(self) -> float:
+        """The distance from the other marker's position, relative to that from the label's own marker's position."""
+        return self.distance_sd / self.outlier.score_sd
+
+
+def detect_body_label_swaps(residuals: BodyResiduals, outliers: list[BodyOutlier], take: Take) -> list[Fault]:
+    """Detect the exchanges of labels that explain outliers, the most certain first; no two of them overlap."""
+    is_home = residuals.distance_m < MAX_HOME_DISTANCE_SD * residuals.sd_m
+    is_smooth = compute_own_leaps(build_trajectories(take.markers, take.rate)) < MAX_SMOOTH_LEAP
+    carried = [each for outlier in outliers for each in _find_carried_markers(residuals, is_home, outlier)]
+    cycles = sorted(_find_cycles_of_carried(carried, take), key=lambda cycle: max(each.relative_distance for each in cycle))
+    swaps: list[Fault] = []
+    is_swapped = np.zeros(take.visible.shape, bool)
+    for cycle in cycles:
+        swap = _build_body_swap_fault(cycle, is_smooth, take)
+        if not swap.meets_mask(is_swapped):
+            swaps.append(swap)
+            is_swapped[swap.frame_slice, list(swap.markers)] = True
+    return swaps
+
+
+def _find_carried_markers(residuals: BodyResiduals, is_home: np.ndarray, outlier: BodyOutlier) -> list[CarriedMarker]:
+    """Find the markers at whose positions the samples of an outlier lie while they are not visible there themselves."""
+    frames = outlier.frames
+    offset = residuals.measured_world[frames, outlier.marker, None] - residuals.expected_world[frames]
+    distance_sd = np.median(np.linalg.norm(offset, axis=-1) / residuals.sd_m[frames], axis=0)
+    is_near = distance_sd < MAX_RELATIVE_DISTANCE * outlier.score_sd
+    is_carried = is_near & (is_home[frames].mean(0) < MAX_HOME_FRACTION)
+    return [CarriedMarker(outlier, int(k), float(distance_sd[k])) for k in np.flatnonzero(is_carried)]
+
+
+def _find_cycles_of_carried(carried: list[CarriedMarker], take: Take) -> list[tuple[CarriedMarker, ...]]:
+    """Find the cycles in which each label has the samples of the marker whose label comes next, and the last of the first.
+
+    A marker that is missing during the outlier may have been anywhere, also under the label of the outlier at its position.
+    """
+    cycles: list[tuple[CarriedMarker, ...]] = []
+    carried_by_label: dict[int, list[CarriedMarker]] = {}
+    for each in carried:
+        carried_by_label.setdefault(each.outlier.marker, []).append(each)
+    for one in carried:
+        frames, other = one.outlier.frames, one.marker
+        is_home = one.distance_sd < MAX_HOME_DISTANCE_SD
+        is_long = len(frames) >= MIN_OCCUPIED_DURATION_S * take.rate
+        if is_home and is_long and take.visible[frames, other].mean() < MAX_HOME_FRACTION:
+            cycles.append((one,))
+        for two in _select_simultaneous(carried_by_label.get(other, []), one.outlier):
+            if two.marker == one.outlier.marker:
+                cycles.append((one, two))
+            thirds = _select_simultaneous(carried_by_label.get(two.marker, []), one.outlier)
+            cycles += [(one, two, three) for three in thirds if three.marker == one.outlier.marker]
+    return cycles
+
+
+def _select_simultaneous(carried: list[CarriedMarker], outlier: BodyOutlier) -> list[CarriedMarker]:
+    """Select from the markers carried by one label, ordered by first frame, those that overlap mostly with an outlier."""
+    start = bisect_left(carried, outlier.first, key=lambda each: each.outlier.last)
+    stop = bisect_right(carried, outlier.last, key=lambda each: each.outlier.first)
+    return [each for each in carried[start:stop] if _overlap_mostly(outlier, each.outlier)]
+
+
+def _overlap_mostly(one: BodyOutlier, other: BodyOutlier) -> bool:
+    common = min(one.last, other.last) - max(one.first, other.first) + 1
+    return common > MIN_OVERLAP_FRACTION * max(one.last - one.first + 1, other.last - other.first + 1)
+
+
+def _build_body_swap_fault(cycle: tuple[CarriedMarker, ...], is_smooth: np.ndarray, take: Take) -> Fault:
+    """Build the fault of a cycle, extended from leap to leap."""
+    markers = [cycle[0].marker, *(each.outlier.marker for each in (cycle[0], *cycle[:0:-1]))][: max(2, len(cycle))]
+    common = max(each.outlier.first for each in cycle), min(each.outlier.last for each in cycle)
+    first, last = _extend_to_leaps(*common, take.visible[:, markers], is_smooth[:, markers])
+    worst = max(cycle, key=lambda each: each.relative_distance)
+    ratio = worst.outlier.score_sd / worst.distance_sd
+    distance_m = float(np.mean([each.outlier.distance_m for each in cycle]))
+    time = f"for {(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
+    where = f"they lie {distance_m * 1e3:.0f} mm off their positions on the body, and {ratio:.1f} times nearer to one another's"
+    labels = [take.bare_labels[m] for m in markers]
+    reason = f"{', '.join(labels[:-1])} and {labels[-1]} have exchanged their labels {time}: {where}."
+    return Fault("swap", markers[0], first, last, distance_m, reason, 1 - 1 / ratio, tuple(markers[1:]))
+
+
+def _extend_to_leaps(first: int, last: int, visible: np.ndarray, is_smooth: np.ndarray) -> tuple[int, int]:
+    """Extend first..last to the frames over which none of the labels (T, N) leaps or reappears after a gap."""
+    is_continued = visible[1:] & visible[:-1] & is_smooth[1:]
+    backward = np.all(is_continued | ~visible[:-1], axis=1) & visible[:-1].any(1)
+    forward = np.all(is_continued | ~visible[1:], axis=1) & visible[1:].any(1)
+    while first > 0 and backward[first - 1]:
+        first -= 1
+    while last < len(visible) - 1 and forward[last]:
+        last += 1
+    return first, last

@@ -1,0 +1,259 @@
+"""The labeller: the marker of each of a take's unlabelled points.
+
+Several people in the points of one take: each person is found among all points, and labelled again among their own.
+
+The labeller finds one person among any number of other points. The points that it leaves without a label are searched for the
+next person, as long as there are enough of them. Then every tracklet belongs to one person, those without a label to the nearest,
+and each person is labelled once more as if alone: points of others no longer mislead the search.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from mocapfix.labels.body_search import (
+    MIN_LOST_MARKERS,
+    PROPAGATION_GATE_M,
+    compute_body_cost,
+    extend_body,
+    find_limb_frame,
+    fit_height,
+    propagate_labels,
+    search_body,
+    search_limb,
+    select_extension_frames,
+    select_key_frames,
+)
+from mocapfix.labels.label_overlaps import (
+    CONTINUED_LABEL_CONFIDENCE,
+    compute_label_confidence,
+    continue_labels,
+    label_single_points,
+)
+from mocapfix.labels.points import PointLabels, SampledPoints, UnlabelledPoints, assign_to_tracklets, sample_points
+from mocapfix.labels.posed_body import (
+    ExtendedBody,
+    PropagatedLabels,
+    build_average_body,
+    build_subject_body,
+    predict_in_posed_frames,
+    scale_nominal_subject,
+)
+from mocapfix.labels.set_comparison import add_optional_markers, measure_marker_evidence
+from mocapfix.labels.tracklets import (
+    are_points_unordered,
+    assign_tracklets,
+    compute_max_distances,
+    measure_durations,
+    measure_tracklets,
+    select_lasting_tracklets,
+)
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.subject import Subject
+
+BODIES_PER_KEY_FRAME = 3
+"""Bodies of each frame that are kept."""
+MAX_EXTENDED_BODIES = 8
+"""Best bodies of all frames that are extended to other frames."""
+
+MIN_KEPT_CONFIDENCE = 0.5
+"""Confidence below which a tracklet stays without a label."""
+
+MIN_RECONSIDERED_S = 0.5
+"""Total duration of tracklets with which other labels are tried."""
+MIN_LOST_TRACKLET_S = 0.4
+"""Duration of an unlabelled tracklet that may be a lost marker; shorter ones are often ghosts."""
+MAX_LIMB_SEARCHES = 6
+"""Frames in which limbs are searched for."""
+
+
+def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None) -> PointLabels:
+    """Return the marker of each point.
+
+    Args:
+        points: Points of one person, with any number of points that are not the person's.
+        marker_set: The person's markers. Its optional markers are looked for once all others have their labels.
+        subject: The person, if known; with the markers of the set in this order.
+    """
+    sampled = sample_points(points)
+    searched = marker_set.select_markers(marker_set.required_labels)
+    known = subject.select_markers(searched.labels) if subject else None
+    lasting = select_lasting_tracklets(sampled)
+    start = find_labelled_body(lasting, searched, known)
+    if start is None:
+        return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
+    evidence = np.inf if subject else measure_marker_evidence(lasting, start, searched).per_marker
+    nominal = None if subject else scale_nominal_subject(start.body.subject, searched)
+    labels = recover_limbs(sampled, propagate_labels(sampled, start, nominal))
+    if nominal is not None:
+        labels = reconsider_labels(sampled, labels, nominal)
+    confidence = compute_label_confidence(sampled, labels.markers, labels.distances)
+    indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
+    markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
+    if len(searched.labels) < len(marker_set.labels):
+        all_markers = subject or scale_nominal_subject(labels.body.subject, marker_set)
+        markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
+    predicted = predict_in_posed_frames(labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
+    marker_indices = label_single_points(points, sampled, predicted, markers)
+    point_confidence = assign_to_tracklets(points, confidence, 0.0)
+    if not are_points_unordered(points.positions):
+        before, marker_indices = marker_indices, continue_labels(points, marker_indices)
+        point_confidence[marker_indices != before] = CONTINUED_LABEL_CONFIDENCE
+    return PointLabels(marker_indices, point_confidence, evidence_per_marker=evidence)
+
+
+def recover_limbs(sampled: SampledPoints, labels: PropagatedLabels) -> PropagatedLabels:
+    """Return the labels with those of limbs whose trajectories all broke at once."""
+    is_candidate = measure_durations(sampled) >= MIN_LOST_TRACKLET_S
+    for _ in range(MAX_LIMB_SEARCHES):
+        frame = find_limb_frame(sampled, labels, is_candidate & (labels.markers < 0))
+        if frame < 0:
+            break
+        markers = search_limb(sampled, labels, frame, is_candidate)
+        is_new = (markers >= 0) & (labels.markers < 0)
+        if is_new.sum() >= MIN_LOST_MARKERS:
+            start = ExtendedBody(labels.body, markers, 0.0, np.flatnonzero(labels.is_posed))
+            recovered = propagate_labels(sampled, start, None)
+            if (recovered.markers >= 0).sum() > (labels.markers >= 0).sum():
+                labels = recovered
+        is_candidate[sampled.tracklets[frame][sampled.tracklets[frame] >= 0]] = False
+    return labels
+
+
+def reconsider_labels(sampled: SampledPoints, labels: PropagatedLabels, nominal: Subject) -> PropagatedLabels:
+    """Return the labels, or others that the places of the markers in the set suggest if the body fits better with them.
+
+    Labels that were exchanged from the beginning, such as those of a wrist and a hand, are where the offsets adapted to the wrong
+    markers. So the tracklets are assigned once more to where the posed body has the markers of the set itself.
+
+    Args:
+        sampled: The points.
+        labels: The labels with a body that is adapted to the take.
+        nominal: The subject with the marker offsets of the set.
+    """
+    squared = measure_tracklets(sampled, predict_in_posed_frames(labels, nominal), PROPAGATION_GATE_M).squared_m2
+    suggested = assign_tracklets(sampled, squared, compute_max_distances(sampled))
+    is_other = (suggested != labels.markers) & (suggested >= 0)
+    if measure_durations(sampled)[is_other].sum() < MIN_RECONSIDERED_S:
+        return labels
+    start = ExtendedBody(labels.body.change_subject(nominal), suggested, 0.0, np.flatnonzero(labels.is_posed))
+    others = propagate_labels(sampled, start, nominal)
+    if (others.markers == labels.markers).all():
+        return labels
+    frames = select_extension_frames(sampled, np.maximum(labels.markers, others.markers))
+    part = sampled.select_frames(frames)
+
+    def compute_cost(each: PropagatedLabels) -> float:
+        return compute_body_cost(part, each.markers, each.body, nominal)
+
+    return min((labels, others), key=compute_cost)
+
+
+def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
+    """Return the best body in a few frames of the take; None if the points show neither a body nor a part of one."""
+    body = build_subject_body(subject) if subject else build_average_body(marker_set)
+    candidates: list[tuple[float, np.ndarray]] = []
+    frames, height_m = select_key_frames(sampled)
+    if not subject:
+        body = fit_height(body, height_m)
+    for frame in frames:
+        visible = np.flatnonzero(sampled.tracklets[frame] >= 0)
+        for found in search_body(sampled.positions[frame, visible], body)[:BODIES_PER_KEY_FRAME]:
+            markers = np.full(sampled.tracklet_count, -1)
+            markers[sampled.tracklets[frame, visible]] = found.markers
+            candidates.append((found.cost, markers))
+    candidates.sort(key=lambda candidate: candidate[0])
+    extended = [
+        extend_body(sampled, markers, body, None if subject else marker_set) for _, markers in candidates[:MAX_EXTENDED_BODIES]
+    ]
+    best = min(extended, key=lambda each: each.cost, default=None)
+    found = {marker_set.labels[k] for k in set(best.markers.tolist()) - {-1}} if best else set[str]()
+    return best if best and not marker_set.describe_missing_body(found) else None
+
+
+PersonLabeller = Callable[[UnlabelledPoints, MarkerSet], PointLabels]
+
+MIN_PERSON_SHARE = 0.6
+"""Share of the markers of the set that another person has at least."""
+POINT_COUNT_QUANTILE = 0.9
+"""Quantile over the frames of the number of points."""
+MAX_PEOPLE = 6
+"""Largest number of people."""
+MAX_PROXIMITY_FRAMES = 60
+"""Frames in which the distance of a tracklet from each person is measured."""
+NEAREST_POINT_COUNT = 3
+"""Labelled points of a person to which that distance is measured."""
+
+
+def label_people(points: UnlabelledPoints, marker_set: MarkerSet, label_person: PersonLabeller) -> PointLabels:
+    """Return the marker of each point, and to whom it belongs if there are several people with the markers of a set.
+
+    `label_person` labels one person among any number of other points (`labeller.label_points`).
+    """
+    people = [label_person(points, marker_set)]
+    rest = points.select_points(people[0].marker_indices < 0)
+    while len(people) < MAX_PEOPLE and _has_person(rest.tracklet_indices >= 0, marker_set):
+        found = label_person(rest, marker_set)
+        if not _has_person(found.marker_indices >= 0, marker_set):
+            break
+        people.append(found)
+        rest = rest.select_points(found.marker_indices < 0)
+    if len(people) == 1:
+        return people[0]
+    persons = assign_to_people(points, [labels.marker_indices >= 0 for labels in people])
+    markers, confidence = np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape)
+    subjects, evidence = np.full(points.tracklet_indices.shape, -1), np.inf
+    for n in range(len(people)):
+        is_own = persons == n
+        labels = label_person(points.select_points(is_own), marker_set)
+        markers[is_own], confidence[is_own] = labels.marker_indices[is_own], labels.confidence[is_own]
+        subjects[is_own & (labels.marker_indices >= 0)] = n
+        evidence = min(evidence, labels.evidence_per_marker)
+    return PointLabels(markers, confidence, subjects, evidence)
+
+
+def separate_people(labels: PointLabels, marker_labels: tuple[str, ...]) -> tuple[PointLabels, tuple[str, ...]]:
+    """Return the labels of several people as those of one list of markers, and this list: P1:LFHD and so on."""
+    if not labels.subject_indices.size:
+        return labels, marker_labels
+    count = int(labels.subject_indices.max()) + 1
+    indices = np.where(labels.marker_indices >= 0, labels.subject_indices * len(marker_labels) + labels.marker_indices, -1)
+    single = PointLabels(indices, labels.confidence, evidence_per_marker=labels.evidence_per_marker)
+    return single, tuple(f"P{n + 1}:{label}" for n in range(count) for label in marker_labels)
+
+
+def assign_to_people(points: UnlabelledPoints, masks: list[Bool[np.ndarray, "T C"]]) -> Int[np.ndarray, "T C"]:
+    """Return the person of each point, -1 where there is no point.
+
+    Args:
+        points: The points.
+        masks: The labelled points of each person. A tracklet belongs to whom most of them are, or else to the nearest person.
+    """
+    tracklets = points.tracklet_indices
+    counts = np.stack([np.bincount(tracklets[mask & (tracklets >= 0)], minlength=points.tracklet_count) for mask in masks])
+    person = counts.argmax(0)
+    order = np.argsort(tracklets, axis=None, kind="stable")
+    starts = np.searchsorted(tracklets.ravel()[order], np.arange(points.tracklet_count + 1))
+    for n in np.flatnonzero(counts.sum(0) == 0):
+        places = order[starts[n] : starts[n + 1]]
+        places = places[np.unique(np.linspace(0, len(places) - 1, MAX_PROXIMITY_FRAMES).astype(int))]
+        frames, columns = np.unravel_index(places, tracklets.shape)
+        person[n] = int(np.argmin([_measure_distance(points.positions, frames, columns, mask) for mask in masks]))
+    return np.append(person, -1)[tracklets]
+
+
+def _measure_distance(
+    positions: np.ndarray, frames: Int[np.ndarray, " F"], columns: Int[np.ndarray, " F"], mask: Bool[np.ndarray, "T C"]
+) -> float:
+    """Return the mean distance (m) of points from the nearest ones in a mask; infinite where there are none in these frames."""
+    distance = np.linalg.norm(positions[frames] - positions[frames, columns, None], axis=-1)
+    nearest = np.sort(np.where(mask[frames], distance, np.inf), axis=1)[:, :NEAREST_POINT_COUNT]
+    known = nearest[np.isfinite(nearest)]
+    return float(known.mean()) if len(known) else np.inf
+
+
+def _has_person(mask: Bool[np.ndarray, "T C"], marker_set: MarkerSet) -> bool:
+    """Return whether a mask has enough points in most frames for another person."""
+    count = np.quantile(mask.sum(1), POINT_COUNT_QUANTILE) if len(mask) else 0
+    return bool(count >= MIN_PERSON_SHARE * len(marker_set.required_labels))

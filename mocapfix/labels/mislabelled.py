@@ -1,0 +1,355 @@
+"""Mislabelled markers: labels exchanged over the whole take, detected from the marker set's positions on a body.
+
+The trajectories are smooth and keep their distances, so they do not show the exchange. A body is therefore fitted to some
+frames, with the labels as they are and with an exchange undone. The difference between the two fits is the evidence. A marker
+is attached once, so all frames of a take are one observation of its position, and one typical frame is as informative as all
+of them.
+
+A coarse fit of a body to single frames: where the body would have the visible markers.
+
+The body is a known subject's, or the average one. Of the average body only the size is estimated from the take, so that a label
+that is wrong throughout cannot shift the expected position of its marker.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.errors import format_name_list
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.labels.label_swaps import find_permutation_cycles
+from mocapfix.model.faults import Fault
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.solve import kinematics, mean_pose
+from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_joint_limit_term,
+    build_no_tracking,
+    build_pose_prior_term,
+)
+from mocapfix.solve.segment_registration import register_poses
+
+# Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
+BODY_MARKER_SD_M = 0.030
+# Standard deviation of a joint angle beyond its limits.
+JOINT_LIMIT_SD_RAD = 0.1
+# Scales of the robust loss (Geman & McClure 1987), from coarse to fine.
+ROBUST_SCALES_M = (0.4, 0.2, 0.1)
+# Number of iterations at each scale.
+MAX_BODY_FIT_ITERATIONS = 8
+# The distance of a nearer pair of markers depends more on their placement than on the subject's size.
+MIN_SIZE_DISTANCE_M = 0.12
+
+
+@dataclass(frozen=True)
+class BodyFitter:
+    """A subject with K markers and the prior on its poses."""
+
+    body: BodyModel
+    subject: Subject
+    prior: MeanPosePrior
+    limits: JointLimits
+
+    def predict_markers(self, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
+        """Fit the body to each frame separately and return the world positions of all its markers in metres.
+
+        Args:
+            markers: Measured world positions in metres, NaN where missing.
+        """
+        poses = register_poses(self.subject, self.body.free_joints, self.prior, markers)
+        tree = KinematicTree(self.body.skeleton.parents, self.subject.skeleton.offsets, self.body.free_joints)
+        problem = PoseProblem(
+            tree,
+            MarkerAttachment(self.subject.joints, self.subject.marker_offsets),
+            markers,
+            ~np.isnan(markers[..., 0]),
+            BODY_MARKER_SD_M,
+            build_pose_prior_term(self.prior),
+            build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD),
+        )
+        no_tracking = build_no_tracking(len(self.body.free_joints))
+        problem.solve(poses.root_position, poses.local_rotations, no_tracking, ROBUST_SCALES_M, MAX_BODY_FIT_ITERATIONS)
+        return kinematics.compute_joint_and_marker_positions(self.subject, poses)[1]
+
+
+def build_body_fitter(subject: Subject) -> BodyFitter:
+    """Build the fitter of a known subject."""
+    body = subject.body_model
+    return BodyFitter(body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))
+
+
+def build_average_body_fitter(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> BodyFitter:
+    """Build the fitter of the average body at the size of the measured markers.
+
+    Args:
+        marker_set: The set with K markers.
+        markers: Measured world positions in metres, NaN where missing.
+    """
+    skeleton, ratio = load_cmu31_body().skeleton, estimate_size_ratio(marker_set, markers)
+    scaled = replace(skeleton, offsets=skeleton.offsets * ratio, ends=skeleton.ends * ratio)
+    return build_body_fitter(build_nominal_subject(marker_set, scaled, marker_set.marker_offsets * ratio))
+
+
+def build_nominal_subject(marker_set: MarkerSet, skeleton: Skeleton, marker_offsets: Float[np.ndarray, "K 3"]) -> Subject:
+    """Build a subject with this skeleton and the set's markers at these offsets in metres in their joints' axes."""
+    return Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, marker_offsets, marker_set.marker_spread)
+
+
+def estimate_size_ratio(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> float:
+    """Estimate the subject's size relative to the average body.
+
+    This is the median ratio of the distances between markers of the same segment, 1 if none is visible.
+    """
+    first, second = np.triu_indices(len(marker_set.joints), 1)
+    nominal_m = np.linalg.norm(marker_set.marker_offsets[first] - marker_set.marker_offsets[second], axis=1)
+    is_same_segment = marker_set.joints[first] == marker_set.joints[second]
+    visible = ~np.isnan(markers[..., 0])
+    is_known = is_same_segment & (nominal_m > MIN_SIZE_DISTANCE_M) & (visible[:, first] & visible[:, second]).any(0)
+    if not is_known.any():
+        return 1.0
+    distance_m = np.linalg.norm(markers[:, first[is_known]] - markers[:, second[is_known]], axis=-1)
+    return float(np.median(np.nanmedian(distance_m, axis=0) / nominal_m[is_known]))
+
+
+def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
+    """Compute half the robust squared distance in standard deviations (Geman & McClure 1987), 0 where missing."""
+    square = ((markers - predicted) ** 2).sum(-1)
+    return np.nan_to_num(0.5 * square / (1 + square / ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
+
+
+def compute_rest_markers(marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
+    """Compute the positions in metres of the set's markers on the average body in its rest pose."""
+    skeleton = load_cmu31_body().skeleton
+    identity = np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
+    empty = np.zeros((1, 0))
+    motion = Motion(np.zeros((1, 3)), identity, np.zeros(1, int), np.zeros(1, int), empty, empty)
+    subject = build_nominal_subject(marker_set, skeleton, marker_set.marker_offsets)
+    return kinematics.compute_joint_and_marker_positions(subject, motion)[1][0]
+
+
+# The body rests facing +Z, so left and right differ in the sign of x.
+# Distance of a marker from the mirrored place of another within which the two mirror each other.
+MAX_TWIN_DISTANCE_M = 0.15
+MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
+# Number of frames to which the body is fitted, evenly spread over the fullest ones.
+MAX_BODY_FIT_FRAMES = 16
+# Number of visible markers in these frames, relative to the fullest frame.
+MIN_RELATIVE_MARKER_COUNT = 0.9
+# No body is fitted to frames with fewer markers.
+MIN_FITTED_MARKERS = 12
+# Number of the frames in which a marker must be visible.
+MIN_MARKER_FRAMES = 5
+# Number of pairs of markers for whose exchange the body is fitted again.
+MAX_TESTED_PAIRS = 16
+# Smallest gain in log likelihood of such an exchange with the body unchanged. A true exchange loses nothing.
+MIN_PRELIMINARY_GAIN = -2.0
+# Smallest gain in log likelihood of an exchange.
+MIN_EXCHANGE_GAIN = 0.5
+# Log of the prior odds that the labels are correct. With it a gain of 2 is just sufficient to change labels.
+CORRECT_LABEL_LOG_ODDS = 1.6
+# Number of exchanges in a take.
+MAX_EXCHANGE_COUNT = 12
+# With a larger mean misfit of the markers, in log likelihood, these are not the set's markers, whatever their labels.
+MAX_MEAN_MISFIT = 2.0
+# Largest distance of the exchanged markers from the body after an exchange is undone, relative to that before.
+MAX_REMAINING_MISPLACEMENT = 0.7
+
+
+@dataclass(frozen=True)
+class RelabelStep:
+    """One exchange that was undone.
+
+    Attributes:
+        permutation: For each of K markers (K,), the index of the marker whose label it has.
+        gain: Gain in log likelihood.
+    """
+
+    permutation: np.ndarray
+    gain: float
+
+    @property
+    def is_exchanged(self) -> Bool[np.ndarray, " K"]:
+        """Whether each marker has another one's label."""
+        return self.permutation != np.arange(len(self.permutation))
+
+
+class _Misplacement(NamedTuple):
+    """Distances (N, K) in metres of the markers from the body, before and after the exchanges are undone."""
+
+    before_m: np.ndarray
+    after_m: np.ndarray
+
+
+def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> list[Fault]:
+    """Detect the cycles of labels that are exchanged over the whole take.
+
+    If a limb or the whole body is mirrored, each pair of mirrored markers is a fault; all of them have the same reason. An
+    exchange that occurs equally on both sides is not a fault but a naming convention of the studio.
+
+    Args:
+        take: The take.
+        marker_set: The marker set of its labels.
+        subject: The subject, if known; otherwise the average body is used.
+
+    Returns:
+        The faults. Undone together, they leave every marker with its own label. Their severity is the median distance in
+        metres of the exchanged markers from the body.
+    """
+    columns = marker_set.find_columns(take.labels)
+    markers = select_fullest_frames(take.select(columns, take.visible).markers)
+    if len(markers) == 0:
+        return []
+    fitter = build_body_fitter(subject) if subject else build_average_body_fitter(marker_set, markers)
+    own, is_in_take = np.arange(len(columns)), columns >= 0  # a marker that is not in the take has no label to exchange
+    permutations = [np.where(is_in_take & is_in_take[each], each, own) for each in list_mirror_exchanges(marker_set)]
+    order, steps = find_correct_labels(markers, fitter, permutations)
+    if not steps:
+        return []
+    relabelled = np.ascontiguousarray(markers[:, order])
+    predicted_before, predicted_after = fitter.predict_markers(markers), fitter.predict_markers(relabelled)
+    misfit = compute_marker_misfit(relabelled, predicted_after)
+    if misfit.sum() > MAX_MEAN_MISFIT * (~np.isnan(relabelled[..., 0])).sum():
+        return []
+    misplacement = _Misplacement(
+        np.linalg.norm(markers - predicted_before, axis=-1), np.linalg.norm(relabelled - predicted_after, axis=-1)
+    )
+    cycles = select_one_sided_cycles(find_permutation_cycles(order), find_twins(marker_set))
+    faults = [_build_mislabelled_fault(take, columns, order, cycle, steps, misplacement) for cycle in cycles]
+    return [fault for fault in faults if fault is not None]
+
+
+def select_fullest_frames(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "N K 3"]:
+    """Select up to MAX_BODY_FIT_FRAMES of the frames with the most visible markers, evenly over the take."""
+    count = (~np.isnan(markers[..., 0])).sum(1)
+    full = np.flatnonzero(count >= max(MIN_FITTED_MARKERS, MIN_RELATIVE_MARKER_COUNT * count.max(initial=0)))
+    pick = np.unique(np.linspace(0, len(full) - 1, MAX_BODY_FIT_FRAMES).astype(int)) if len(full) else full
+    return np.ascontiguousarray(markers[full[pick]])
+
+
+def find_correct_labels(
+    markers: Float[np.ndarray, "N K 3"], fitter: BodyFitter, permutations: list[Int[np.ndarray, " K"]]
+) -> tuple[Int[np.ndarray, " K"], list[RelabelStep]]:
+    """Search the correct labels by undoing one exchange after the other, each time the one with the largest gain.
+
+    Args:
+        markers: World positions in metres, NaN where missing.
+        fitter: The body.
+        permutations: Exchanges that are tried in addition to those of two markers.
+
+    Returns:
+        The index of the label that each marker has, and the steps.
+    """
+    order, steps = np.arange(markers.shape[1]), list[RelabelStep]()
+    is_testable = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MARKER_FRAMES
+    while len(steps) < MAX_EXCHANGE_COUNT:
+        current = np.ascontiguousarray(markers[:, order])
+        predicted = fitter.predict_markers(current)
+        misfit = compute_marker_misfit(current, predicted).sum(1)
+        candidates = [*permutations, *find_pair_exchanges(current, predicted, is_testable[order])]
+        if not candidates:
+            break
+        best = max(
+            (_evaluate_permutation(current, fitter, misfit, permutation) for permutation in candidates),
+            key=lambda step: step.gain,
+        )
+        if best.gain < MIN_EXCHANGE_GAIN:
+            break
+        order = order[best.permutation]
+        steps.append(best)
+    return order, steps
+
+
+def _evaluate_permutation(
+    markers: np.ndarray, fitter: BodyFitter, current_misfit: np.ndarray, permutation: np.ndarray
+) -> RelabelStep:
+    permuted = np.ascontiguousarray(markers[:, permutation])
+    is_exchanged = permutation != np.arange(len(permutation))
+    is_visible = ~np.isnan(markers[:, is_exchanged, 0]).all(1)
+    gain = current_misfit - compute_marker_misfit(permuted, fitter.predict_markers(permuted)).sum(1)
+    return RelabelStep(permutation, float(np.median(gain[is_visible])) if is_visible.sum() >= MIN_MARKER_FRAMES else 0.0)
+
+
+def find_pair_exchanges(
+    markers: Float[np.ndarray, "N K 3"], predicted: Float[np.ndarray, "N K 3"], is_testable: Bool[np.ndarray, " K"]
+) -> list[Int[np.ndarray, " K"]]:
+    """Find the exchanges of two markers that may fit better, judged with the body unchanged, the most promising first."""
+    visible_count = np.maximum((~np.isnan(markers[..., 0])).sum(0), 1)
+    # mean misfit of the samples (columns) as the markers (rows)
+    misfit = compute_marker_misfit(markers[:, None], predicted[:, :, None]).sum(0) / visible_count
+    gain = np.diag(misfit)[:, None] + np.diag(misfit) - misfit - misfit.T
+    first, second = np.triu_indices(len(is_testable), 1)
+    gain = np.where(is_testable[first] & is_testable[second], gain[first, second], -np.inf)
+    promising = np.argsort(-gain, kind="stable")[:MAX_TESTED_PAIRS]
+    exchanges = np.tile(np.arange(len(is_testable)), ((gain[promising] > MIN_PRELIMINARY_GAIN).sum(), 1))
+    for exchange, pair in zip(exchanges, promising, strict=False):
+        exchange[[first[pair], second[pair]]] = second[pair], first[pair]
+    return list(exchanges)
+
+
+def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
+    """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
+    rest = compute_rest_markers(marker_set)
+    distance_m = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1)
+    nearest, own = distance_m.argmin(1), np.arange(len(rest))
+    return np.where((nearest[nearest] == own) & (distance_m.min(1) <= MAX_TWIN_DISTANCE_M), nearest, own)
+
+
+def list_mirror_exchanges(marker_set: MarkerSet) -> list[Int[np.ndarray, " K"]]:
+    """List the exchanges of left and right of each segment, and of each segment with its descendants (limb, whole body)."""
+    parents, own, twin = load_cmu31_body().skeleton.parents, np.arange(len(marker_set.joints)), find_twins(marker_set)
+    exchanges: dict[tuple[int, ...], np.ndarray] = {}
+    for joint in range(len(parents)):
+        is_descendant = np.zeros(len(parents), bool)
+        is_descendant[joint] = True
+        for below in range(joint + 1, len(parents)):
+            is_descendant[below] = is_descendant[parents[below]]
+        for is_on_part in (marker_set.joints == joint, is_descendant[marker_set.joints]):
+            exchange = np.where(is_on_part | is_on_part[twin], twin, own)
+            if (exchange != own).sum() > 2:  # a single pair is among the exchanges of two markers
+                exchanges[tuple(exchange.tolist())] = exchange
+    return list(exchanges.values())
+
+
+def select_one_sided_cycles(cycles: list[tuple[int, ...]], twin: Int[np.ndarray, " K"]) -> list[tuple[int, ...]]:
+    """Remove the cycles that the mirrored markers form as well: those are a naming convention, not a mistake."""
+    members = [set(cycle) for cycle in cycles]
+    return [cycle for cycle in cycles if (mirrored := set(twin[list(cycle)].tolist())) == set(cycle) or mirrored not in members]
+
+
+def _build_mislabelled_fault(
+    take: Take,
+    columns: np.ndarray,
+    order: np.ndarray,
+    cycle: tuple[int, ...],
+    steps: list[RelabelStep],
+    misplacement: _Misplacement,
+) -> Fault | None:
+    """Build the fault of a cycle; None if undoing it brings the markers no nearer to the body."""
+    own_steps = [step for step in steps if step.is_exchanged[list(cycle)].any()]
+    gain = sum(step.gain for step in own_steps)
+    exchanged = np.flatnonzero(np.any([step.is_exchanged for step in own_steps], axis=0))
+    before_m, after_m = (float(np.nanmedian(each[:, exchanged])) for each in misplacement)
+    if after_m > MAX_REMAINING_MISPLACEMENT * before_m:
+        return None
+    where = f"their samples lie {before_m * 1e3:.0f} mm from the marker set's positions on the body"
+    where += f", and {after_m * 1e3:.0f} mm after the exchange is undone."
+    labels = [take.bare_labels[columns[k]] for k in cycle]
+    if len(cycle) == 2 < len(exchanged):
+        names = format_name_list([take.bare_labels[columns[k]] for k in exchanged if k < order[k]])
+        reason = f"Left and right are exchanged over the whole take ({names}): {where}"
+    elif len(cycle) == 2:
+        reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {where}"
+    else:
+        names = f"{', '.join(labels[:-1])} and {labels[-1]}"
+        reason = f"{names} have exchanged their labels in a cycle over the whole take: {where}"
+    marker, *others = (int(columns[k]) for k in cycle)
+    confidence = float(1 / (1 + np.exp(CORRECT_LABEL_LOG_ODDS - gain)))
+    return Fault("mislabelled", marker, 0, take.frame_count - 1, before_m, reason, confidence, tuple(others))

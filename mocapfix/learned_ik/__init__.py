@@ -1,1 +1,0 @@
-"""Learned inverse kinematics: one network evaluation turns a start pose and joint positions into a pose (Learnable SMPLify)."""

@@ -1,0 +1,273 @@
+"""An animation: a tree of joints and the channel values that move it, as stored in a BVH or ASF/AMC file."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.kernels import euler_angles
+from mocapfix.stats.rigid_alignment import compose_transforms
+from mocapfix.stats.sequences import find_runs
+
+AXIS_LETTERS = "XYZ"
+HEAD_JOINT_PATTERN = re.compile(r"head|skull", re.IGNORECASE)
+FOOT_JOINT_PATTERN = re.compile(r"foot|feet|ankle|toe", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A tree of J joints, parents before children, and C channels over T frames.
+
+    The fields are in the file's units, axes and degrees. The methods return metres in a right-handed frame with Y up.
+
+    names     J joint names, the root first
+    parents   (J,) index of each joint's parent, -1 for the root
+    offsets   (J, 3) position of each joint in its parent's axes, as the file gives it. Where position channels replace it,
+              `bone_offsets` has the one that the figure has
+    end_sites  J arrays (E, 3): the end sites of a joint in its axes; most joints have none
+    channels  names of each joint's channels, in order: Xposition, Zrotation, ...; the first rotation is the outermost.
+              Length, in ASF only, lengthens the bones to the joint's children
+    values    (T, C) values of all joints' channels, joint by joint; NaN where the file has no value
+    rate      frames per second
+    path      file that the animation was read from
+    first_frame  the file's number of frame 0, 1 if the file does not number its frames; messages use the file's numbers
+    value_byte_offsets  (T, C) position of each value in the file, in bytes; None if no file holds these values
+    wrong_rate_bytes  first byte and byte after the frame time in the file, if it is not that of `rate`: a copy has it corrected
+    unit_m    length of a file unit in metres
+    rotation_y_up_file  (3, 3) from the file's axes to axes with Y up
+    rest_rotations  (J, 3, 3) or (1, 3, 3) axes of each joint's rotations in the rest pose: the file's axes in BVH, the bone's
+              axes in ASF. The joints themselves have the file's axes in the rest pose
+    is_position_added  (J,) or (1,) bool: position channels are added to the joint's offset; otherwise they replace it
+    skeleton_path  file that holds the tree, if it is a separate one (the ASF of an AMC)
+    uses_radians  the file's angles are in radians; `values` are in degrees in any case
+    notes     sentences about assumptions made in reading the file
+    """
+
+    names: tuple[str, ...]
+    parents: Int[np.ndarray, " J"]
+    offsets: Float[np.ndarray, "J 3"]
+    end_sites: tuple[np.ndarray, ...]
+    channels: tuple[tuple[str, ...], ...]
+    values: Float[np.ndarray, "T C"]
+    rate: float
+    path: Path | None = None
+    first_frame: int = 1
+    value_byte_offsets: np.ndarray | None = None
+    wrong_rate_bytes: tuple[int, int] | None = None
+    unit_m: float = 0.01
+    rotation_y_up_file: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rest_rotations: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
+    is_position_added: np.ndarray = field(default_factory=lambda: np.zeros(1, bool))
+    skeleton_path: Path | None = None
+    uses_radians: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return len(self.values)
+
+    @property
+    def name(self) -> str:
+        """File name, for messages."""
+        return self.path.name if self.path else "the animation"
+
+    @property
+    def has_reference_pose(self) -> bool:
+        """True if the first frame is a reference pose before the motion, such as the T-pose in CMU's BVH release.
+
+        The angles of such a frame are whole degrees, and those of the next frame are not.
+        """
+        columns = np.concatenate([self.get_rotation_channels(joint)[0] for joint in range(len(self.names))])
+        first, second = (self.values[frame, columns] for frame in (0, min(1, self.frame_count - 1)))
+        return bool((first == np.round(first)).all() and (second != np.round(second)).any())
+
+    @cached_property
+    def _world_poses(self) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+        return compose_transforms(self.parents, self.compute_local_positions(), self.compute_local_rotations())
+
+    @cached_property
+    def joint_columns(self) -> tuple[Int[np.ndarray, " _"], ...]:
+        """Columns of `values` that hold each joint's channels."""
+        stops = np.cumsum([len(each) for each in self.channels])
+        return tuple(np.arange(stop - len(each), stop) for each, stop in zip(self.channels, stops, strict=True))
+
+    @cached_property
+    def bone_offsets(self) -> Float[np.ndarray, "J 3"]:
+        """The offset of each joint as the figure is posed, in file units and its parent's axes.
+
+        Where position channels replace a joint's offset it is the median of their values, otherwise the offset of the file.
+        """
+        offsets = self.offsets.copy()
+        for joint in np.flatnonzero(~np.broadcast_to(self.is_position_added, len(self.names))).tolist():
+            columns, axes = self.get_position_channels(joint)
+            values = self.values[:, columns]
+            values = values[np.isfinite(values).all(1)]
+            if len(values):
+                offsets[joint, axes] = np.median(values, axis=0)
+        return offsets
+
+    @cached_property
+    def body_root(self) -> int:
+        """The joint from which the body branches: the hips, whatever reference nodes are above them.
+
+        It is the last joint above both the first head and the first foot by their names or, without such names, the first joint
+        that has several children.
+        """
+        head, foot = (
+            [joint for joint, name in enumerate(self.names) if pattern.search(name)][:1]
+            for pattern in (HEAD_JOINT_PATTERN, FOOT_JOINT_PATTERN)
+        )
+        if head and foot:
+            return [a for a, b in zip(self.list_path(head[0]), self.list_path(foot[0]), strict=False) if a == b][-1]
+        joint = 0
+        while len(children := np.flatnonzero(self.parents == joint)) == 1:
+            joint = int(children[0])
+        return joint
+
+    @cached_property
+    def is_below_body_root(self) -> Bool[np.ndarray, " J"]:
+        """Whether each joint is below the body root: the joints that bones lead to."""
+        is_below = np.zeros(len(self.names), bool)
+        for joint in range(1, len(self.names)):
+            is_below[joint] = self.parents[joint] == self.body_root or is_below[self.parents[joint]]
+        return is_below
+
+    @cached_property
+    def moving_joint(self) -> int:
+        """The joint whose position channels move the figure most: the root, the hips, or a joint between them.
+
+        Percentiles of the positions are compared, so that no fault of a few frames decides.
+        """
+        joints = [joint for joint in self.list_path(self.body_root) if self.get_position_channels(joint)[0].size]
+        ranges: list[float] = []
+        for joint in joints:
+            values = self.values[:, self.get_position_channels(joint)[0]]
+            values = values[np.isfinite(values).all(1)]
+            ranges.append(float(np.ptp(np.percentile(values, (5, 95), axis=0), axis=0).sum()) if len(values) else 0.0)
+        return joints[int(np.argmax(ranges))] if joints else 0
+
+    def list_path(self, joint: int) -> list[int]:
+        """Return the joints from the root down to a joint."""
+        path = [joint]
+        while self.parents[path[-1]] >= 0:
+            path.append(int(self.parents[path[-1]]))
+        return path[::-1]
+
+    def get_rotation_channels(self, joint: int) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
+        """Return the columns of a joint's rotation channels and the axis of each (0, 1 or 2), the outermost first."""
+        return self._select_channels(joint, "rotation")
+
+    def get_position_channels(self, joint: int) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
+        """Return the columns of a joint's position channels and the axis of each (0, 1 or 2)."""
+        return self._select_channels(joint, "position")
+
+    def _select_channels(self, joint: int, quantity: str) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
+        channels = self.channels[joint]
+        selected = [index for index, name in enumerate(channels) if name.endswith(quantity)]
+        return self.joint_columns[joint][selected], np.array([AXIS_LETTERS.index(channels[index][0]) for index in selected], int)
+
+    def compute_local_rotations(self) -> Float[np.ndarray, "T J 3 3"]:
+        """Compute each joint's rotation relative to its parent (the root's: to the world), the identity in the rest pose."""
+        local_rotations = np.empty((self.frame_count, len(self.names), 3, 3))
+        for joint, (_, rest_rotation) in enumerate(self._list_joint_conventions()):
+            columns, axes = self.get_rotation_channels(joint)
+            basis = self.rotation_y_up_file @ rest_rotation
+            matrices = euler_angles.compute_euler_matrices(np.radians(self.values[:, columns]), axes)
+            local_rotations[:, joint] = basis @ matrices @ basis.T
+        return local_rotations
+
+    def compute_local_positions(self) -> Float[np.ndarray, "T J 3"]:
+        """Compute each joint's position in its parent's axes (the root's: in the world), in metres."""
+        positions = np.tile(self.offsets, (self.frame_count, 1, 1))
+        for joint, (is_added, rest_rotation) in enumerate(self._list_joint_conventions()):
+            columns, axes = self.get_position_channels(joint)
+            if is_added:
+                positions[:, joint] += self.values[:, columns] @ rest_rotation[:, axes].T
+            else:
+                positions[:, joint, axes] = self.values[:, columns]
+            if "Length" in self.channels[joint]:
+                extra_length = self.values[:, self.joint_columns[joint][self.channels[joint].index("Length")]]
+                for child in np.flatnonzero(self.parents == joint):
+                    positions[:, child] += extra_length[:, None] * self.offsets[child] / np.linalg.norm(self.offsets[child])
+        return positions @ self.rotation_y_up_file.T * self.unit_m
+
+    def compute_world_poses(self) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+        """Compute the positions in metres and the rotations of the joints in the world. Callers must not write into them."""
+        return self._world_poses
+
+    def compute_rest_positions(self) -> Float[np.ndarray, "J 3"]:
+        """Compute the positions of the joints in metres with all angles zero and the posed figure's bones."""
+        offsets = self.bone_offsets @ self.rotation_y_up_file.T * self.unit_m
+        return compose_transforms(self.parents, offsets[None], np.tile(np.eye(3), (1, len(offsets), 1, 1)))[0][0]
+
+    def replace_rotations(
+        self, joints: Int[np.ndarray, " n"], frames: Int[np.ndarray, " m"], rotations: Float[np.ndarray, "m n 3 3"]
+    ) -> "Animation":
+        """Return the animation with the local rotations of some joints replaced in some frames.
+
+        `rotations` are as `compute_local_rotations` returns them. They are converted to angles in each joint's own rotation
+        order. In each run of frames the angles continue those of the frame before the run, or, at the start of the animation,
+        backwards those of the frame after it; if all frames are replaced, they start from the first frame's old angles. A joint
+        with fewer than three rotation channels gets the nearest rotation that they can represent.
+        """
+        values, conventions = self.values.copy(), self._list_joint_conventions()
+        for index, joint in enumerate(joints):
+            columns, axes = self.get_rotation_channels(int(joint))
+            basis = self.rotation_y_up_file @ conventions[joint][1]
+            rotations_file = basis.T @ rotations[:, index] @ basis
+            for run, among, beside in _iterate_runs(self.frame_count, frames):
+                start = np.nan_to_num(np.radians(values[beside, columns]))
+                values[run[:, None], columns] = np.degrees(
+                    euler_angles.compute_continuous_euler_angles(np.ascontiguousarray(rotations_file[among]), axes, start)
+                )
+        return self.replace_values(values)
+
+    def replace_positions(
+        self, joints: Int[np.ndarray, " n"], frames: Int[np.ndarray, " m"], positions: Float[np.ndarray, "m n 3"]
+    ) -> "Animation":
+        """Return the animation with the local positions of some joints replaced in some frames.
+
+        `positions` are as `compute_local_positions` returns them. Joints without position channels do not change.
+        """
+        values, conventions = self.values.copy(), self._list_joint_conventions()
+        positions_file = positions @ self.rotation_y_up_file / self.unit_m
+        for index, joint in enumerate(joints):
+            (columns, axes), (is_added, rest_rotation) = self.get_position_channels(int(joint)), conventions[joint]
+            position = positions_file[:, index]
+            if is_added:
+                position = (position - self.offsets[joint]) @ rest_rotation
+            values[np.asarray(frames)[:, None], columns] = position[:, axes]
+        return self.replace_values(values)
+
+    def replace_values(self, values: Float[np.ndarray, "t c"]) -> "Animation":
+        """Return the animation with other channel values, also of another number of frames."""
+        return replace(self, values=values)
+
+    def _list_joint_conventions(self) -> list[tuple[bool, Float[np.ndarray, "3 3"]]]:
+        """Return, for each joint, whether positions are added to the offset, and the axes of its rotations (3, 3)."""
+        count = len(self.names)
+        is_added = np.broadcast_to(self.is_position_added, count)
+        return list(zip(is_added.tolist(), np.broadcast_to(self.rest_rotations, (count, 3, 3)), strict=True))
+
+
+def _iterate_runs(
+    frame_count: int, frames: Int[np.ndarray, " m"]
+) -> Iterator[tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"], int]]:
+    """Yield each run of consecutive frames: its frames in processing order, their indices in `frames`, and the start frame.
+
+    The start frame is the one whose angles the run continues.
+    """
+    index_of_frame = np.full(frame_count, -1)
+    index_of_frame[frames] = np.arange(len(frames))
+    for first, last in find_runs(index_of_frame >= 0):
+        run = np.arange(first, last + 1)
+        if first == 0 and last + 1 < frame_count:
+            run, start = run[::-1], last + 1
+        else:
+            start = max(first - 1, 0)
+        yield run, index_of_frame[run], start

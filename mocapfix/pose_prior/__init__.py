@@ -1,1 +1,0 @@
-"""Pose priors: the mean pose, joint limits, and trained models of human poses with a latent code."""

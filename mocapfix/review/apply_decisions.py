@@ -1,0 +1,146 @@
+"""The last stage: decide which changes are applied, revert the others, and record all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from mocapfix.fill.gap_filling import compute_editable_mask
+from mocapfix.labels.relabel import relabel_samples
+from mocapfix.model.changes import (
+    affects_labels,
+    build_affected_mask,
+    build_changes,
+    compare_samples,
+    find_unfilled_runs,
+    list_affected_markers,
+)
+from mocapfix.model.faults import (
+    EXTERNAL_FILL_KINDS,
+    JOINED_RELATIONS,
+    LABEL_KINDS,
+    MIN_LABEL_CONFIDENCE,
+    MISSING_KINDS,
+    REPLACED_SAMPLE_KINDS,
+    SHIFT_KINDS,
+    Fault,
+    Fragment,
+)
+from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions
+from mocapfix.review.changes_file import ReviewIndex, list_label_corrections
+from mocapfix.state import CleaningState, DetectionState
+
+# A fill of another program stays as it is if it agrees with the estimate within either of these.
+MAX_AGREEMENT_SD = 3.0
+MAX_AGREEMENT_DISTANCE_M = 0.010
+
+
+def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Apply the accepted changes and revert the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
+
+    A change is reverted if `options.detect.repair_kinds` names kinds and its kind is not one of them, if it is a label change
+    with samples that must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it.
+    Every change that was considered has an entry in `changes`, with its decision.
+    """
+    assert state.fill is not None
+    original, detection, fill = state.original_take, state.detection, state.fill
+    is_editable = compute_editable_mask(original, options.fill)
+    corrections = list_label_corrections(state.review.corrections)
+    repairable = [fault for fault in detection.faults.items if _is_repairable(fault)]
+    considered = [
+        fault
+        for fault in repairable
+        if (_is_requested(fault, options.detect.repair_kinds) or fault in corrections)
+        and _is_editable(fault, is_editable)
+        and not _matches_estimate(fault, detection, fill.take)
+    ]
+    reviewed = ReviewIndex(state.review.declined)
+    decisions = {id(fault): next((each.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered}
+    accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
+    declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
+    reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]
+    cleaned = _revert_faults(original, detection, fill.take, reverted)
+    if options.fill.smooth_keypoints and state.marker_set and state.marker_set.point_sd:
+        cleaned = _smooth_kept_samples(cleaned, detection.take, is_editable)
+    body_markers, methods = fill.body_markers, fill.methods
+    declined_changes = [
+        (replace(change, decision=decisions[id(fault)], samples=0, after=change.before), fault)
+        for change, fault in build_changes(original, detection.take, fill.take, declined, body_markers, methods)
+    ]
+    accepted_changes = build_changes(original, detection.take, cleaned, accepted, body_markers, methods)
+    changes = sorted((*accepted_changes, *declined_changes), key=lambda each: (each[1].marker, each[1].first))
+    found = {id(each) for _, fault in declined_changes for each in reviewed.find_matches(fault)}
+    not_found = [each.to_change() for each in state.review.declined if id(each) not in found]
+    reasons = np.where(fill.take.visible, "its change was not applied", fill.unfilled_reasons)
+    return replace(
+        state,
+        cleaned_take=cleaned,
+        changes=(*(change for change, _ in changes), *not_found),
+        unfilled_runs=find_unfilled_runs(cleaned, reasons),
+    )
+
+
+def revert_samples(repaired: Take, original: Take, revert_mask: Bool[np.ndarray, "T M"]) -> Take:
+    """Return the repaired take with the samples in `revert_mask` as they are in the original, and all others unchanged."""
+    return replace(
+        repaired,
+        markers=np.where(revert_mask[..., None], original.markers, repaired.markers),
+        relabelled_points=np.where(revert_mask, original.source_points, repaired.source_points),
+        sample_sd=None if repaired.sample_sd is None else np.where(revert_mask, np.nan, repaired.sample_sd),
+        computed=np.where(revert_mask, original.visible & ~original.measured, repaired.visible & ~repaired.measured),
+    )
+
+
+def _revert_faults(original: Take, detection: DetectionState, repaired: Take, faults: list[Fault]) -> Take:
+    """Return the repaired take without the repairs of some faults.
+
+    Where a label change is reverted, the repairs of the samples concerned are reverted too.
+    """
+    reverted_label_faults = {id(fault) for fault in faults if affects_labels(fault)}
+    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if id(fault) not in reverted_label_faults])
+    revert_mask = build_affected_mask([fault for fault in faults if not affects_labels(fault)], detection.take)
+    without_samples = revert_samples(repaired, detection.take, revert_mask)
+    without_labels = revert_samples(without_samples, relabelled, compare_samples(detection.take, relabelled))
+    return replace(without_labels, unlabelled=relabelled.unlabelled)
+
+
+def _smooth_kept_samples(cleaned: Take, smoothed: Take, editable_mask: Bool[np.ndarray, "T M"]) -> Take:
+    """Return the cleaned take with the smoothed positions of the samples that are the file's own."""
+    is_kept = cleaned.measured & smoothed.visible & (cleaned.source_points == smoothed.source_points) & editable_mask
+    if cleaned.sample_sd is not None:
+        is_kept &= np.isnan(cleaned.sample_sd)
+    return replace(cleaned, markers=np.where(is_kept[..., None], smoothed.markers, cleaned.markers))
+
+
+def _is_repairable(fault: Fault) -> bool:
+    """Return whether a fault leads to a change. Uncertain label faults and unused fragments are only reported."""
+    if isinstance(fault, Fragment):
+        return fault.relation in JOINED_RELATIONS
+    if fault.kind in LABEL_KINDS:
+        return fault.confidence >= MIN_LABEL_CONFIDENCE
+    return fault.kind in (*MISSING_KINDS, *REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS, *SHIFT_KINDS)
+
+
+def _is_requested(fault: Fault, kinds: tuple[str, ...]) -> bool:
+    """Return whether the fault is of a kind to be repaired. Marker shifts, which change no sample, and marked stretches are."""
+    return not kinds or fault.kind in (*SHIFT_KINDS, "marked") or ("gap" if fault.kind in MISSING_KINDS else fault.kind) in kinds
+
+
+def _is_editable(fault: Fault, editable_mask: Bool[np.ndarray, "T M"]) -> bool:
+    """Return whether all samples of a label fault may be edited; True for other faults."""
+    if not affects_labels(fault):
+        return True
+    return bool(editable_mask[fault.frame_slice][:, list_affected_markers(fault, editable_mask.shape[1])].all())
+
+
+def _matches_estimate(fault: Fault, detection: DetectionState, repaired: Take) -> bool:
+    """Return whether the fault is another program's fill that agrees with the estimate."""
+    if fault.kind not in EXTERNAL_FILL_KINDS or repaired.sample_sd is None:
+        return False
+    frames, m = fault.frame_slice, fault.marker
+    distance = repaired.markers[frames, m] - detection.take.markers[frames, m]
+    sd = repaired.sample_sd[frames, m]
+    is_known = ~np.isnan(sd)
+    allowed = np.maximum(3 * (MAX_AGREEMENT_SD * sd[is_known]) ** 2, MAX_AGREEMENT_DISTANCE_M**2)
+    return not is_known.any() or bool((distance[is_known] ** 2).sum() < allowed.sum())

@@ -1,0 +1,298 @@
+"""Autoencoder pose models (MNN-IK, section 3 and appendix A).
+
+The scale of a network's code is arbitrary. Here the code is normalised by the covariance of the codes of training poses, so that
+its cost is half its sum of squares. The residuals of decoded poses are correlated between joints, above all for subjects that the
+network was not trained on; further code dimensions are amplitudes along the directions of these residuals.
+
+The decoder of an autoencoder and its derivative, computed with numpy.
+
+A cleaning needs nothing else of a network, and importing torch takes longer than decoding the poses of a minute.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from mocapfix.solve.pose_prior import Header, PoseModel, Tensors, validate_tensors
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from mocapfix.solve.pose_features import PoseFeatures
+    from mocapfix.solve.prior_network import AutoencoderNetwork
+
+
+ENCODER, DECODER = "encoder.", "decoder."  # how the names of the weights begin
+SKIPPED_LAYERS, SKIP = "0.layers.", "0.skip."  # and how they go on in a decoder with a skip connection
+
+
+@dataclass(frozen=True)
+class NetworkArchitecture:
+    """The architecture of a network.
+
+    input_features       features that the encoder takes: a key of FEATURE_COUNTS
+    output_features      features that the decoder returns: a key of FEATURE_COUNTS
+    hidden_widths        widths of the encoder's hidden layers; the decoder has the same in reverse order
+    code_size            dimensions of the network's code
+    residual_directions  number of further code dimensions, along the directions of the decoded poses' residuals
+    activation           activation of the hidden layers: a key of ACTIVATION_SLOPES
+    skip_connection      whether a linear map from the code is added to the decoder's output
+    """
+
+    input_features: str
+    output_features: str
+    hidden_widths: tuple[int, ...]
+    code_size: int
+    residual_directions: int
+    activation: str
+    skip_connection: bool
+
+    def list_weight_shapes(self, joint_count: int) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the network's weights for a skeleton, by their names in the network."""
+        inputs, outputs = (FEATURE_COUNTS[kind](joint_count) for kind in (self.input_features, self.output_features))
+        decoder = DECODER + (SKIPPED_LAYERS if self.skip_connection else "")
+        shapes: dict[str, tuple[int, ...]] = {}
+        for prefix, widths in (
+            (ENCODER, (inputs, *self.hidden_widths, self.code_size)),
+            (decoder, (self.code_size, *self.hidden_widths[::-1], outputs)),
+        ):
+            for n, (before, after) in enumerate(pairwise(widths)):  # between two layers there is an activation
+                shapes |= {f"{prefix}{2 * n}.weight": (after, before), f"{prefix}{2 * n}.bias": (after,)}
+        if self.skip_connection:
+            shapes[f"{DECODER}{SKIP}weight"] = (outputs, self.code_size)
+        return shapes
+
+
+FEATURE_COUNTS: dict[str, Callable[[int], int]] = {
+    "continuous": lambda joint_count: 6 * (joint_count - 1) + 3,
+    "euler": lambda joint_count: 3 * joint_count,
+    "vectors": lambda joint_count: 3 * joint_count,
+}
+"""The number of features of a pose, by the kind of features (see `pose_features`) and the number of joints."""
+
+
+class LayerOutput(NamedTuple):
+    """The output of layers for N rows, and its derivatives along P directions."""
+
+    rows: Float32[np.ndarray, "N B"]
+    slopes: Float32[np.ndarray, "N P B"]
+
+
+def evaluate_silu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return x / (1 + exp(-x)) and its derivative."""
+    share = 1 / (1 + np.exp(-values))
+    return values * share, share * (1 + values * (1 - share))
+
+
+def evaluate_relu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positive part and its derivative."""
+    return np.maximum(values, 0), (values > 0).astype(values.dtype)
+
+
+ACTIVATION_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
+    "silu": evaluate_silu,
+    "relu": evaluate_relu,
+}
+"""Functions that return the values of an activation and its derivatives, element by element."""
+
+
+class Decoder:
+    """The decoder of a network."""
+
+    def __init__(self, architecture: NetworkArchitecture, weights: Mapping[str, Float32[np.ndarray, "..."]]):
+        """Select the decoder's weights among those of the network, by their names there."""
+        prefix = DECODER + (SKIPPED_LAYERS if architecture.skip_connection else "")
+        numbers = range(0, 2 * len(architecture.hidden_widths) + 1, 2)
+        self.layers = [(weights[f"{prefix}{n}.weight"].T, weights[f"{prefix}{n}.bias"]) for n in numbers]
+        self.skip_weight = weights[f"{DECODER}{SKIP}weight"].T if architecture.skip_connection else None
+        self.evaluate_activation = ACTIVATION_SLOPES[architecture.activation]
+
+    def linearise(self, codes: Float[np.ndarray, "N A"], directions: Float[np.ndarray, "P A"]) -> LayerOutput:
+        """Return the features of codes and their derivatives along some directions of the code.
+
+        The matrix products span all rows, and the first derivatives, which are equal for all rows, are computed once.
+        """
+        start = np.asarray(codes, np.float32)
+        steps = np.asarray(directions, np.float32)[None]
+        rows, slopes = start, steps
+        for n, (weight, bias) in enumerate(self.layers):
+            if n:
+                rows, derivative = self.evaluate_activation(rows)
+                slopes = slopes * derivative[:, None]
+            rows, slopes = rows @ weight + bias, slopes @ weight
+        if self.skip_weight is not None:
+            rows, slopes = rows + start @ self.skip_weight, slopes + steps @ self.skip_weight
+        return LayerOutput(rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:])))
+
+    def evaluate(self, codes: Float[np.ndarray, "N A"]) -> Float32[np.ndarray, "N B"]:
+        """Return the features of codes."""
+        return self.linearise(codes, np.zeros((0, codes.shape[1]))).rows
+
+
+FIELD_OF_AUTOENCODER_TENSOR = {
+    "middle": "reference_rotations",
+    "sigma": "residual_sd_rad",
+    "mean": "code_mean",
+    "spread": "code_cholesky",
+    "astray": "residual_directions",
+}
+ARCHITECTURE_FIELD_OF_KEY = {
+    "features": "input_features",
+    "gives": "output_features",
+    "hidden": "hidden_widths",
+    "code": "code_size",
+    "astray": "residual_directions",
+    "activation": "activation",
+    "straight": "skip_connection",
+}
+NETWORK_PREFIX = "network."  # of the names of the network's weights in a file
+
+
+@dataclass(frozen=True)
+class AutoencoderModel(PoseModel):
+    """A trained autoencoder whose code has N dimensions of the network and P - N amplitudes of residuals.
+
+    Only encoding, and the decoding of features other than rotation vectors, import torch.
+
+    weights              the network's weights in single precision, by their names in the network
+    code_mean            (N,) mean of the network's code over the training poses
+    code_cholesky        (N, N) lower triangular: the network's code is code_mean + code_cholesky @ code[:N]
+    residual_directions  (P - N, J, 3) radians: residual of the decoded pose for one standard deviation of each further code
+                         dimension
+    """
+
+    architecture: NetworkArchitecture
+    weights: Mapping[str, np.ndarray]
+    code_mean: np.ndarray
+    code_cholesky: np.ndarray
+    residual_directions: np.ndarray
+    kind: ClassVar[str] = "autoencoder"
+
+    @cached_property
+    def decoder(self) -> Decoder:
+        """The decoder, without torch."""
+        return Decoder(self.architecture, self.weights)
+
+    @cached_property
+    def network(self) -> "AutoencoderNetwork":
+        """The network as a torch module."""
+        from mocapfix.solve.prior_network import restore_network
+
+        return restore_network(self.architecture, self.reference_rotations, self.weights)
+
+    @cached_property
+    def input_features(self) -> "PoseFeatures":
+        """The features that the encoder takes, as torch functions."""
+        return self._build_features(self.architecture.input_features)
+
+    @cached_property
+    def output_features(self) -> "PoseFeatures":
+        """The features that the decoder returns, as torch functions."""
+        return self._build_features(self.architecture.output_features)
+
+    @property
+    def code_size(self) -> int:
+        return len(self.code_mean) + len(self.residual_directions)
+
+    @property
+    def nonlinear_code_size(self) -> int:
+        return len(self.code_mean)
+
+    def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        """Return the codes of poses: the network's code, and the most probable residual amplitudes given the network's code."""
+        from mocapfix.solve.prior_network import evaluate_in_batches
+
+        def encode_batch(vectors: "Tensor") -> "tuple[Tensor, ...]":
+            return (self.network.encoder(self.input_features.compute_features(vectors)),)
+
+        (network_code,) = evaluate_in_batches(encode_batch, pose_vectors)
+        decoded = self._decode_network_code(network_code)
+        axis_count = 3 * len(self.joint_names)
+        sd = self.residual_sd_rad[:, None]
+        directions = (self.residual_directions / sd).reshape(len(self.residual_directions), axis_count)
+        residuals = ((pose_vectors - decoded) / sd).reshape(len(pose_vectors), axis_count)
+        amplitudes = np.linalg.solve(directions @ directions.T + np.eye(len(directions)), directions @ residuals.T).T
+        normalised = np.linalg.solve(self.code_cholesky, (network_code - self.code_mean).T).T
+        return np.concatenate([normalised, amplitudes], axis=1)
+
+    def decode(self, codes: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N J 3"]:
+        return self._decode_network_code(self._compute_network_code(codes)) + self._compute_residual(codes)
+
+    def linearise(self, codes: Float[np.ndarray, "N P"]) -> tuple[Float[np.ndarray, "N J 3"], Float[np.ndarray, "N J 3 P"]]:
+        decoded, jacobian = self._linearise_network_code(self._compute_network_code(codes))
+        directions = np.moveaxis(self.residual_directions, 0, -1)
+        residual_jacobian = np.broadcast_to(directions, (*decoded.shape, len(self.residual_directions)))
+        return decoded + self._compute_residual(codes), np.concatenate([jacobian, residual_jacobian], axis=-1)
+
+    def serialise(self) -> tuple[Header, Tensors]:
+        """Return header and tensors; the weights in half precision, for which standard deviations and code scale were
+        estimated."""
+        weights = {_name_file_weight(name): values.astype(np.float16) for name, values in self.weights.items()}
+        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_AUTOENCODER_TENSOR.items()}
+        shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}
+        return {"shape": shape}, tensors | weights
+
+    @classmethod
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "AutoencoderModel":
+        shape = header["shape"] | {"hidden": tuple(header["shape"]["hidden"])}
+        architecture = NetworkArchitecture(**{ARCHITECTURE_FIELD_OF_KEY[key]: value for key, value in shape.items()})
+        weights = {_name_network_weight(name): tensors.pop(name) for name in list(tensors) if name.startswith(NETWORK_PREFIX)}
+        joint_count, size = len(joint_names), architecture.code_size
+        shapes = {
+            "middle": (joint_count, 3, 3),
+            "sigma": (joint_count,),
+            "mean": (size,),
+            "spread": (size, size),
+            "astray": (architecture.residual_directions, joint_count, 3),
+        }
+        fields = {FIELD_OF_AUTOENCODER_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        checked = validate_tensors(weights, **architecture.list_weight_shapes(joint_count))
+        single = {name: values.astype(np.float32) for name, values in checked.items()}
+        return cls(joint_names, architecture=architecture, weights=single, **fields)
+
+    def _build_features(self, kind: str) -> "PoseFeatures":
+        from mocapfix.solve.pose_features import build_features
+
+        return build_features(kind, self.reference_rotations)
+
+    def _compute_network_code(self, codes: np.ndarray) -> np.ndarray:
+        return self.code_mean + codes[:, : len(self.code_mean)] @ self.code_cholesky.T
+
+    def _compute_residual(self, codes: np.ndarray) -> np.ndarray:
+        return np.tensordot(codes[:, len(self.code_mean) :], self.residual_directions, 1)
+
+    def _decode_network_code(self, network_codes: np.ndarray) -> np.ndarray:
+        """Return the rotation vectors (N, J, 3) of codes of the network."""
+        features = self.decoder.evaluate(network_codes)
+        if self.architecture.output_features == "vectors":
+            return features.reshape(len(features), -1, 3).astype(float)
+        from mocapfix.solve.prior_network import evaluate_in_batches
+
+        return evaluate_in_batches(lambda batch: (self.output_features.compute_vectors(batch),), features)[0]
+
+    def _linearise_network_code(self, network_codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rotation vectors (N, J, 3) of network codes and their derivatives (N, J, 3, P) in the model's code."""
+        features, slopes = self.decoder.linearise(network_codes, self.code_cholesky.T)
+        if self.architecture.output_features == "vectors":
+            vectors = features.reshape(len(features), -1, 3)
+            jacobian = np.swapaxes(slopes, 1, 2).reshape(*vectors.shape, slopes.shape[1])
+            return vectors.astype(float), jacobian.astype(float)
+        from mocapfix.solve.prior_network import evaluate_in_batches
+
+        vectors, jacobian = evaluate_in_batches(self.output_features.linearise_vectors, features, slopes)
+        return vectors, jacobian
+
+
+def _name_file_weight(name: str) -> str:
+    """Return the name in a weights file of a weight of the network."""
+    return NETWORK_PREFIX + name.replace("0.layers.", "0.bent.").replace("0.skip.", "0.straight.")
+
+
+def _name_network_weight(name: str) -> str:
+    """Return the name in the network of a weight in a weights file."""
+    return name.removeprefix(NETWORK_PREFIX).replace("0.bent.", "0.layers.").replace("0.straight.", "0.skip.")

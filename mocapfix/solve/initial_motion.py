@@ -1,0 +1,361 @@
+"""Initialisation: a first pose for every frame, from which the solver starts.
+
+The methods (`INIT_METHODS`) are:
+
+learned       those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_start`)
+hybrik-...    joint positions from the markers (`joint_positions`), and from these each frame's pose in closed form (`hybrik`)
+registration  the subject's segments registered to the visible markers, down the tree (`segment_registration`)
+previous      only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
+              saves some iterations, but frames cannot be solved in parallel, and a wrong solution affects the next frame.
+
+Joint positions from markers, estimated in every frame independently, with their standard deviations.
+
+Initial poses by learned inverse kinematics: what no marker shows is inferred from the rest of the body.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
+from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.skeleton import BodyModel, Skeleton
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
+from mocapfix.solve import kinematics, mean_pose
+from mocapfix.solve.frame_windows import FrameChanges, change_all_frames, find_changed_frames
+from mocapfix.solve.hybrik import MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
+from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
+from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.segment_registration import register_poses
+from mocapfix.solve.twist_regressor import MIN_JOINT_DISTANCE_M
+from mocapfix.state import CleaningState
+
+MIN_MARKER_SPREAD_M = 1e-7
+"""Smallest marker spread, which bounds the weight of a marker."""
+MAX_JOINT_SD_M = 0.5
+"""Standard deviation of a joint position above which it counts as unknown."""
+
+
+class JointEstimate(NamedTuple):
+    """Joint positions estimated from markers.
+
+    positions     (T, J, 3) m, NaN where practically unknown
+    sd            (T, J) m per axis, likewise
+    marker_trust  (T, K) between 0 and 1: robust weight of each marker, below 0.25 if it lies 5 cm off; 0 if not visible
+    """
+
+    positions: np.ndarray
+    sd: np.ndarray
+    marker_trust: np.ndarray
+
+
+def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> JointEstimate:
+    """Return the joint positions of every frame with their standard deviations.
+
+    Each segment is registered to its own markers, weighted by the subject's marker spread, and to the estimates of its
+    neighbouring segments: of the common joint, and of its axes, weighted by the variation about the mean pose. A limb without
+    markers therefore takes the mean pose, with a correspondingly large standard deviation. Coincident joints get the same
+    position.
+
+    take  the markers in the subject's order, NaN if not visible or an outlier
+    """
+    prior = mean_pose.load_mean_pose_prior("mean-pose", subject.skeleton)
+    rigid = build_rigid_skeleton(subject.skeleton, body.free_joints, prior)
+    order = np.argsort(rigid.carrier_segment[subject.joints], kind="stable")
+    positions, variance = (
+        np.empty((take.frame_count, len(body.free_joints), 3)),
+        np.empty((take.frame_count, len(body.free_joints))),
+    )
+    trust = np.empty(take.visible.shape)
+    run_over_frames(
+        propagate_segment_frames,
+        take.frame_count,
+        build_segments(subject, rigid, prior, order),
+        build_meetings(rigid),
+        np.ascontiguousarray(take.markers[:, order], float),
+        positions,
+        variance,
+        trust,
+    )
+    is_unknown = ~(variance < MAX_JOINT_SD_M**2)
+    sd = np.maximum(np.sqrt(variance + subject.joint_sd**2), MIN_JOINT_SD_M)
+    positions[is_unknown], sd[is_unknown] = np.nan, np.nan
+    return JointEstimate(positions, sd, trust[:, order.argsort()])
+
+
+@dataclass(frozen=True)
+class RigidSkeleton:
+    """A skeleton as S rigid segments: each free joint with the fixed joints below it, which keep the mean pose.
+
+    segment_joints       (S,) the free joint of each segment
+    parent_segment       (J,) the segment to which each joint is attached; for the root its own
+    position_in_parent   (J, 3) m: the joint in the axes of that segment
+    parent_axes          (J, 3, 3): axes of the joint's parent to axes of that segment
+    carrier_segment      (J,) the segment that turns with the joint: its own if it is free, else the parent segment
+    position_in_carrier  (J, 3) m: the joint in the axes of the carrier segment
+    axes_in_carrier      (J, 3, 3): joint axes to axes of the carrier segment
+    """
+
+    segment_joints: Int[np.ndarray, " S"]
+    parent_segment: Int[np.ndarray, " J"]
+    position_in_parent: Float[np.ndarray, "J 3"]
+    parent_axes: Float[np.ndarray, "J 3 3"]
+    carrier_segment: Int[np.ndarray, " J"]
+    position_in_carrier: Float[np.ndarray, "J 3"]
+    axes_in_carrier: Float[np.ndarray, "J 3 3"]
+
+
+def build_rigid_skeleton(skeleton: Skeleton, free_joints: Bool[np.ndarray, " J"], prior: MeanPosePrior) -> RigidSkeleton:
+    """Return the skeleton as rigid segments."""
+    count, segment_joints = len(free_joints), np.flatnonzero(free_joints)
+    parent_segment, carrier_segment = np.zeros(count, int), np.zeros(count, int)
+    position_in_parent, position_in_carrier = np.zeros((count, 3)), np.zeros((count, 3))
+    parent_axes, axes_in_carrier = np.tile(np.eye(3), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1))
+    carrier_segment[segment_joints] = np.arange(len(segment_joints))
+    for j in range(1, count):
+        parent = skeleton.parents[j]
+        parent_segment[j], parent_axes[j] = carrier_segment[parent], axes_in_carrier[parent]
+        position_in_parent[j] = position_in_carrier[parent] + axes_in_carrier[parent] @ skeleton.offsets[j]
+        if not free_joints[j]:
+            carrier_segment[j], position_in_carrier[j] = parent_segment[j], position_in_parent[j]
+            axes_in_carrier[j] = parent_axes[j] @ prior.mean_rotations[j]
+    return RigidSkeleton(
+        segment_joints,
+        parent_segment,
+        position_in_parent,
+        parent_axes,
+        carrier_segment,
+        position_in_carrier,
+        axes_in_carrier,
+    )
+
+
+def build_segments(subject: Subject, rigid: RigidSkeleton, prior: MeanPosePrior, order: Int[np.ndarray, " K"]) -> SegmentTree:
+    """Return the segments for the kernel; `order` sorts the subject's markers by segment."""
+    own, marker_joints, marker_offsets = rigid.segment_joints, subject.joints[order], subject.marker_offsets[order]
+    parent_axes = rigid.parent_axes[own]
+    standing_positions, standing_rotations = kinematics.compute_tree_poses(
+        kinematics.build_kinematic_tree(subject.skeleton), np.zeros((1, 3)), prior.mean_rotations[None]
+    )
+    rotated = np.einsum("kab,kb->ka", rigid.axes_in_carrier[marker_joints], marker_offsets)
+    standing_rotated = np.einsum("kab,kb->ka", standing_rotations[0, marker_joints], marker_offsets)
+    return SegmentTree(
+        parent=rigid.parent_segment[own],
+        joint_offset=rigid.position_in_parent[own],
+        mean_rotation=parent_axes @ prior.mean_rotations[own],
+        rotation_information=parent_axes @ prior.information[own] @ np.swapaxes(parent_axes, 1, 2),
+        first_marker=np.searchsorted(rigid.carrier_segment[marker_joints], np.arange(len(own) + 1)),
+        marker_offset=rigid.position_in_carrier[marker_joints] + rotated,
+        weight=1 / np.maximum(subject.marker_spread[order], MIN_MARKER_SPREAD_M) ** 2,
+        standing_rotation=standing_rotations[0, own],
+        standing_position=standing_positions[0, marker_joints] + standing_rotated,
+    )
+
+
+def build_meetings(rigid: RigidSkeleton) -> JointSegments:
+    """Return the segments that share each joint: its parent segment, and the segments whose own joint coincides with it."""
+    distance = np.linalg.norm(rigid.position_in_parent[:, None] - rigid.position_in_parent, axis=2)
+    is_shared = (distance < MIN_JOINT_DISTANCE_M) & (rigid.parent_segment[:, None] == rigid.parent_segment)
+    coincident = [[s for s, j in enumerate(rigid.segment_joints) if s and is_shared[i, j]] for i in range(len(is_shared))]
+    segments: list[int] = []
+    joint_offsets: list[np.ndarray] = []
+    for parent, position, own in zip(rigid.parent_segment, rigid.position_in_parent, coincident, strict=True):
+        segments += [parent, *own]
+        joint_offsets += [position, *np.zeros((len(own), 3))]
+    first_segment = np.cumsum([0] + [1 + len(own) for own in coincident])
+    return JointSegments(first_segment, np.array(segments), np.array(joint_offsets))
+
+
+MIN_MARKER_TRUST = 0.25
+"""Robust weight below which a marker is not used by HybrIK; a marker 5 cm from its segment has this weight."""
+LEARNED_METHOD = "learned"
+HYBRIK_VARIANTS: dict[str, HybrikVariant] = {
+    "hybrik-x": "x",
+    LEARNED_METHOD: "x",
+    "hybrik-adaptive": "adaptive",
+    "hybrik-naive": "naive",
+}
+"""The HybrIK variant of each method."""
+MAX_BLOCK_FRAMES = 4096
+"""Frames that are posed at a time; a frame takes its root from its neighbours only within them, if its markers do not show it."""
+MIN_START_MARKER_SHARE = 0.5
+"""Share of the markers that are visible in any frame which a frame must show to start the chain of method "previous"."""
+
+
+def initialise_motion(
+    take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str = DEFAULT_INIT_METHOD
+) -> Motion:
+    """Return the initial pose of every frame; NaN where the frame starts from the solution of the frame before.
+
+    take    the markers in the subject's order, NaN if not visible or an outlier
+    prior   its mean pose is that of the joints that the body does not turn
+    method  one of INIT_METHODS
+    """
+    if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
+        return initialise_in_blocks(take, subject, body, prior, method)
+    if method in HYBRIK_VARIANTS:
+        estimate, is_held = estimate_joint_positions(take, subject, body), ~body.free_joints
+        motion = solve_hybrik(
+            estimate.positions,
+            subject,
+            variant=HYBRIK_VARIANTS[method],
+            joint_sd=estimate.sd,
+            markers=np.where(estimate.marker_trust[..., None] > MIN_MARKER_TRUST, take.markers, np.nan),
+            held_joints=is_held,
+        )
+        motion.local_rotations[:, is_held] = prior.mean_rotations[is_held]
+        motion = bend_unmarked_chains(motion, subject, prior)
+        if method == LEARNED_METHOD and body.shown_segments.all():
+            motion = infer_unseen_joints(motion, estimate, subject, take.rate)
+        return motion
+    motion = register_poses(subject, body.free_joints, prior, take.markers)
+    return start_from_previous(motion, take.visible) if method == "previous" else motion
+
+
+def initialise_frames(
+    take: Take, frames: Int[np.ndarray, " N"], subject: Subject, body: BodyModel, prior: MeanPosePrior, *, method: str
+) -> Motion:
+    """Return the initial poses of some frames of a take; arguments as those of `initialise_motion`."""
+    if method == LEARNED_METHOD:  # which smooths positions over time, and so needs the frames between them
+        return initialise_motion(take, subject, body, prior, method).select_frames(frames)
+    return initialise_motion(take.replace_markers(take.markers[frames]), subject, body, prior, method)
+
+
+def initialise_in_blocks(take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str) -> Motion:
+    """Return what `initialise_motion` returns, computed block by block: the arrays of a block are several times its poses."""
+    fields: list[np.ndarray] = []
+    for first in range(0, take.frame_count, MAX_BLOCK_FRAMES):
+        block = slice(first, first + MAX_BLOCK_FRAMES)
+        part = initialise_motion(take.replace_markers(take.markers[block]), subject, body, prior, method)
+        if not fields:
+            fields = [np.empty((take.frame_count, *field.shape[1:]), field.dtype) for field in vars(part).values()]
+        for field, values in zip(fields, vars(part).values(), strict=True):
+            field[block] = values
+    return Motion(*fields)
+
+
+def bend_unmarked_chains(motion: Motion, subject: Subject, prior: MeanPosePrior) -> Motion:
+    """Distribute the rotation of each marked leaf over the unmarked joints before it, in equal parts about the mean pose.
+
+    The joints of the neck carry no markers. Two short, nearly straight bones fold to one side or the other for a millimetre more
+    or less between their ends, and the markers hardly determine the side, so the solver would stay on it.
+    """
+    skeleton, local_rotations = subject.skeleton, motion.local_rotations.copy()
+    world_rotations = kinematics.compute_world_poses(skeleton, motion)[1]
+    for chain in find_unmarked_chains(subject):
+        rotation = world_rotations[:, skeleton.parents[chain[0]]].swapaxes(1, 2) @ world_rotations[:, chain[-1]]
+        mean = np.linalg.multi_dot(prior.mean_rotations[chain])
+        vector = Rotation.from_matrix(mean.T @ rotation).as_rotvec()
+        part = Rotation.from_rotvec(vector / len(chain)).as_matrix()
+        product = np.eye(3)
+        for j in chain[:-1]:
+            local_rotations[:, j] = prior.mean_rotations[j] @ part
+            product = product @ local_rotations[:, j]
+        local_rotations[:, chain[-1]] = np.swapaxes(product, -1, -2) @ rotation
+    return replace(motion, local_rotations=local_rotations)
+
+
+def find_unmarked_chains(subject: Subject) -> list[list[int]]:
+    """Return for each leaf with markers the joints from the last one with markers (exclusive) down to it; two or more joints."""
+    parents, marked = subject.skeleton.parents, set(subject.joints.tolist())
+    chains: list[list[int]] = []
+    for leaf in marked - set(parents.tolist()):
+        chain = [leaf]
+        while int(parents[chain[0]]) > 0 and int(parents[chain[0]]) not in marked:
+            chain.insert(0, int(parents[chain[0]]))
+        if len(chain) > 1:
+            chains.append(chain)
+    return chains
+
+
+def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Motion:
+    """Replace the poses after the first frame with enough visible markers by NaN: they start from the frame before."""
+    has_enough = visible.sum(axis=1) >= MIN_START_MARKER_SHARE * visible.any(axis=0).sum()
+    is_later = np.arange(motion.frame_count) > has_enough.argmax()
+    root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
+    root_position[is_later] = local_rotations[is_later] = np.nan
+    return replace(motion, root_position=root_position, local_rotations=local_rotations)
+
+
+def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Compute a first pose in closed form for every frame that the body was not yet solved for, or whose samples changed since.
+
+    Sets `initial_motion` and `frame_changes` of the state.
+    """
+    assert state.extended_subject is not None
+    take, method = state.solver_take, options.initialise.method_used
+    changes = find_frame_changes(state, take) if method != "previous" else change_all_frames(take.frame_count)
+    body = state.extended_subject.body_model
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    if state.body is None or changes.is_restarted.all():
+        motion = initialise_motion(take, state.extended_subject, body, prior, method)
+        return replace(state, initial_motion=motion, frame_changes=change_all_frames(take.frame_count))
+    restarted = np.flatnonzero(changes.is_restarted)
+    poses = initialise_frames(take, restarted, state.extended_subject, body, prior, method=method)
+    return replace(state, initial_motion=insert_poses(state.body.motion, restarted, poses), frame_changes=changes)
+
+
+def find_frame_changes(state: CleaningState, take: Take) -> FrameChanges:
+    """Return the frames of the solver's take that changed since the body was solved."""
+    body = state.body
+    if body is None or body.detection is None:
+        return change_all_frames(take.frame_count)
+    old_take = body.detection.select_solver_take(body.marker_columns)
+    return find_changed_frames(old_take.markers, take.markers, is_same_subject=state.subject is body.subject)
+
+
+def insert_poses(motion: Motion, frames: Int[np.ndarray, " N"], poses: Motion) -> Motion:
+    """Return a motion with other poses in some frames, except for poses that were only guessed from other frames."""
+    is_placed = poses.status != FrameStatus.GUESSED
+    root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
+    root_position[frames[is_placed]] = poses.root_position[is_placed]
+    local_rotations[frames[is_placed]] = poses.local_rotations[is_placed]
+    return replace(motion, root_position=root_position, local_rotations=local_rotations)
+
+
+LEARNED_START_PASSES = 2  # a third changes hardly anything
+MIN_SEGMENT_TRUST = 0.25
+"""Robust weight from which a marker shows the rotation of its segment."""
+
+
+def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subject, rate_hz: float) -> Motion:
+    """Return poses whose joints without a visible marker have the rotations that the network infers; the others are unchanged.
+
+    motion    closed-form poses of all frames
+    estimate  the joint positions that they are made of
+    """
+    model = PoseRegressor(load_shipped_ik_network(), subject.skeleton, LEARNED_START_PASSES)
+    joint_sd = np.nan_to_num(estimate.sd, nan=1.0)
+    start = motion.root_position, motion.local_rotations
+    is_seen = find_seen_segments(estimate, subject)
+    positions = np.where(is_given_joint(is_seen, subject)[..., None], estimate.positions, np.nan)
+    root, local = model.refine_take(start, positions, joint_sd, rate_hz)
+    seen_world = compute_world_poses(subject.skeleton, motion)[1]
+    learned = Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
+    world = np.where(is_seen[..., None, None], seen_world, compute_world_poses(subject.skeleton, learned)[1])
+    parents = subject.skeleton.parents
+    combined = np.swapaxes(world[:, np.maximum(parents, 0)], 2, 3) @ world
+    combined[:, 0] = world[:, 0]
+    root = np.where(is_seen[:, :1], motion.root_position, root)
+    return Motion(root, combined, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
+
+
+def find_seen_segments(estimate: JointEstimate, subject: Subject) -> Bool[np.ndarray, "T J"]:
+    """Return in which frames a marker shows each joint's own segment."""
+    is_seen = np.zeros(estimate.sd.shape, bool)
+    for marker, joint in enumerate(subject.joints):
+        is_seen[:, joint] |= estimate.marker_trust[:, marker] > MIN_SEGMENT_TRUST
+    return is_seen
+
+
+def is_given_joint(is_seen: Bool[np.ndarray, "T J"], subject: Subject) -> Bool[np.ndarray, "T J"]:
+    """Return which joints have a position that markers determine: those at an end of a segment with markers."""
+    parents = np.maximum(subject.skeleton.parents, 0)
+    return is_seen | is_seen[:, parents]

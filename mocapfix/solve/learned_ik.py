@@ -1,0 +1,304 @@
+"""The protocols of Learnable SMPLify (3.2.3): any pose refined (plug-in), a take followed frame after frame (sequential).
+
+Both can be iterated (B.3): each further pass starts from the result of the pass before.
+
+The network of learned inverse kinematics, evaluated without torch, and its file.
+
+The closed form of learned inverse kinematics: start poses brought to joint positions, and the network's inputs.
+
+A window of frames instead of one: joint positions smoothed over time before the network sees them.
+
+The window is that of a Kalman smoother: wide where the positions are uncertain, one frame where they are exact.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from mocapfix.errors import SceneError
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.kernels.pose_transfer import (
+    FEATURES_PER_JOINT,
+    TransferredPoses,
+    TransferTree,
+    correct_pose_frames,
+    transfer_pose_frames,
+)
+from mocapfix.kernels.position_smoothing import smooth_position_joints
+from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
+from mocapfix.solve.parallel import run_over_frames
+
+IK_WEIGHTS_FILE = "ik.safetensors"
+IK_KIND = "ik"
+
+
+@dataclass(frozen=True)
+class IkNetwork:
+    """A multilayer perceptron with rectifiers between its L layers.
+
+    input_mean, input_scale  (F,) subtracted from the inputs, and the factors that follow
+    weights                  L matrices, inputs by outputs
+    biases                   L vectors
+    """
+
+    input_mean: np.ndarray
+    input_scale: np.ndarray
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+    def evaluate(self, features: Float32[np.ndarray, "T F"]) -> Float32[np.ndarray, "T C"]:
+        """Return the corrections for the inputs of `mocapfix.solve.learned_ik.transfer_poses`."""
+        row = (features - self.input_mean) * self.input_scale
+        for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            row = row @ weights
+            row += biases
+            np.maximum(row, 0, out=row)
+        return row @ self.weights[-1] + self.biases[-1]
+
+
+@cache
+def load_shipped_ik_network() -> IkNetwork:
+    """Return the network shipped with mocapfix."""
+    return read_ik_network(find_shipped_folder("priors") / IK_WEIGHTS_FILE)
+
+
+def read_ik_network(path: Path) -> IkNetwork:
+    """Read a network. Raises SceneError, naming the file, if it is not one for the 31 joints."""
+    try:
+        with safe_open(path, "numpy") as file:
+            header = json.loads((file.metadata() or {}).get("mocapfix", "{}"))
+            if header.get("kind") != IK_KIND:
+                raise ValueError("the header does not give the kind ik")
+            tensors = {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+        layers = range((len(tensors) - 2) // 2)
+        weights, biases = (tuple(tensors[f"{kind}.{i}"] for i in layers) for kind in ("weights", "offsets"))
+        return check_ik_network(IkNetwork(tensors["input_mean"], tensors["input_scale"], weights, biases))
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise SceneError(f"{path}: is not a network of learned inverse kinematics trained by mocapfix ({reason}).") from error
+
+
+def write_ik_network(path: Path, network: IkNetwork) -> None:
+    """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
+    tensors = {"input_mean": network.input_mean.astype(np.float32), "input_scale": network.input_scale.astype(np.float32)}
+    for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
+    write_tensors(path, tensors, IK_KIND)
+
+
+def write_tensors(path: Path, tensors: dict[str, np.ndarray], kind: str = "graph") -> None:
+    """Write tensors and their kind, atomically. Raises WriteError if the folder cannot be written."""
+    metadata = {"mocapfix": json.dumps({"kind": kind, "joints": load_cmu31_skeleton().names})}
+    with replace_atomically(path) as temporary:
+        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
+
+
+def check_ik_network(network: IkNetwork) -> IkNetwork:
+    """Return the network. Raises ValueError unless its layers fit the 31 joints and each other and all numbers are finite."""
+    joints = len(load_cmu31_skeleton().names)
+    widths = [FEATURES_PER_JOINT * joints, *map(len, network.biases)]
+    if not network.weights or widths[-1] != 3 * joints + 3 or network.input_mean.shape != network.input_scale.shape:
+        raise ValueError(f"it must have {widths[0]} inputs and {3 * joints + 3} outputs")
+    if network.input_mean.shape != (widths[0],) or [each.shape for each in network.weights] != list(pairwise(widths)):
+        raise ValueError(f"its layers are not {' by '.join(map(str, widths))}")
+    values = (network.input_mean, network.input_scale, *network.weights, *network.biases)
+    if not all(np.isfinite(each).all() for each in values):
+        raise ValueError("it has values that are not finite")
+    return network
+
+
+BONE_ENDS = {
+    "LowerBack": "Spine",
+    "Spine": "Spine1",
+    "Neck": "Neck1",
+    "Neck1": "Head",
+} | {
+    side + name: side + end
+    for side in ("Left", "Right")
+    for name, end in (
+        ("UpLeg", "Leg"),
+        ("Leg", "Foot"),
+        ("Foot", "ToeBase"),
+        ("Shoulder", "Arm"),
+        ("Arm", "ForeArm"),
+        ("ForeArm", "Hand"),
+        ("Hand", "FingerBase"),
+        ("FingerBase", "HandIndex1"),
+    )
+}
+"""joints that one bone leaves, and the joint at its end"""
+REGISTERED_JOINT_SD_M = {
+    "Hips": {"Hips": 0.0, "LeftUpLeg": 0.0, "RightUpLeg": 0.0, "Spine": 0.02, "Spine1": 0.05, "Neck": 0.1}
+    | {"LeftArm": 0.12, "RightArm": 0.12, "LeftLeg": 0.15, "RightLeg": 0.15},
+    "Spine1": {"Neck": 0.0, "LeftArm": 0.015, "RightArm": 0.015, "Neck1": 0.03},
+}
+"""joints by whose positions root and chest are registered, and how much each moves in their axes: metres per axis"""
+MIN_THREADED_FRAMES = 64  # fewer are computed sooner than threads are given their work
+HELD_JOINTS = ("LHipJoint", "RHipJoint")  # without length: redundant with the thighs
+
+
+def build_transfer_tree(skeleton: Skeleton) -> TransferTree:
+    """Return a skeleton with the joints of CMU's for the kernels."""
+    names = skeleton.names
+    bone_end = np.array([names.index(BONE_ENDS[name]) if name in BONE_ENDS else -1 for name in names])
+    clouds = [REGISTERED_JOINT_SD_M.get(name, {}) for name in names]
+    return TransferTree(
+        skeleton.parents,
+        np.ascontiguousarray(skeleton.offsets, float),
+        np.ones(len(names), bool),
+        bone_end,
+        np.cumsum([0, *map(len, clouds)]),
+        np.array([names.index(name) for cloud in clouds for name in cloud]),
+        np.array([sd**2 for cloud in clouds for sd in cloud.values()]),
+        np.array([name in HELD_JOINTS for name in names]),
+        np.zeros((0, 0, 3)),
+    )
+
+
+def transfer_poses(
+    tree: TransferTree, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]
+) -> tuple[TransferredPoses, Float32[np.ndarray, "T F"]]:
+    """Return start poses brought to joint positions in metres, NaN where unknown, and the inputs of the network."""
+    frames, joints = positions.shape[:2]
+    out = TransferredPoses(
+        np.empty((frames, 3)),
+        np.empty((frames, joints, 3)),
+        np.empty((frames, joints, 3, 3)),
+        np.empty((frames, joints, 3)),
+        np.empty((frames, joints)),
+        np.empty(frames),
+    )
+    features = np.empty((frames, joints * FEATURES_PER_JOINT), np.float32)
+    inputs = (np.ascontiguousarray(each, float) for each in (*start, positions, joint_sd))
+    scale = float(np.linalg.norm(tree.offsets))
+    _run(transfer_pose_frames, frames, tree, *inputs, scale, out, features)
+    return out, features
+
+
+def correct_poses(
+    tree: TransferTree,
+    start_rotations: Float[np.ndarray, "T J 3 3"],
+    transferred: TransferredPoses,
+    corrections: Float32[np.ndarray, "T C"],
+) -> Poses:
+    """Return root positions in metres and local rotations, with the corrections of the network."""
+    root, local = np.empty((len(corrections), 3)), np.empty(start_rotations.shape)
+    inputs = np.ascontiguousarray(start_rotations, float), transferred, corrections
+    _run(correct_pose_frames, len(root), tree, *inputs, root, local)
+    return root, local
+
+
+def _run(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
+    """Call a kernel for all frames, in threads where that is worth it."""
+    if frames < MIN_THREADED_FRAMES:
+        kernel(*arguments, 0, frames)
+    else:
+        run_over_frames(kernel, frames, *arguments)
+
+
+TRUNK_ACCELERATION_DENSITY = 0.6
+"""m^2/s^3 by which the variance of a velocity grows per second: pelvis, trunk and head of recorded people"""
+LIMB_ACCELERATION_DENSITY = 2.0
+"""the same of knees, elbows and shoulders"""
+TIP_ACCELERATION_DENSITY = 5.0
+"""the same of hands and feet"""
+TIP_NAME_PARTS = ("Foot", "Toe", "Hand", "Finger", "Thumb")
+LIMB_NAME_PARTS = ("LeftLeg", "RightLeg", "Arm")
+MAX_SMOOTHED_SD_M = 0.08  # a joint that is less certain is missing
+
+
+def smooth_positions(
+    positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"], rate_hz: float
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J"]]:
+    """Return joint positions smoothed over time, NaN where they are uncertain, and their standard deviations, in metres.
+
+    positions  of the 31 joints in metres, NaN where unknown; short gaps are filled
+    joint_sd   metres per axis
+    """
+    smoothed, smoothed_sd = np.empty(positions.shape), np.empty(positions.shape[:2])
+    inputs = (np.ascontiguousarray(each, float) for each in (positions, joint_sd))
+    density = np.array([get_acceleration_density(name) for name in load_cmu31_skeleton().names])
+    run_over_frames(smooth_position_joints, positions.shape[1], *inputs, density, 1 / rate_hz, smoothed, smoothed_sd)
+    smoothed[smoothed_sd > MAX_SMOOTHED_SD_M] = np.nan
+    return smoothed, smoothed_sd
+
+
+def get_acceleration_density(joint_name: str) -> float:
+    """Return the density of a joint's random accelerations in m^2/s^3."""
+    if any(part in joint_name for part in TIP_NAME_PARTS):
+        return TIP_ACCELERATION_DENSITY
+    return LIMB_ACCELERATION_DENSITY if any(part in joint_name for part in LIMB_NAME_PARTS) else TRUNK_ACCELERATION_DENSITY
+
+
+FIRST_SELECTED_FRAME = 60  # from this frame on, the published sequential protocol selects among three poses
+
+
+@dataclass(frozen=True)
+class PoseRegressor:
+    """A network, applied to the poses of one skeleton.
+
+    passes  number of evaluations for each frame
+    """
+
+    network: IkNetwork
+    skeleton: Skeleton
+    passes: int = 1
+
+    def refine_poses(self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]) -> Poses:
+        """Return poses, each from its own start pose.
+
+        positions  of the joints in metres, NaN where unknown
+        joint_sd   their standard deviations in metres per axis
+        """
+        tree, poses = build_transfer_tree(self.skeleton), start
+        for _ in range(self.passes):
+            transferred, features = transfer_poses(tree, poses, positions, joint_sd)
+            poses = correct_poses(tree, poses[1], transferred, self.network.evaluate(features))
+        return poses
+
+    def refine_take(
+        self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"], rate_hz: float
+    ) -> Poses:
+        """Return the poses of a take, each from its own start pose, from joint positions smoothed over time."""
+        return self.refine_poses(start, *smooth_positions(positions, joint_sd, rate_hz))
+
+    def follow_take(
+        self,
+        first: Poses,
+        positions: Float[np.ndarray, "T J 3"],
+        joint_sd: Float[np.ndarray, "T J"],
+        *,
+        has_selector: bool = False,
+    ) -> Poses:
+        """Return the poses of all frames, each started from the frame before; the first one from `first` (one frame).
+
+        has_selector  from FIRST_SELECTED_FRAME on, keep whichever has the least joint error: the prediction, a prediction from
+                      the pose of the first frame, or a copy of the pose before. The published code does this.
+        """
+        root, local = np.empty(positions.shape[::2]), np.empty((*positions.shape[:2], 3, 3))
+        current = first
+        for t in range(len(positions)):
+            given, sd = positions[t : t + 1], joint_sd[t : t + 1]
+            predicted = self.refine_poses(current, given, sd)
+            if has_selector and t >= FIRST_SELECTED_FRAME:
+                restarted = self.refine_poses((root[:1], local[:1]), given, sd)
+                candidates = (predicted, restarted, (given[:, 0], current[1]))
+                errors = [self._compute_joint_error(each, given) for each in candidates]
+                predicted = candidates[int(np.argmin(errors))]
+            current = predicted
+            root[t], local[t] = current[0][0], current[1][0]
+        return root, local
+
+    def _compute_joint_error(self, poses: Poses, positions: Float[np.ndarray, "T J 3"]) -> float:
+        placed, _ = compute_tree_poses(build_kinematic_tree(self.skeleton), *poses)
+        return float(np.nanmean(np.linalg.norm(placed - positions, axis=-1)))

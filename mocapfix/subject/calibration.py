@@ -1,0 +1,342 @@
+"""Calibration: one person's bone lengths and marker offsets, estimated from a take alone.
+
+The size of the average body is estimated first. Frames that show most markers and differ most in pose are then selected, and
+bones, marker offsets and poses are refined together (see `refinement`).
+
+Calibration frames: the best frames of one subject in one take, from which the person is calibrated together with other takes.
+
+They are all that a calibration needs of a take: a few hundred kilobytes instead of the file.
+"""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.errors import ReadError, TakeError
+from mocapfix.io.files import replace_atomically
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import BodyModel, load_cmu31_body, restrict_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions
+from mocapfix.solve import kinematics
+from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.state import CalibrationFit, CleaningState
+from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
+from mocapfix.subject import refinement
+from mocapfix.subject.body_size import MAX_SIZE_RATIO, MIN_SIZE_RATIO, estimate_body_size_ratio, scale_skeleton
+
+
+@dataclass(frozen=True)
+class CalibrationFrames:
+    """N frames of one subject in a take, with the poses of the average body in them.
+
+    Attributes:
+        take: id of the take.
+        subject_name: name of the subject in the take; "" if its labels have none.
+        marker_set: name of the marker set.
+        labels: K marker labels, as the marker set names them.
+        joints: (K,) the joint that carries each marker.
+        marker_offsets: (K, 3) metres, of the marker set on the average body.
+        marker_spread: (K,) metres, how much people's marker offsets differ.
+        size_ratio: size of the body relative to the average one.
+        times_s: (N,) seconds, of the frames.
+        markers: (N, K, 3) metres, NaN if not visible or an outlier.
+        root_position: (N, 3) metres.
+        local_rotations: (N, J, 3, 3).
+    """
+
+    take: str
+    subject_name: str
+    marker_set: str
+    labels: tuple[str, ...]
+    joints: Int[np.ndarray, " K"]
+    marker_offsets: Float[np.ndarray, "K 3"]
+    marker_spread: Float[np.ndarray, " K"]
+    size_ratio: float
+    times_s: Float[np.ndarray, " N"]
+    markers: Float[np.ndarray, "N K 3"]
+    root_position: Float[np.ndarray, "N 3"]
+    local_rotations: Float[np.ndarray, "N J 3 3"]
+
+    @property
+    def pose_variation_rad(self) -> float:
+        """How much the poses vary: the root mean square deviation of the joints below the root from the take's mean rotation."""
+        below_root = self.local_rotations[:, 1:]
+        variance = 3 - np.square(below_root.mean(0)).sum((-2, -1))  # of the chordal distance
+        return float(np.sqrt(np.maximum(variance, 0.0).mean() / 2))
+
+
+def build_average_subject(frames: CalibrationFrames, body: BodyModel, size_ratio: float) -> Subject:
+    """Return the average body at a size, with the markers of the frames."""
+    return Subject(
+        skeleton=scale_skeleton(body.skeleton, size_ratio),
+        marker_set=frames.marker_set,
+        labels=frames.labels,
+        joints=frames.joints,
+        marker_offsets=frames.marker_offsets * size_ratio,
+        marker_spread=frames.marker_spread,
+    )
+
+
+def write_calibration_frames(path: Path, frames: CalibrationFrames) -> None:
+    """Write frames as a compressed NumPy archive. Raises WriteError."""
+    arrays: dict[str, Any] = {each.name: np.asarray(getattr(frames, each.name)) for each in fields(frames)}
+    for name in ("markers", "root_position", "local_rotations"):
+        arrays[name] = arrays[name].astype(np.float32)
+    with replace_atomically(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_calibration_frames(path: Path) -> CalibrationFrames:
+    """Return the frames in a file. Raises ReadError."""
+    try:
+        with np.load(path) as archive:
+            arrays = {each.name: archive[each.name] for each in fields(CalibrationFrames)}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise ReadError(
+            f"{path}: is not an archive of calibration frames ({error}); remove it and survey the take again."
+        ) from error
+    return CalibrationFrames(
+        take=str(arrays["take"]),
+        subject_name=str(arrays["subject_name"]),
+        marker_set=str(arrays["marker_set"]),
+        labels=tuple(str(label) for label in arrays["labels"]),
+        joints=arrays["joints"],
+        marker_offsets=arrays["marker_offsets"],
+        marker_spread=arrays["marker_spread"],
+        size_ratio=float(arrays["size_ratio"]),
+        times_s=arrays["times_s"],
+        markers=arrays["markers"].astype(float),
+        root_position=arrays["root_position"].astype(float),
+        local_rotations=arrays["local_rotations"].astype(float),
+    )
+
+
+MIN_CALIBRATION_MARKERS = 3
+"""Visible markers that at least one frame must have; fewer do not determine the pose of any segment."""
+MAX_CANDIDATE_FRAMES = 600
+"""Frames that are posed to select the calibration frames from; posing all of them takes a fraction of a second."""
+CANDIDATE_MARKER_SHARE = 0.9
+"""Markers that a candidate frame must show, as a share of the 90th percentile over all frames."""
+MAX_CALIBRATION_FRAMES = 150
+"""Frames that enter the refinement."""
+MIN_MOVED_MARKER_FRAMES = 10
+"""Frames in which a moved marker must be visible to get an offset of its own."""
+MAX_KEPT_IMPROVEMENT = 0.003
+"""Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
+which a refinement ends."""
+MAX_KEPT_CHANGE_SD = 3.0
+"""Change of a marker offset, in standard deviations of the calibration, up to which it is kept: a marker that is seldom visible
+hardly affects the cost."""
+
+
+def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
+    """Return the bone lengths and marker offsets that explain the take best, with a pose for each frame.
+
+    take  the markers in the order of the marker set, NaN if not visible or an outlier
+
+    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
+    """
+    return fit_calibration(take, marker_set, body, prior).subject
+
+
+def fit_calibration(
+    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None = None
+) -> CalibrationFit:
+    """Calibrate as `calibrate_subject`.
+
+    previous  a calibration from the same take with a few more or fewer samples: its frames are refined from where it ended
+    """
+    if previous is None:
+        start = scale_average_subject(take, marker_set, body)
+        candidates = select_candidate_frames(take.markers)
+        motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
+        chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
+        frames, unknowns = candidates[chosen], None
+        root_positions, local_rotations = motion.root_position[chosen], motion.local_rotations[chosen]
+    else:
+        start, frames, unknowns = previous.start, previous.frames, previous.unknowns
+        root_positions, local_rotations = previous.root_positions, previous.local_rotations
+    subject, refined, first_cost = refinement.refine_subject(
+        start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns, times_s=frames / take.rate
+    )
+    check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
+    improvement = (first_cost - refined.cost) / refined.cost
+    poses = refined.root_position, refined.local_rotations
+    return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], *poses, improvement)
+
+
+def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
+    """Return the average body at the size estimated from the take, the start of `calibrate_subject`; raises like it."""
+    if not ((~np.isnan(take.markers[..., 0])).sum(1) >= MIN_CALIBRATION_MARKERS).any():
+        raise TakeError(f"{take.name}: no frame shows three markers of the body, so it cannot be calibrated.")
+    ratio = estimate_body_size_ratio(body.skeleton, marker_set, take.markers)
+    check_size_ratio(take, ratio)
+    return Subject(
+        skeleton=scale_skeleton(body.skeleton, ratio),
+        marker_set=marker_set.name,
+        labels=marker_set.labels,
+        joints=marker_set.joints,
+        marker_offsets=marker_set.marker_offsets * ratio,
+        marker_spread=marker_set.marker_spread,
+    )
+
+
+def check_size_ratio(take: Take, ratio: float) -> None:
+    """Raise TakeError if no person can be `ratio` times the size of the average body."""
+    if not MIN_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+        problem = "near together" if ratio < 1 else "far apart"
+        raise TakeError(f"{take.name}: the markers lie too {problem} for a person; check the unit (--unit) and the labels.")
+
+
+def select_candidate_frames(markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " N"]:
+    """Return up to MAX_CANDIDATE_FRAMES frames, evenly spaced among those that show the most markers (NaN if not visible)."""
+    count = (~np.isnan(markers[..., 0])).sum(1)
+    enough = np.flatnonzero(count >= CANDIDATE_MARKER_SHARE * np.percentile(count, 90))
+    return enough[sample_evenly(len(enough), MAX_CANDIDATE_FRAMES)]
+
+
+def select_varied_poses(local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.random.Generator) -> Int[np.ndarray, " C"]:
+    """Return the indices of up to MAX_CALIBRATION_FRAMES poses: half of them the most different, half at random.
+
+    The different ones are found by farthest-point selection in the chordal distance over the joints below the root.
+    """
+    flat = local_rotations[:, 1:].reshape(len(local_rotations), -1)
+    if len(flat) <= MAX_CALIBRATION_FRAMES:
+        return np.arange(len(flat))
+    chosen = select_farthest_rows(flat, MAX_CALIBRATION_FRAMES // 2)
+    rest = np.setdiff1d(np.arange(len(flat)), chosen)
+    return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
+
+
+def select_calibration_frames(
+    take_id: str, take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior
+) -> CalibrationFrames:
+    """Return the frames of a take that show most markers and differ most in pose.
+
+    take  the markers in the order of the marker set, NaN if not visible or an outlier
+
+    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
+    """
+    start = scale_average_subject(take, marker_set, body)
+    candidates = select_candidate_frames(take.markers)
+    motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
+    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
+    frames = candidates[chosen]
+    return CalibrationFrames(
+        take=take_id,
+        subject_name=take.subject_name,
+        marker_set=marker_set.name,
+        labels=marker_set.labels,
+        joints=marker_set.joints,
+        marker_offsets=marker_set.marker_offsets,
+        marker_spread=marker_set.marker_spread,
+        size_ratio=start.skeleton.total_length_m / body.skeleton.total_length_m,
+        times_s=frames / take.rate,
+        markers=take.markers[frames],
+        root_position=motion.root_position[chosen],
+        local_rotations=motion.local_rotations[chosen],
+    )
+
+
+def add_moved_markers(
+    subject: Subject, motion: Motion, markers: np.ndarray, marker_indices: np.ndarray
+) -> tuple[Subject, np.ndarray]:
+    """Add to a subject a marker for each new position of a marker that was moved on the body.
+
+    A new offset is the median of the visible samples in the axes of the joint; its spread is that of the original marker.
+
+    markers         (T, E, 3) m: the samples at the new positions, NaN elsewhere
+    marker_indices  (E,) the subject's marker that was moved
+
+    Returns the extended subject, and (E,) bool: the positions visible in enough frames to be added.
+    """
+    position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
+    enough = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MOVED_MARKER_FRAMES
+    marker_indices, joints = marker_indices[enough], subject.joints[marker_indices[enough]]
+    relative = markers[:, enough] - position[:, joints]
+    offsets = np.nanmedian(np.einsum("tkba,tkb->tka", rotation[:, joints], relative), axis=0).reshape(-1, 3)
+    extended = replace(
+        subject,
+        labels=(*subject.labels, *(subject.labels[k] for k in marker_indices)),
+        joints=np.r_[subject.joints, joints],
+        marker_offsets=np.r_[subject.marker_offsets, offsets],
+        marker_spread=np.r_[subject.marker_spread, subject.marker_spread[marker_indices]],
+        marker_sd=np.r_[subject.marker_sd, subject.marker_sd[marker_indices]],
+    )
+    return extended, enough
+
+
+def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Take the known subject, or calibrate one from the inliers of the take. Sets `subject` and `marker_columns` of the state.
+
+    The marker set of the state becomes that of the joints that the inliers show.
+
+    A further round goes on from the calibration of the round before, unless labels were corrected since.
+
+    Raises TakeError where the markers do not allow a calibration.
+    """
+    epochs, marker_set = state.detection.epochs, find_visible_part(state)
+    columns = marker_set.find_columns(epochs.take.labels)
+    subject, calibration = state.known_subject, None
+    if subject is not None and len(subject.labels) > len(marker_set.labels):
+        subject = subject.select_markers(marker_set.labels)
+    if subject is None:
+        body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
+        prior = load_mean_pose_prior("mean-pose", body.skeleton)
+        take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
+        previous = state.calibration if marker_set is state.marker_set else None
+        calibration = update_calibration(take, marker_set, body, prior, previous)
+        subject = calibration.subject
+    state = replace(state, marker_set=marker_set, calibration=calibration)
+    return replace(state, subject=subject, extended_subject=subject, marker_columns=columns)
+
+
+def find_visible_part(state: CleaningState) -> MarkerSet:
+    """Return the take's marker set without the markers of joints that no sample shows: labels may have no samples at all."""
+    marker_set, epochs = state.marker_set, state.detection.epochs
+    assert marker_set is not None
+    columns = marker_set.find_columns(epochs.take.labels)
+    is_visible = (columns >= 0) & epochs.split_mask(state.detection.solver_mask)[:, columns].any(0)
+    visible_labels = [label for label, is_seen in zip(marker_set.labels, is_visible, strict=True) if is_seen]
+    part = marker_set.select_shown_part(visible_labels)
+    return part if part.labels else marker_set
+
+
+def update_calibration(
+    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None
+) -> CalibrationFit:
+    """Calibrate from a take, or return the previous calibration where the take hardly changes it: its body is solved already."""
+    if previous is None:
+        return fit_calibration(take, marker_set, body, prior)
+    if np.array_equal(previous.markers, take.markers[previous.frames], equal_nan=True):
+        return previous
+    updated = fit_calibration(take, marker_set, body, prior, previous)
+    old, new = previous.subject, updated.subject
+    marker_change = np.linalg.norm(new.marker_offsets - old.marker_offsets, axis=1)
+    is_negligible = updated.improvement <= MAX_KEPT_IMPROVEMENT and (marker_change <= MAX_KEPT_CHANGE_SD * old.marker_sd).all()
+    return previous if is_negligible else updated
+
+
+def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Find where the solved body carries each marker after it moved, and add these places to `extended_subject`.
+
+    The poses must be solved again if any was added. Returns the very same state where no marker moved.
+    """
+    assert state.body is not None
+    assert state.marker_columns is not None
+    epochs, columns = state.detection.epochs, state.marker_columns
+    marker_of_column = {int(column): k for k, column in enumerate(columns)}
+    added = np.array([c for c in epochs.added_columns if int(epochs.column_marker[c]) in marker_of_column], int)
+    if not len(added):
+        return state
+    markers = epochs.take.select(added, epochs.split_mask(state.detection.solver_mask)).markers
+    subject_markers = np.array([marker_of_column[int(epochs.column_marker[column])] for column in added])
+    extended, is_placed = add_moved_markers(state.body.subject, state.body.motion, markers, subject_markers)
+    return replace(state, extended_subject=extended, marker_columns=np.r_[columns, added[is_placed]])

@@ -1,0 +1,362 @@
+"""An initial marker set for markers without informative labels, from their rigid groups and the joints between these.
+
+The legs among the groups show which segments they are (`leg_chains`). Each segment gets axes from its joints and from the axis
+about which the knee bends, so that its markers have places on the average body.
+
+Legs among rigid groups of markers: chains of groups with functional joints between them that move like a leg.
+
+Nothing is known of the labels. A chain of pelvis, thigh, shank and foot is a leg if the lengths between its joints, their order
+in height, and the direction in which the knee bends are those of a leg. Left and right follow from this direction, which must
+agree with that of the foot. Where two groups fit the same place of a chain, there is no leg.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise, permutations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.take import Take
+from mocapfix.stats.functional_joints import FunctionalJoint, MovingGroup, build_moving_group, estimate_functional_joint
+from mocapfix.stats.rigid_groups import group_rigid_markers, measure_distance_spread
+from mocapfix.stats.sequences import sample_evenly
+
+MAX_JOINT_RESIDUAL_M = 0.025
+"""Root mean square distance between the two places of a joint."""
+MAX_KNEE_RESIDUAL_RATIO = 2.5
+"""Residual of the knee relative to the larger one of hip and ankle; between a thigh and the other leg's shank it is larger."""
+MIN_JOINT_RANGE_RAD = 0.08
+"""Root mean square angle by which two groups must turn against each other; groups on one segment turn less."""
+MIN_COMPETING_RATIO = 2.0
+"""Ratio of residuals below which another group at the same joint competes for its place."""
+MAX_SAME_JOINT_DISTANCE_M = 0.12
+"""Distance between joints on one group below which they are the same."""
+MIN_ORDER_DISTANCE_M = 0.08
+"""Difference of the distances from the knee by which the foot is farther than the shank."""
+MIN_BONE_LENGTH_M, MAX_BONE_LENGTH_M = 0.28, 0.56
+"""Length of a thigh or a shank of people from about 1.3 m to 2.1 m in height; functional joints are some centimetres off."""
+MIN_LEG_LENGTH_M = 0.62
+"""Length of both together; an arm has less."""
+MIN_BEND_RAD = 0.26
+"""Angle of the knee from which a frame shows the direction in which it bends."""
+MIN_BENT_SHARE = 0.1
+"""Share of the frames that must show it."""
+MIN_BEND_AGREEMENT = 0.7
+"""Length of the mean direction of bending; 1 if it is the same in all frames."""
+MIN_SIDE_AGREEMENT = 0.5
+"""Cosine between two directions to the left, from different evidence, that agree."""
+MIN_THIGH_COSINE = 0.6
+"""Mean cosine between thigh and vertical; less does not show which end is the upper one."""
+MIN_LEG_REACH = 0.5
+"""Mean height of the hip above the ankle, relative to the length of the leg; a runner bends the knees."""
+MIN_SIDE_DISTANCE_M, MAX_SIDE_DISTANCE_M = 0.03, 0.16
+"""Distance of a hip from the middle of the group on the pelvis, to its side."""
+MIN_SINGLE_SIDE_DISTANCE_M = 0.05
+"""The same where only one leg is found: nothing else shows which one it is."""
+MAX_HIP_OFFSET_M = 0.35
+"""Distance of a hip from the middle of the group on the pelvis."""
+MAX_PELVIS_HEIGHT_M = 0.2
+"""Height of the middle of the group on the pelvis above the hips; that of the thorax is higher."""
+MIN_HIP_DISTANCE_M, MAX_HIP_DISTANCE_M = 0.08, 0.35
+"""Distance between the hips."""
+MAX_BONE_DISTANCE_M = 0.2
+"""Distance of a marker from the bone of its segment; wands are this long."""
+MAX_ANKLE_HEIGHT_M = 0.3
+"""Height of the ankle above the lowest marker of the take, in the tenth of the frames in which it is lowest."""
+LOW_FRAME_QUANTILE = 0.1
+"""These frames, as a quantile of the height."""
+
+
+@dataclass(frozen=True)
+class LegChain:
+    """A leg.
+
+    groups          indices of the groups on pelvis, thigh, shank and foot
+    places          (3, 2, 3) m: hip, knee and ankle, each in the axes of the two groups that it joins
+    bend_axes       (2, 3) the direction to the left about which the knee bends, in the axes of thigh and shank
+    left            (3,) the direction to the person's left in the axes of the pelvis
+    is_left         whether it is the left leg
+    hip_residual_m  residual of the hip
+    """
+
+    groups: tuple[int, int, int, int]
+    places: Float[np.ndarray, "3 2 3"]
+    bend_axes: Float[np.ndarray, "2 3"]
+    left: Float[np.ndarray, "3"]
+    is_left: bool
+    hip_residual_m: float
+
+
+class JointGraph:
+    """The functional joints between all groups of a take."""
+
+    def __init__(self, groups: Sequence[MovingGroup]) -> None:
+        self.groups = groups
+        self._joints: dict[tuple[int, int], FunctionalJoint] = {}
+        for a, b in combinations(range(len(groups)), 2):
+            joint = estimate_functional_joint(groups[a], groups[b])
+            if joint and joint.residual_m <= MAX_JOINT_RESIDUAL_M and joint.range_rad >= MIN_JOINT_RANGE_RAD:
+                self._joints[a, b] = joint
+                self._joints[b, a] = joint._replace(places=joint.places[::-1])
+
+    def has_joint(self, first: int, second: int) -> bool:
+        """Return whether two groups have a joint."""
+        return (first, second) in self._joints
+
+    def get_joint(self, first: int, second: int) -> FunctionalJoint:
+        """Return the joint between two groups, with the place in the first one first."""
+        return self._joints[first, second]
+
+    def list_neighbours(self, group: int) -> list[int]:
+        """Return the groups that have a joint with a group."""
+        return [b for a, b in self._joints if a == group]
+
+
+def find_legs(groups: Sequence[MovingGroup], floor_m: float) -> list[LegChain]:
+    """Return one leg, or the left and the right one of one person among rigid groups; none where it is uncertain which they are.
+
+    floor_m  height of the lowest marker of the take
+    """
+    graph = JointGraph(groups)
+    chains = [
+        _complete_chain(graph, (pelvis, thigh, shank), floor_m)
+        for pelvis, thigh, shank in permutations(range(len(groups)), 3)
+        if graph.has_joint(pelvis, thigh) and graph.has_joint(thigh, shank)
+    ]
+    return _select_pair(groups, [chain for chain in chains if chain])
+
+
+def _complete_chain(graph: JointGraph, chain: tuple[int, int, int], floor_m: float) -> LegChain | None:
+    """Return the leg that a chain of three groups and the best of the groups at its end form; None if it is no leg."""
+    shank = chain[2]
+    feet = [group for group in graph.list_neighbours(shank) if group not in chain]
+    found = [leg for foot in feet if (leg := _build_leg(graph, (*chain, foot), floor_m))]
+    return min(found, key=lambda leg: graph.get_joint(shank, leg.groups[3]).residual_m, default=None)
+
+
+def _build_leg(graph: JointGraph, chain: tuple[int, int, int, int], floor_m: float) -> LegChain | None:
+    """Return the leg that a chain of four groups forms, None if it is no leg."""
+    pelvis, thigh, shank, foot = (graph.groups[group] for group in chain)
+    joints = [graph.get_joint(a, b) for a, b in pairwise(chain)]
+    places = np.stack([joint.places for joint in joints])
+    lengths = [float(np.linalg.norm(places[k, 1] - places[k + 1, 0])) for k in range(2)]
+    is_known = pelvis.is_known & thigh.is_known & shank.is_known & foot.is_known
+    has_lengths = all(MIN_BONE_LENGTH_M <= length <= MAX_BONE_LENGTH_M for length in lengths) and sum(lengths) >= MIN_LEG_LENGTH_M
+    is_implausible = _is_scattered(thigh, places[0, 1], places[1, 0]) or _is_scattered(shank, places[1, 1], places[2, 0])
+    other_residual_m = max(joints[0].residual_m, joints[2].residual_m)
+    is_implausible |= joints[1].residual_m > MAX_KNEE_RESIDUAL_RATIO * other_residual_m
+    if not has_lengths or is_implausible or not is_known.any() or _has_competitor(graph, chain, places):
+        return None
+    hip, knee = thigh.move(places[0, 1])[is_known], thigh.move(places[1, 0])[is_known]
+    ankle = shank.move(places[2, 0])[is_known]
+    bones = (knee - hip) / lengths[0], (ankle - knee) / lengths[1]
+    is_upright = -bones[0][:, 1].mean() >= MIN_THIGH_COSINE and (hip - ankle)[:, 1].mean() >= MIN_LEG_REACH * sum(lengths)
+    if not is_upright or np.quantile(ankle[:, 1], LOW_FRAME_QUANTILE) - floor_m > MAX_ANKLE_HEIGHT_M:
+        return None
+    bend = np.cross(*bones)  # to the left, since knees bend backwards
+    is_bent = np.linalg.norm(bend, axis=1) >= np.sin(MIN_BEND_RAD)
+    if is_bent.mean() < MIN_BENT_SHARE:
+        return None
+    axes = [_average_direction(group.rotation[is_known][is_bent], bend[is_bent]) for group in (pelvis, thigh, shank)]
+    toe = foot.move(_find_toe(foot, places[2, 1]))[is_known]
+    across_foot = _average_direction(pelvis.rotation[is_known], np.cross([0.0, 1.0, 0.0], toe - ankle))
+    if min(np.linalg.norm(axes[1]), np.linalg.norm(axes[2])) < MIN_BEND_AGREEMENT:
+        return None
+    if _normalise(axes[0]) @ _normalise(across_foot) < MIN_SIDE_AGREEMENT:
+        return None
+    left, hip_offset = _normalise(_normalise(axes[0]) + _normalise(across_foot)), places[0, 0] - pelvis.centroid
+    height = float((pelvis.move(pelvis.centroid)[is_known] - hip)[:, 1].mean())
+    if not MIN_SIDE_DISTANCE_M <= abs(hip_offset @ left) <= MAX_SIDE_DISTANCE_M or np.linalg.norm(hip_offset) > MAX_HIP_OFFSET_M:
+        return None
+    middle, across = pelvis.move(pelvis.centroid), pelvis.rotation @ left
+    centroids = np.stack([group.move(group.centroid) for group in (thigh, shank, foot)])
+    sides = np.einsum("gta,ta->gt", centroids - middle, across)[:, is_known].mean(1)
+    if not 0 <= height <= MAX_PELVIS_HEIGHT_M or (sides * (hip_offset @ left) < 0).any():
+        return None
+    bend_axes = np.stack([_normalise(axis) for axis in axes[1:]])
+    return LegChain(chain, places, bend_axes, left, bool(hip_offset @ left > 0), joints[0].residual_m)
+
+
+def _is_scattered(group: MovingGroup, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> bool:
+    """Return whether a marker of a group is too far from the bone from `start` to `end` to be on its segment."""
+    share = np.clip((group.places - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+    return bool((np.linalg.norm(group.places - start - share[:, None] * (end - start), axis=1) > MAX_BONE_DISTANCE_M).any())
+
+
+def _find_toe(foot: MovingGroup, ankle: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the place of the marker of a foot that is farthest from its ankle."""
+    return foot.places[int(np.linalg.norm(foot.places - ankle, axis=1).argmax())]
+
+
+def _has_competitor(graph: JointGraph, chain: tuple[int, int, int, int], places: Float[np.ndarray, "3 2 3"]) -> bool:
+    """Return whether another group fits the place of the thigh about as well, or the foot that of the shank.
+
+    Another group is a possible thigh if it has the same joint with the shank, or joints with both shank and pelvis. Where thigh
+    and foot have a joint too, the foot must be farther from the knee.
+    """
+    pelvis, thigh, shank, foot = chain
+    max_residual = MIN_COMPETING_RATIO * graph.get_joint(thigh, shank).residual_m
+    if graph.has_joint(thigh, foot) and graph.get_joint(thigh, foot).residual_m < max_residual:
+        knee = graph.groups[thigh].move(places[1, 0])
+        near, far = (
+            np.nanmean(np.linalg.norm(group.move(group.centroid) - knee, axis=1))
+            for group in (graph.groups[shank], graph.groups[foot])
+        )
+        if not far - near >= MIN_ORDER_DISTANCE_M:
+            return True
+    for other in set(graph.list_neighbours(shank)) - set(chain):
+        joint = graph.get_joint(shank, other)
+        is_near = bool(np.linalg.norm(joint.places[0] - places[1, 1]) < MAX_SAME_JOINT_DISTANCE_M)
+        if (is_near or graph.has_joint(pelvis, other)) and joint.residual_m < max_residual:
+            return True
+    return False
+
+
+def _select_pair(groups: Sequence[MovingGroup], chains: list[LegChain]) -> list[LegChain]:
+    """Return one leg, or a left and a right one on the same pelvis; none if more chains are possible."""
+    chains = [chain for chain in chains if not any(_has_better_pelvis(groups, other, chain) for other in chains)]
+    if len(chains) == 1:
+        return chains if _is_single_leg(groups, chains[0]) else []
+    if len(chains) != 2:
+        return []
+    one, other = chains
+    if one.groups[0] != other.groups[0] or one.is_left == other.is_left or set(one.groups[1:]) & set(other.groups[1:]):
+        return []
+    distance = float(np.linalg.norm(one.places[0, 0] - other.places[0, 0]))
+    is_possible = MIN_HIP_DISTANCE_M <= distance <= MAX_HIP_DISTANCE_M
+    return chains if is_possible and one.left @ other.left >= MIN_SIDE_AGREEMENT else []
+
+
+def _is_single_leg(groups: Sequence[MovingGroup], leg: LegChain) -> bool:
+    """Return whether a leg is clearly on one side and no other group is below its hip: of two legs, both must be found."""
+    pelvis = groups[leg.groups[0]]
+    heights = [float(group.move(group.centroid)[group.is_known, 1].mean()) for group in groups]
+    hip_height = float(pelvis.move(leg.places[0, 0])[pelvis.is_known, 1].mean())
+    has_others = any(height < hip_height for g, height in enumerate(heights) if g not in leg.groups)
+    side = float((leg.places[0, 0] - pelvis.centroid) @ leg.left)
+    return not has_others and abs(side) >= MIN_SINGLE_SIDE_DISTANCE_M
+
+
+def _has_better_pelvis(groups: Sequence[MovingGroup], one: LegChain, other: LegChain) -> bool:
+    """Return whether the first of two chains has the same leg on another group that is nearer and has a more precise hip."""
+    if one.groups[1:3] != other.groups[1:3] or one.groups[0] == other.groups[0]:
+        return False
+    near, far = (np.linalg.norm(chain.places[0, 0] - groups[chain.groups[0]].centroid) for chain in (one, other))
+    return bool(near < far) and one.hip_residual_m < other.hip_residual_m
+
+
+def _average_direction(rotation: Float[np.ndarray, "N 3 3"], direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+    """Return the mean of world directions in moving axes; its length is 1 if they are all the same."""
+    length = np.linalg.norm(direction, axis=1)
+    unit = direction[length > 0] / length[length > 0, None]
+    return np.einsum("tba,tb->ta", rotation[length > 0], unit).mean(0)
+
+
+def _normalise(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)
+
+
+MAX_SEGMENT_SPREAD_M = 0.008
+"""Variation of the distances between the markers of one segment, as a standard deviation; skin moves less."""
+MAX_FUNCTIONAL_FRAMES = 200
+"""Evenly spread frames in which joints between groups are estimated."""
+GROUPED_MARKER_SPREAD_M = 0.04
+"""Spread of a marker about the place that its group gives it on the average body."""
+FLAT_FOOT_QUANTILE = 0.3
+"""Share of the frames in which a foot is lowest, and flat on the floor."""
+LEG_CHAIN_JOINT_NAMES = ("UpLeg", "Leg", "Foot")
+TO_THE_LEFT = np.array([1.0, 0.0, 0.0])
+"""In the rest pose."""
+
+
+class SegmentAxes(NamedTuple):
+    """A group as a segment: its joint, and how places in the group's axes become offsets in those of the joint.
+
+    joint     index of the joint
+    rotation  (3, 3) from the group's axes to those of the joint
+    origin    (3,) m: the joint in the group's axes
+    """
+
+    group: MovingGroup
+    joint: int
+    rotation: Float[np.ndarray, "3 3"]
+    origin: Float[np.ndarray, "3"]
+
+
+def guess_from_rigid_groups(take: Take, labels: tuple[str, ...], skeleton: Skeleton) -> MarkerSet | None:
+    """Return a set of the markers on the legs that rigid groups form, under the names `labels`; None if they form no leg."""
+    markers = take.markers[sample_evenly(take.frame_count, MAX_FUNCTIONAL_FRAMES)]
+    found = group_rigid_markers(measure_distance_spread(take.markers), MAX_SEGMENT_SPREAD_M)
+    groups = [build_moving_group(markers, group.markers) for group in found]
+    legs = find_legs(groups, float(np.nanmin(markers[..., 1], initial=np.inf)))
+    if not legs:
+        return None
+    size = measure_leg_size(legs, skeleton)
+    segments = [build_pelvis_segment(legs, groups[legs[0].groups[0]], skeleton, size)]
+    segments += [segment for leg in legs for segment in build_leg_segments(leg, groups, skeleton)]
+    return build_grouped_marker_set(segments, labels, size)
+
+
+def measure_leg_size(legs: list[LegChain], skeleton: Skeleton) -> float:
+    """Return the size of a person relative to the average body, from the lengths of the legs."""
+    bones = [leg.places[k, 1] - leg.places[k + 1, 0] for leg in legs for k in range(2)]
+    average = [skeleton.offsets[joint] for leg in legs for joint in get_leg_joints(leg, skeleton)[1:]]
+    return float(np.linalg.norm(bones, axis=1).sum() / np.linalg.norm(average, axis=1).sum())
+
+
+def get_leg_joints(leg: LegChain, skeleton: Skeleton) -> list[int]:
+    """Return hip, knee and ankle."""
+    return [skeleton.find_joint(("Left" if leg.is_left else "Right") + name) for name in LEG_CHAIN_JOINT_NAMES]
+
+
+def build_leg_segments(leg: LegChain, groups: list[MovingGroup], skeleton: Skeleton) -> list[SegmentAxes]:
+    """Return thigh, shank and foot."""
+    joints = get_leg_joints(leg, skeleton)
+    thigh, shank, foot = (groups[group] for group in leg.groups[1:])
+    rotations = [
+        build_axes(-skeleton.offsets[joints[k + 1]], TO_THE_LEFT) @ build_axes(leg.places[k, 1] - leg.places[k + 1, 0], axis).T
+        for k, axis in enumerate(leg.bend_axes)
+    ]
+    is_known = shank.is_known & foot.is_known
+    height = foot.move(foot.centroid)[:, 1]
+    is_flat = is_known & (height <= np.quantile(height[is_known], FLAT_FOOT_QUANTILE))
+    left = (np.swapaxes(foot.rotation[is_known], 1, 2) @ shank.rotation[is_known] @ leg.bend_axes[1]).mean(0)
+    rotations.append(build_axes(foot.rotation[is_flat][:, 1].mean(0), left).T)
+    return [
+        SegmentAxes(group, joint, rotation, place)
+        for group, joint, rotation, place in zip((thigh, shank, foot), joints, rotations, leg.places[:, 1], strict=True)
+    ]
+
+
+def build_pelvis_segment(legs: list[LegChain], pelvis: MovingGroup, skeleton: Skeleton, size: float) -> SegmentAxes:
+    """Return the pelvis, which carries one or two legs."""
+    left = legs[0].left
+    if len(legs) > 1:  # the line between the hips is more precise
+        right_leg, left_leg = sorted(legs, key=lambda leg: leg.is_left)
+        left = left_leg.places[0, 0] - right_leg.places[0, 0]
+    up = pelvis.rotation[pelvis.is_known][:, 1].mean(0)
+    rotation = build_axes(up - (up @ left) / (left @ left) * left, left).T
+    rest = skeleton.rest_positions
+    origins = [leg.places[0, 0] - rotation.T @ rest[get_leg_joints(leg, skeleton)[0]] * size for leg in legs]
+    return SegmentAxes(pelvis, 0, rotation, np.mean(origins, axis=0))
+
+
+def build_axes(up: Float[np.ndarray, "3"], side: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Return axes as columns: X to the side, perpendicular to Y, Y up, Z forward."""
+    y = up / np.linalg.norm(up)
+    x = side - (side @ y) * y
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def build_grouped_marker_set(segments: list[SegmentAxes], labels: tuple[str, ...], size: float) -> MarkerSet:
+    """Return the markers of the segments as a marker set on the average body."""
+    names = tuple(labels[m] for segment in segments for m in segment.group.markers)
+    joints = np.array([segment.joint for segment in segments for _ in segment.group.markers])
+    offsets = [(segment.group.places - segment.origin) @ segment.rotation.T / size for segment in segments]
+    spread, aliases = np.full(len(names), GROUPED_MARKER_SPREAD_M), ((),) * len(names)
+    return MarkerSet("guess", "guess", "cmu31", names, joints, np.concatenate(offsets), spread, aliases)

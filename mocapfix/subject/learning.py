@@ -1,0 +1,553 @@
+"""Learn a studio's marker set from a take: the segment of each marker and its offset.
+
+Learning starts from a guess at some of the markers: those of a known set that are among the labels, else those whose labels have
+known words, else those on legs that rigid groups form, or those that the cloud of markers locates on a body. How the markers
+move then decides about all of them.
+
+Checks of a marker set that was learned from a take: whether a body with this set explains how the markers move.
+
+A body with many joints follows nearly any markers to a few millimetres, so a small residual is no proof. A wrong body shows in
+other ways: it has an impossible size, knees that bend forwards, or segments far apart on it whose markers keep their distance.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.errors import TakeError, format_name_list
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import find_common_joint, load_cmu31_body
+from mocapfix.model.take import Take
+from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
+from mocapfix.stats.rigid_groups import find_rigid_groups, measure_distance_spread
+from mocapfix.stats.sequences import sample_evenly
+from mocapfix.subject.grouped_markers import guess_from_rigid_groups
+from mocapfix.subject.label_words import guess_marker_set_from_words, names_object
+from mocapfix.subject.library import choose_marker_set, describe_marker_set_match, load_marker_set
+from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
+from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud
+
+if TYPE_CHECKING:
+    from mocapfix.subject.marker_set_fit import MarkerSetFit
+
+
+MAX_LEARNED_MEAN_RESIDUAL_M = 0.009
+"""Mean distance of the markers from the body of a correct set; with a wrong side or segment among them it is larger."""
+MIN_LEARNED_SIZE_RATIO = 0.5
+"""Smallest size relative to the average body: a child of three. Learning from positions alone needs MIN_POSITION_SIZE_RATIO."""
+MIN_POSITION_SIZE_RATIO = 0.75
+"""Smallest size of a body that is located by positions alone; a part of a body that is taken for a whole one is smaller."""
+MAX_LEARNED_SIZE_RATIO = 1.3
+"""Largest size relative to the average body."""
+STEADINESS_RATIO = 2.0
+"""Variation of the distance to a distant segment, relative to the least one to a near segment, that is a contradiction."""
+MAX_STEADY_SPREAD_M = 0.006
+"""Variation of a distance, as a standard deviation, below which two markers seem to be on the same segment."""
+MIN_TRAVEL_SPREAD_M = 0.05
+"""Variation of a marker's position that shows that it moves; two markers at rest keep their distance on any segments."""
+PASSED_JOINT_NAMES = ("LowerBack", "Spine", "Neck", "Neck1")
+"""Joints that are not counted between two segments: pelvis, thorax and head are neighbours."""
+MIN_DISTANT_SEGMENTS = 4
+"""Segments along the way between two that are far apart: an upper arm hardly moves against the head in a short walk."""
+MAX_CONTRADICTED_SHARE = 0.04
+"""Share of the markers whose steadiest neighbours may be on distant segments."""
+MIN_DISTANCE_MOTION_M = 0.008
+"""Median variation of the distances between markers on distant segments; less is too little motion to learn from."""
+MAX_BEND_VIOLATION_RAD = 0.35
+"""Angle beyond its limits at which a knee or an elbow bends the wrong way."""
+MAX_TURN_VIOLATION_RAD = 0.05
+"""Angle beyond its limits at which a foot or an upper arm is turned: the wrong way round, they are further beyond."""
+MAX_VIOLATION_SHARE = 0.2
+"""Share of the frames in which they may be."""
+MIN_JUDGED_MARKERS = 2
+"""Markers of a segment whose joint is judged: one marker leaves its rotation open."""
+MAX_NAMED_MARKER_SD_M = 0.02
+"""Motion per axis of a marker against its segment above which it is left out, though its label or position names the segment."""
+MAX_UNNAMED_MARKER_SD_M = 0.012
+"""The same for a marker that is attached for its motion alone."""
+MIN_UNNAMED_PROBABILITY = 0.9
+"""Probability of the segment of such a marker below which it is left out, unless the alternative is a neighbouring segment."""
+MIN_LOCATED_SHARE = 0.8
+"""Share of the visible markers that a body located by positions alone must explain."""
+TRUNK_JOINT_NAMES = ("Hips", "Spine1", "Head")
+LIMB_SEGMENT_NAMES = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")
+MIN_TRUNK_SEGMENT_MARKERS = 3
+"""Markers on pelvis, thorax and head each of such a body."""
+MIN_PAIRED_LIMB_SEGMENTS = 8
+"""Number of its ten limb segments that have two markers or more; each has at least one."""
+HINGE_JOINT_NAMES = ("LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")
+"""Knees and elbows, which bend in one direction only."""
+TURNED_JOINT_NAMES = ("LeftFoot", "RightFoot", "LeftArm", "RightArm")
+"""Ankles and shoulders, which a body that faces backwards would have to turn round."""
+
+
+@dataclass(frozen=True)
+class LearnedBody:
+    """What the checks compare: a learned set with the body on which it was learned.
+
+    marker_set           K markers
+    mean_residual_m      their mean distance from the body
+    size_ratio           size relative to the average body
+    joint_rotations      (N, J, 3, 3) world rotations of the joints in N frames
+    distance_spread      (K, K) m: variation of the distances between the markers
+    position_spread      (K,) m: variation of their positions
+    """
+
+    marker_set: MarkerSet
+    mean_residual_m: float
+    size_ratio: float
+    joint_rotations: Float[np.ndarray, "N J 3 3"]
+    distance_spread: Float[np.ndarray, "K K"]
+    position_spread: Float[np.ndarray, " K"]
+
+
+def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from_positions: bool) -> str:
+    """Return why a learned body is not plausible as the predicate of a sentence, "" if it is.
+
+    from_positions  whether the segments were guessed from positions alone
+    """
+    min_size = MIN_POSITION_SIZE_RATIO if from_positions else MIN_LEARNED_SIZE_RATIO
+    segment_distance = count_segments_between(learned.marker_set.joints)
+    motion = measure_distant_motion(segment_distance, learned.distance_spread)
+    if not motion >= MIN_DISTANCE_MOTION_M:
+        return "moves too little in this take to be verified"
+    if not min_size <= learned.size_ratio <= MAX_LEARNED_SIZE_RATIO:
+        return f"would have {learned.size_ratio:.0%} of the size of the average person"
+    if learned.mean_residual_m > MAX_LEARNED_MEAN_RESIDUAL_M:
+        return f"would be {learned.mean_residual_m * 1e3:.0f} mm from its markers on average"
+    contradiction = _describe_contradiction(
+        learned.marker_set, segment_distance, learned.distance_spread, learned.position_spread
+    )
+    if contradiction:
+        return contradiction
+    if name := find_impossible_joint(learned.marker_set.joints, learned.joint_rotations, limits):
+        return f"would turn {name} in an impossible way"
+    return ""
+
+
+def describe_incomplete_location(joints: Int[np.ndarray, " K"], visible_count: int) -> str:
+    """Return why markers located by positions alone, attached to K joints, are not enough of a whole body, "" if they are."""
+    skeleton = load_cmu31_body().skeleton
+    counts = {name: int((joints == j).sum()) for j, name in enumerate(skeleton.names)}
+    limbs = {side + name: counts[side + name] for side in ("Left", "Right") for name in LIMB_SEGMENT_NAMES}
+    sparse = [name for name in TRUNK_JOINT_NAMES if counts[name] < MIN_TRUNK_SEGMENT_MARKERS]
+    sparse += [name for name, count in limbs.items() if not count]
+    if len(joints) < MIN_LOCATED_SHARE * visible_count:
+        return f"explains only {len(joints)} of {visible_count} markers"
+    if sparse:
+        return f"has too few markers on {format_name_list(sparse)}"
+    if sum(count > 1 for count in limbs.values()) < MIN_PAIRED_LIMB_SEGMENTS:
+        return f"has single markers on {format_name_list([name for name, count in limbs.items() if count == 1])}"
+    return ""
+
+
+def describe_contradicted_guess(take: Take, labels: Sequence[str], guess: MarkerSet) -> str:
+    """Return why a guess from positions alone is not plausible, before a body is fitted to it; "" if it may be."""
+    if problem := describe_incomplete_location(guess.joints, int(take.visible.any(0).sum())):
+        return problem
+    markers = take.markers[:, [labels.index(label) for label in guess.labels]]
+    segment_distance = count_segments_between(guess.joints)
+    return _describe_contradiction(guess, segment_distance, measure_distance_spread(markers), measure_position_spread(markers))
+
+
+def _describe_contradiction(
+    marker_set: MarkerSet, segment_distance: np.ndarray, distance_spread: np.ndarray, position_spread: np.ndarray
+) -> str:
+    is_contradicted = find_contradicted_markers(segment_distance, distance_spread, position_spread)
+    if is_contradicted.mean() <= MAX_CONTRADICTED_SHARE:
+        return ""
+    names = [label for label, is_wrong in zip(marker_set.labels, is_contradicted, strict=True) if is_wrong]
+    return f"would have {names[0]} on another segment than the markers with which it moves"
+
+
+def count_segments_between(joints: Int[np.ndarray, " K"]) -> Int[np.ndarray, "K K"]:
+    """Return for each pair of markers how many segments lie on the way from one to the other, the last included."""
+    body = load_cmu31_body()
+    passed = {body.skeleton.find_joint(name) for name in PASSED_JOINT_NAMES} | set(np.flatnonzero(~body.free_joints).tolist())
+    count = {(a, b): _count_steps(a, b, passed) for a in set(joints.tolist()) for b in set(joints.tolist())}
+    return np.array([[count[int(a), int(b)] for b in joints] for a in joints], int)
+
+
+def _count_steps(start: int, end: int, passed: set[int]) -> int:
+    parents = load_cmu31_body().skeleton.parents
+    top = find_common_joint(parents, (start, end))
+    path: set[int] = {top}
+    for joint in (start, end):
+        while joint != top:
+            path.add(joint)
+            joint = int(parents[joint])
+    return len(path - passed - {start})
+
+
+def measure_distant_motion(segment_distance: Int[np.ndarray, "K K"], distance_spread: Float[np.ndarray, "K K"]) -> float:
+    """Return the median variation in metres of the distances between markers on distant segments; 0 if there are none."""
+    spread = distance_spread[(segment_distance >= MIN_DISTANT_SEGMENTS) & np.isfinite(distance_spread)]
+    if not len(spread):  # a single limb
+        spread = distance_spread[(segment_distance > 0) & np.isfinite(distance_spread)]
+    return float(np.median(spread)) if len(spread) else 0.0
+
+
+def find_contradicted_markers(
+    segment_distance: Int[np.ndarray, "K K"],
+    distance_spread: Float[np.ndarray, "K K"],
+    position_spread: Float[np.ndarray, " K"],
+) -> Bool[np.ndarray, " K"]:
+    """Find the markers that keep their distance to a marker on a distant segment, though both move."""
+    spread = np.where(position_spread > MIN_TRAVEL_SPREAD_M, distance_spread, np.inf)
+    distant = np.where(segment_distance >= MIN_DISTANT_SEGMENTS, spread, np.inf).min(1)
+    near = np.where(segment_distance < MIN_DISTANT_SEGMENTS, spread, np.inf).min(1)
+    limit = np.minimum(MAX_STEADY_SPREAD_M, STEADINESS_RATIO * near)
+    return (position_spread > MIN_TRAVEL_SPREAD_M) & (distant < limit)
+
+
+def measure_position_spread(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, " M"]:
+    """Return the variation of each marker's position in metres: the norm of its standard deviations; 0 if never visible."""
+    sampled = markers[sample_evenly(len(markers), 200)]
+    is_visible = ~np.isnan(sampled[..., 0])
+    count = np.maximum(is_visible.sum(0), 1)[:, None]
+    centred = np.where(is_visible[..., None], sampled - np.nansum(sampled, axis=0) / count, 0.0)
+    return np.sqrt((centred**2).sum((0, 2)) / count[:, 0])
+
+
+def find_impossible_joint(
+    joints: Int[np.ndarray, " K"], joint_rotations: Float[np.ndarray, "N J 3 3"], limits: JointLimits
+) -> str:
+    """Return the name of a joint that is beyond its limits in many frames, "" if none is.
+
+    Knees and elbows are judged about the axis about which they bend. Of a body that faces backwards, or has its sides exchanged,
+    the feet and the upper arms are turned about any axis. Only joints with two markers or more are judged.
+    """
+    skeleton = load_cmu31_body().skeleton
+    for joint, name in enumerate(skeleton.names):
+        is_hinge = name in HINGE_JOINT_NAMES
+        if not (is_hinge or name in TURNED_JOINT_NAMES) or (joints == joint).sum() < MIN_JUDGED_MARKERS:
+            continue
+        parent = int(skeleton.parents[joint])
+        local = np.einsum("nba,nbc->nac", joint_rotations[:, parent], joint_rotations[:, joint])
+        turn = Rotation.from_matrix(local @ limits.mean_rotations[joint].T).as_rotvec()
+        beyond = np.maximum(limits.lower_rad[joint] - turn, turn - limits.upper_rad[joint])
+        axis = int((limits.upper_rad[joint] - limits.lower_rad[joint]).argmax())  # about which it bends
+        excess, max_excess = (beyond[:, axis], MAX_BEND_VIOLATION_RAD) if is_hinge else (beyond.max(1), MAX_TURN_VIOLATION_RAD)
+        if (excess > max_excess).mean() > MAX_VIOLATION_SHARE:
+            return name
+    return ""
+
+
+def measure_learned_body(
+    take: Take, labels: Sequence[str], marker_set: MarkerSet, fit: "MarkerSetFit", average_length_m: float
+) -> LearnedBody:
+    """Return what the checks compare of a set that was fitted to a take.
+
+    labels            the names of the take's markers in the set
+    average_length_m  total length of the average skeleton
+    """
+    columns = [labels.index(label) for label in marker_set.labels]
+    markers = take.markers[:, columns]
+    size_ratio = fit.subject.skeleton.total_length_m / average_length_m
+    return LearnedBody(
+        marker_set,
+        float(np.sqrt(3 * np.mean(fit.attachment.residual_sd[columns] ** 2))),
+        size_ratio,
+        fit.joint_rotations,
+        measure_distance_spread(markers),
+        measure_position_spread(markers),
+    )
+
+
+def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", guess: MarkerSet) -> str:
+    """Return why the motion contradicts the words of the labels, "" if it does not.
+
+    Words may name a neighbouring segment, such as the thigh for a marker on the knee.
+    """
+    attached = np.array([fit.attachment.joints[labels.index(label)] for label in guess.labels])
+    is_attached = attached >= 0
+    pairs = zip(guess.joints[is_attached].tolist(), attached[is_attached].tolist(), strict=True)
+    is_moved = np.array([count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs], bool)
+    if not len(is_moved) or is_moved.mean() <= MAX_CONTRADICTED_SHARE:
+        return ""
+    names = [label for label, is_kept in zip(guess.labels, is_attached, strict=True) if is_kept]
+    return f"would have {names[int(is_moved.argmax())]} on another segment than its label says"
+
+
+def is_contradicted_by_words(guess: MarkerSet, from_words: MarkerSet) -> bool:
+    """Return whether words name a segment that is no neighbour of the guessed one for any of the markers."""
+    guessed = dict(zip(guess.labels, guess.joints.tolist(), strict=True))
+    pairs = [(guessed[label], joint) for label, joint in zip(from_words.labels, from_words.joints.tolist(), strict=True)]
+    return any(count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs)
+
+
+def find_doubtful_markers(
+    take: Take, labels: Sequence[str], fit: "MarkerSetFit", named_labels: Collection[str]
+) -> dict[str, str]:
+    """Return why a marker is left out of the learned set though it was attached to a segment, by label.
+
+    named_labels  the markers whose segments were known before
+    """
+    skeleton, attachment = load_cmu31_body().skeleton, fit.attachment
+    is_named = np.array([label in named_labels for label in labels])
+    max_sd = np.where(is_named, MAX_NAMED_MARKER_SD_M, MAX_UNNAMED_MARKER_SD_M)
+    reasons: dict[str, str] = {}
+    for m in np.flatnonzero(attachment.joints >= 0).tolist():
+        joint, second = int(attachment.joints[m]), int(attachment.second_joints[m])
+        is_unclear = attachment.probability[m] < MIN_UNNAMED_PROBABILITY and not is_named[m]
+        if attachment.residual_sd[m] > max_sd[m]:
+            reasons[labels[m]] = f"moves by {attachment.residual_sd[m] * 1e3:.0f} mm against {skeleton.names[joint]}"
+        elif is_unclear and joint not in (skeleton.parents[second], second) and second != skeleton.parents[joint]:
+            reasons[labels[m]] = f"may be on {skeleton.names[joint]} or on {skeleton.names[second]}"
+    is_left_out = (attachment.joints < 0) | np.array([label in reasons for label in labels])
+    for group in find_rigid_groups(take.markers):
+        members = np.array(group.markers)
+        if is_left_out[members].any() and not is_named[members].any():
+            reasons |= {labels[m]: "belongs to a prop" for m in group.markers if not is_left_out[m]}
+    return reasons
+
+
+KNOWN_LABEL_LOG_ODDS = 10.0
+"""log odds that the segment of a marker is correct if its label is one of a known set"""
+LABEL_WORD_LOG_ODDS = 4.0
+"""the same if the label has a known word"""
+GROUP_LOG_ODDS = 6.0
+"""the same if the marker is in a rigid group whose joints show its segment"""
+POSITION_LOG_ODDS = 3.0
+"""the same if the segment is guessed from the cloud of markers"""
+MIN_GROUPED_SHARE = 0.6
+"""share of the visible markers on legs that rigid groups form, from which no whole body is searched for"""
+MAX_LOCATED_SHARE = 0.2
+"""share of the labels whose words locate a marker, above which a body is not located by positions"""
+MIN_SEGMENT_PROBABILITY = 0.9
+"""probability of a segment below which the marker is reported as ambiguous"""
+LEARNED_MARKER_SPREAD_M = 0.02
+"""standard deviation per axis of other people's markers about an offset that was measured on one person"""
+MEAN_POSE_PRIOR_NAME = "mean-pose"
+
+
+@dataclass(frozen=True)
+class LearnedMarkerSet:
+    """A marker set that was learned from a take.
+
+    marker_set         the set
+    guess_description  a sentence on the guess from which it was learned
+    excluded_markers   why a marker is not in the set, by label
+    ambiguous_markers  the name of another joint to which a marker may be attached, by label
+    mean_residual_m    mean distance of the markers from the body
+    """
+
+    marker_set: MarkerSet
+    guess_description: str
+    excluded_markers: dict[str, str]
+    ambiguous_markers: dict[str, str]
+    mean_residual_m: float
+
+    @property
+    def file_comment(self) -> str:
+        """The comment for the file of the set."""
+        lines = [
+            f"{self.marker_set.title}. Offsets are in metres on the average body, in the axes of the joint;",
+            "spread is the standard deviation per axis, over people, of the marker about its offset.",
+            self.guess_description,
+            f"Mean distance of the markers from the body: {self.mean_residual_m * 1e3:.1f} mm.",
+        ]
+        lines += [f"{label} may be attached to {joint_name} instead." for label, joint_name in self.ambiguous_markers.items()]
+        lines += [f"Not included: {label} {reason}." for label, reason in self.excluded_markers.items()]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class SubjectMarkers:
+    """The markers of one subject in a take.
+
+    take              its markers and those without a subject prefix
+    labels            their labels without prefix
+    excluded_markers  why a marker was left out, by label
+    """
+
+    take: Take
+    labels: tuple[str, ...]
+    excluded_markers: dict[str, str]
+
+
+@dataclass(frozen=True)
+class InitialGuess:
+    """A guess at some of the markers of a take, enough to determine a body.
+
+    marker_set      the guessed markers by the labels of the take
+    label_log_odds  log odds that the segment of a marker is correct
+    description     a sentence on where the guess comes from
+    """
+
+    marker_set: MarkerSet
+    label_log_odds: float
+    description: str
+
+
+def learn_from_markers(selected: SubjectMarkers, name: str, like: str | Path | None = None) -> LearnedMarkerSet:
+    """Return the set that is learned from a subject's markers, from the most certain guess or from their rigid groups.
+
+    Raises TakeError as `guess_marker_set` and `fit_guessed_set`.
+    """
+    try:
+        return fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels, like), name)
+    except TakeError:
+        guess = None if like else guess_from_groups(selected.take, selected.labels)
+        if guess is None:
+            raise
+    return fit_guessed_set(selected, guess, name)
+
+
+def guess_from_groups(take: Take, labels: Sequence[str]) -> InitialGuess | None:
+    """Return the guess from rigid groups and their joints; None if they form no leg, or words in the labels contradict them."""
+    guess = guess_from_rigid_groups(take, tuple(labels), load_cmu31_body().skeleton)
+    if guess is None or is_contradicted_by_words(guess, guess_marker_set_from_words(guess.labels)):
+        return None
+    count = len(guess.labels)
+    description = f"{count} markers were located by the joints between their rigid groups, others by motion. Check the result."
+    return InitialGuess(guess, GROUP_LOG_ODDS, description)
+
+
+def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) -> LearnedMarkerSet:
+    """Return the set that is learned from an initial guess. Raises TakeError if it is not that of a plausible body."""
+    take, labels = selected.take, selected.labels
+    body = load_cmu31_body()
+    prior = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton)
+    is_from_positions = guess.label_log_odds == POSITION_LOG_ODDS
+    if is_from_positions and (problem := describe_contradicted_guess(take, labels, guess.marker_set)):
+        raise TakeError(f"{take.name}: no marker set can be learned: the body located by the positions of the markers {problem}.")
+    fit = fit_marker_set(take, labels, guess.marker_set, guess.label_log_odds, body, prior)
+    keep_guess = guess.label_log_odds == KNOWN_LABEL_LOG_ODDS
+    marker_set = build_learned_set(fit, guess.marker_set, name, f"Learned from {take.name}", keep_guess=keep_guess)
+    reasons = dict(zip(labels, fit.attachment.rejection_reasons, strict=True))
+    if not keep_guess:
+        reasons |= find_doubtful_markers(take, labels, fit, guess.marker_set.labels)
+        marker_set = marker_set.select_markers([label for label in marker_set.labels if not reasons[label]])
+    if problem := marker_set.describe_missing_body(marker_set.labels):
+        raise TakeError(f"{take.name}: no marker set can be learned: {problem.partition(';')[0]}.")
+    marker_set = marker_set.select_shown_part(marker_set.labels)
+    if not keep_guess:
+        learned_body = measure_learned_body(take, labels, marker_set, fit, body.skeleton.total_length_m)
+        limits = load_joint_limits(body.skeleton)
+        problem = (
+            describe_incomplete_location(marker_set.joints, int(take.visible.any(0).sum()))
+            if is_from_positions
+            else describe_contradicted_words(labels, fit, guess.marker_set)
+        )
+        if problem := problem or describe_implausible_body(learned_body, limits, from_positions=is_from_positions):
+            raise TakeError(f"{take.name}: no marker set can be learned: the body {problem}.")
+    excluded = {label: reason for label, reason in reasons.items() if reason}
+    return LearnedMarkerSet(
+        marker_set,
+        guess.description,
+        {**excluded, **selected.excluded_markers},
+        find_ambiguous_markers(fit, labels),
+        fit.mean_residual_m,
+    )
+
+
+def select_subject_markers(take: Take) -> SubjectMarkers:
+    """Return the markers of the subject with the most of them and those without a prefix; none whose label names an object."""
+    subject_names = take.marker_subjects
+    chosen_subject = max(dict.fromkeys(subject_names), key=lambda name: (bool(name), subject_names.count(name)))
+    column_of_label: dict[str, int] = {}
+    excluded: dict[str, str] = {}
+    for column, (subject_name, label) in enumerate(zip(subject_names, take.bare_labels, strict=True)):
+        if subject_name not in (chosen_subject, ""):
+            excluded[take.labels[column]] = f"belongs to {subject_name}, not to {chosen_subject}"
+        elif names_object(take.labels[column]):
+            excluded[take.labels[column]] = "names an object"
+        elif label in column_of_label:
+            excluded[take.labels[column]] = "has the same label as another marker"
+        else:
+            column_of_label[label] = column
+    columns = np.array(list(column_of_label.values()), int)
+    return SubjectMarkers(take.select(columns, take.visible), tuple(column_of_label), excluded)
+
+
+def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None = None) -> InitialGuess:
+    """Return the most certain guess at the markers of a take from its labels or the cloud of its markers.
+
+    labels  of the take's markers, without subject prefixes
+    like    as for `learn_marker_set`
+
+    Raises TakeError if the set `like` has too few of the take's markers, or if no guess shows a body.
+    """
+    visible_labels = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
+    known = load_marker_set(like) if like else choose_marker_set(visible_labels).marker_set
+    from_words = guess_marker_set_from_words([label for label in visible_labels if label])
+    is_part = known is not None and bool(known.describe_incomplete_body(known.match_labels(visible_labels)))
+    if is_part and not like and not from_words.describe_incomplete_body(from_words.labels):
+        known = None  # the words of the labels show more: a whole body
+    if known:
+        found = known.match_labels(visible_labels)
+        problem = known.describe_missing_body(found)
+        guess = relabel_marker_set(known if problem else known.select_shown_part(found), visible_labels)
+        if problem:
+            raise TakeError(
+                f"{take.name}: {known.name} cannot be used to learn a marker set: only {len(guess.labels)} of its markers are "
+                f"present; {problem}."
+            )
+        has_others = len(guess.labels) < sum(map(bool, visible_labels))
+        others = " The segments of the others are learned from their motion." if has_others else ""
+        return InitialGuess(guess, KNOWN_LABEL_LOG_ODDS, f"{describe_marker_set_match(known, visible_labels)}{others}")
+    guess = from_words.select_shown_part(from_words.labels)
+    if guess.labels:
+        description = f"{len(guess.labels)} markers were located by words in their labels, the others by their motion."
+        return InitialGuess(guess, LABEL_WORD_LOG_ODDS, description)
+    if len(from_words.labels) >= MAX_LOCATED_SHARE * sum(map(bool, visible_labels)):
+        raise TakeError(
+            f"{take.name}: no marker set can be learned: the words in the labels locate {format_name_list(from_words.labels)}, "
+            "which show neither a body nor a part of one."
+        )
+    grouped = None if like else guess_from_groups(take, labels)
+    if grouped and len(grouped.marker_set.labels) >= MIN_GROUPED_SHARE * sum(map(bool, visible_labels)):
+        return grouped
+    body = load_cmu31_body()
+    prior, limits = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton), load_joint_limits(body.skeleton)
+    guess = guess_from_marker_cloud(take, tuple(labels), body, prior, limits)
+    return InitialGuess(
+        guess,
+        POSITION_LOG_ODDS,
+        "The labels do not locate a body: all markers were located by their positions and motion. Check the result.",
+    )
+
+
+def relabel_marker_set(known: MarkerSet, labels: Sequence[str]) -> MarkerSet:
+    """Return those markers of a set that are among a take's labels, under the take's labels."""
+    found = known.match_labels(labels)
+    rows = [known.labels.index(label) for label in found]
+    return replace(
+        known,
+        labels=tuple(labels[column] for column in found.values()),
+        joints=known.joints[rows],
+        marker_offsets=known.marker_offsets[rows],
+        marker_spread=known.marker_spread[rows],
+        aliases=((),) * len(rows),
+        optional_labels=frozenset(),
+    )
+
+
+def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title: str, *, keep_guess: bool) -> MarkerSet:
+    """Return the learned set under its name, with the offsets that were measured on this person.
+
+    keep_guess  whether the offsets of the guessed markers stay as they are, because they are of a known set
+    """
+    marker_set = learned.marker_set
+    size = learned.subject.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
+    index_of_label = {label: k for k, label in enumerate(learned.subject.labels)}
+    offsets, spread = marker_set.marker_offsets.copy(), marker_set.marker_spread.copy()
+    for n, label in enumerate(marker_set.labels):
+        k = index_of_label.get(label, -1)
+        is_kept = keep_guess and label in guess.labels
+        if k >= 0 and not is_kept and learned.subject.joints[k] == marker_set.joints[n]:
+            offsets[n], spread[n] = learned.subject.marker_offsets[k] / size, LEARNED_MARKER_SPREAD_M
+    return replace(marker_set, name=name, title=title, marker_offsets=offsets, marker_spread=spread, optional_labels=frozenset())
+
+
+def find_ambiguous_markers(learned: MarkerSetFit, labels: Sequence[str]) -> dict[str, str]:
+    """Return the markers that may be attached to another joint, with its name, by label."""
+    joint_names, attachment = load_cmu31_body().skeleton.names, learned.attachment
+    is_ambiguous = (attachment.joints >= 0) & (attachment.probability < MIN_SEGMENT_PROBABILITY)
+    return {labels[int(m)]: joint_names[attachment.second_joints[m]] for m in np.flatnonzero(is_ambiguous)}

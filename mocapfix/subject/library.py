@@ -1,0 +1,392 @@
+"""The library of marker sets: the shipped ones in scenes/marker-sets and those of a studio, and the choice of a take's set.
+
+Marker sets are read and written as YAML. A take gets the set that the options name, or the shipped one that fits its labels.
+
+Anatomical landmarks: each has one place on the average body, to which marker sets and detectors of keypoints refer.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, FiniteFloat, PositiveFloat, field_validator, model_validator
+
+from mocapfix.errors import TakeError, format_name_list
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, find_by_name, read_yaml_model
+from mocapfix.model.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, index_labels_by_prefix
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import SubjectOptions
+from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS
+from mocapfix.subject import subject_file
+
+LANDMARK_FILE = "skeletons/landmarks.yaml"
+MIRROR_X = np.array([-1.0, 1.0, 1.0])
+MAX_MEDIAN_DISTANCE_M = 0.008
+"""the distance from the median plane within which a landmark of pelvis, trunk or head is one of neither side"""
+
+
+class Landmark(NamedTuple):
+    """A landmark on the average body.
+
+    joint_name  the joint that carries it
+    offset      (3,) m: its position in the axes of the joint
+    spread      m: standard deviation per axis, over people, of a marker on it about the offset
+    """
+
+    joint_name: str
+    offset: Float[np.ndarray, "3"]
+    spread: float
+
+
+def find_landmark(name: str) -> Landmark:
+    """Return a landmark by its name, of paired ones with the side before it: "left acromion", "sacrum".
+
+    Raises ValueError, with a sentence that lists the landmarks, if there is none of that name.
+    """
+    landmarks = load_landmarks()
+    side, _, rest = name.partition(" ")
+    if name in landmarks and _is_median(landmarks[name]):
+        return landmarks[name]
+    if side in ("left", "right") and rest in landmarks:
+        landmark = landmarks[rest]
+        if side == "left":
+            return landmark
+        return Landmark(landmark.joint_name.replace("Left", "Right"), landmark.offset * MIRROR_X, landmark.spread)
+    known = [key if _is_median(landmark) else f"left {key}" for key, landmark in landmarks.items()]
+    raise ValueError(f"there is no landmark {name!r}; the landmarks are {format_name_list(known)}, and those on the right")
+
+
+@cache
+def load_landmarks() -> dict[str, Landmark]:
+    """Return the left and the median landmarks by their names without a side, from scenes/skeletons/landmarks.yaml."""
+    path = find_shipped_folder("scenes") / LANDMARK_FILE
+    models = read_yaml_model(_LandmarkFile, path).landmarks
+    return {name: Landmark(model.joint, np.array(model.offset, float), model.spread) for name, model in models.items()}
+
+
+class _LandmarkModel(StrictModel):
+    joint: JointName
+    offset: Vector3
+    spread: PositiveFloat
+
+
+class _LandmarkFile(StrictModel):
+    landmarks: dict[str, _LandmarkModel]
+
+
+def _is_median(landmark: Landmark) -> bool:
+    return not landmark.joint_name.startswith("Left") and abs(float(landmark.offset[0])) <= MAX_MEDIAN_DISTANCE_M
+
+
+MAX_LISTED_LABELS = 2  # of a take that no set fits, in a sentence that has two more lists
+MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed less accurately than 0.1 mm
+
+
+@cache
+def load_shipped_marker_sets() -> tuple[MarkerSet, ...]:
+    """Return the shipped marker sets in the order of their names."""
+    return tuple(_read_marker_set(path) for path in sorted((find_shipped_folder("scenes") / "marker-sets").glob("*.yaml")))
+
+
+def load_whole_body_marker_sets() -> tuple[MarkerSet, ...]:
+    """Return the shipped sets of markers on all sections of the body: neither those of legs alone nor those of keypoints."""
+    return tuple(each for each in load_shipped_marker_sets() if not each.point_sd and each.covers_whole_body)
+
+
+def load_marker_set(name_or_path: str | Path) -> MarkerSet:
+    """Return a shipped marker set by its name, or the set in a YAML file.
+
+    Raises SceneError if there is no such set (the message lists the shipped ones) or the file has a wrong key.
+    """
+    set_of_name = {each.name: each for each in load_shipped_marker_sets()}
+    set_of_name |= {name: each for each in load_shipped_marker_sets() for name in each.other_names}
+    return find_by_name(name_or_path, set_of_name, "marker set", _read_marker_set)
+
+
+def build_subject_marker_set(subject: Subject) -> MarkerSet:
+    """Return a subject's markers as a set, with the aliases of the shipped set from which they are."""
+    shipped = next((each for each in load_shipped_marker_sets() if each.name == subject.marker_set), None)
+    aliases = dict(zip(shipped.labels, shipped.aliases, strict=True)) if shipped else {}
+    return MarkerSet(
+        name=subject.marker_set,
+        title=shipped.title if shipped else subject.marker_set,
+        skeleton="cmu31",
+        labels=subject.labels,
+        joints=subject.joints,
+        marker_offsets=subject.marker_offsets,
+        marker_spread=subject.marker_spread,
+        aliases=tuple(aliases.get(label, ()) for label in subject.labels),
+        optional_labels=shipped.optional_labels & set(subject.labels) if shipped else frozenset(),
+        is_laboratory=shipped is not None and shipped.is_laboratory,
+    )
+
+
+def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "") -> None:
+    """Write a marker set as YAML for `load_marker_set`, below a comment of any number of lines.
+
+    Raises WriteError if the folder cannot be written to; an existing file then stays as it is.
+    """
+    joint_names = load_cmu31_body().skeleton.names
+    markers: dict[str, InlineMapping] = {}
+    for k, label in enumerate(marker_set.labels):
+        markers[label] = InlineMapping(
+            joint=joint_names[marker_set.joints[k]],
+            offset=[round(float(x), MARKER_OFFSET_DECIMALS) for x in marker_set.marker_offsets[k]],
+            spread=round(float(marker_set.marker_spread[k]), MARKER_OFFSET_DECIMALS),
+        )
+        if marker_set.aliases[k]:
+            markers[label]["aliases"] = list(marker_set.aliases[k])
+        if label in marker_set.optional_labels:
+            markers[label]["optional"] = True
+    data: dict[str, object] = {"name": marker_set.name, "title": marker_set.title}
+    if marker_set.other_names:
+        data["also_called"] = list(marker_set.other_names)
+    data["skeleton"] = marker_set.skeleton
+    if marker_set.is_laboratory:
+        data["laboratory"] = True
+    if marker_set.point_sd:
+        data["point_sd"] = round(float(marker_set.point_sd), MARKER_OFFSET_DECIMALS)
+    data["markers"] = markers
+    if marker_set.props:
+        data["props"] = {name: list(labels) for name, labels in marker_set.props.items()}
+    comment_lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    with replace_atomically(Path(path)) as part:
+        part.write_text(comment_lines + dump_yaml(data), encoding="utf-8", newline="\n")
+
+
+def _read_marker_set(path: Path) -> MarkerSet:
+    model = read_yaml_model(_MarkerSetModel, path)
+    markers = model.markers.values()
+    places = [marker.locate() for marker in markers]
+    skeleton = load_cmu31_body().skeleton
+    return MarkerSet(
+        name=model.name,
+        title=model.title,
+        skeleton=model.skeleton,
+        labels=tuple(model.markers),
+        joints=np.array([skeleton.find_joint(place.joint_name) for place in places], int),
+        marker_offsets=np.array([place.offset for place in places], float),
+        marker_spread=np.array([place.spread for place in places], float),
+        aliases=tuple(marker.aliases for marker in markers),
+        optional_labels=frozenset(label for label, marker in model.markers.items() if marker.optional),
+        other_names=model.also_called,
+        point_sd=model.point_sd,
+        props=model.props,
+        is_laboratory=model.laboratory,
+    )
+
+
+class _SetMarkerModel(StrictModel):
+    landmark: str | None = None
+    joint: JointName | None = None
+    offset: Vector3 | None = None
+    spread: FiniteFloat | None = Field(default=None, gt=0)
+    aliases: tuple[str, ...] = ()
+    optional: bool = False
+
+    @field_validator("landmark")
+    @classmethod
+    def _check_landmark(cls, name: str | None) -> str | None:
+        if name is not None:
+            find_landmark(name)
+        return name
+
+    @model_validator(mode="after")
+    def _check_place(self) -> "_SetMarkerModel":
+        if self.landmark is not None:
+            if self.joint is not None or self.offset is not None:
+                raise ValueError("the place of a marker is either a landmark or a joint with an offset, not both")
+        elif self.joint is None or self.offset is None or self.spread is None:
+            raise ValueError("a marker needs a joint, an offset and a spread, or a landmark")
+        return self
+
+    def locate(self) -> Landmark:
+        """Return the place of the marker: that of its landmark, or its own joint, offset and spread."""
+        if self.landmark is not None:
+            landmark = find_landmark(self.landmark)
+            return landmark._replace(spread=self.spread or landmark.spread)
+        assert self.joint is not None
+        assert self.offset is not None
+        assert self.spread is not None
+        return Landmark(self.joint, np.array(self.offset, float), self.spread)
+
+
+class _MarkerSetModel(StrictModel):
+    name: str
+    title: str
+    also_called: tuple[str, ...] = ()
+    skeleton: Literal["cmu31"]
+    laboratory: bool = False
+    point_sd: FiniteFloat = Field(default=0.0, ge=0)
+    markers: dict[str, _SetMarkerModel] = Field(min_length=1)
+    props: dict[str, tuple[str, ...]] = Field(default_factory=dict[str, tuple[str, ...]])
+
+    @field_validator("markers")
+    @classmethod
+    def _check_names_unique(cls, markers: dict[str, _SetMarkerModel]) -> dict[str, _SetMarkerModel]:
+        names = Counter(fold_label(name) for label, marker in markers.items() for name in (label, *marker.aliases))
+        if repeated := [name for name, count in names.items() if count > 1]:
+            raise ValueError(f"{format_name_list(repeated)} names more than one marker; case and separators are ignored")
+        if empty := [label for label in markers if not fold_label(label)]:
+            raise ValueError(f"{format_name_list(empty)} has neither letters nor digits")
+        return markers
+
+    @model_validator(mode="after")
+    def _check_props(self) -> "_MarkerSetModel":
+        names = Counter(fold_label(label) for labels in self.props.values() for label in labels)
+        names.update({fold_label(name) for label, marker in self.markers.items() for name in (label, *marker.aliases)})
+        if repeated := [name for name, count in names.items() if count > 1]:
+            raise ValueError(f"props: {format_name_list(repeated)} is on more than one prop, or also on the body")
+        if small := [name for name, labels in self.props.items() if len(labels) < MIN_GROUP_MARKERS]:
+            raise ValueError(f"props: {format_name_list(small)} has fewer than {MIN_GROUP_MARKERS} markers")
+        return self
+
+
+UNASSIGNED_SUBJECT = "others"
+"""the name of the take of the markers that belong to no body, nor to a part of one"""
+
+
+@dataclass(frozen=True)
+class MarkerSetMatch:
+    """The marker set that fits a take, None if none does, and a sentence with the reason."""
+
+    marker_set: MarkerSet | None
+    reason: str
+
+
+def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = None) -> tuple[str, ...]:
+    """Return what the labels of each subject begin with where it is no name with a colon: "Jim_" of "Jim_LFHD".
+
+    "L_" of "L_ANKLE" is none: a prefix is the name of a subject only if what follows it shows a body or a part of one in a
+    marker set, and if more markers are found in this way than by the whole labels.
+
+    marker_set  a set to be considered besides the shipped ones
+    """
+    if any(":" in label for label in labels):
+        return ()
+    sets = (*load_shipped_marker_sets(), *((marker_set,) if marker_set else ()))
+    readings = index_labels_by_prefix(labels)
+    whole_names = readings.pop("", {})
+    found: list[str] = []
+    for prefix, names in readings.items():
+        if len(names) < MIN_SINGLE_LIMB_MARKERS:
+            continue
+        columns = set(names.values())
+        whole = {name: column for name, column in whole_names.items() if column in columns}
+        matches = [(each, each.match_names(names)) for each in sets]
+        shown = max((len(match) for each, match in matches if match and not each.describe_missing_body(match)), default=0)
+        if shown > max(len(each.match_names(whole)) for each in sets):
+            found.append(prefix)
+    return tuple(found)
+
+
+def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
+    """Return the shipped set that matches the most of a take's labels, among the sets that find a whole body in them.
+
+    If there is none, it is the set with the most markers on a part of a body. Among sets that match equally many, the one with
+    the fewest missing markers is chosen. `MarkerSet.find_shown_sections` defines both.
+    """
+    shipped = load_shipped_marker_sets()
+    ranked = sorted(((each, each.match_labels(labels)) for each in shipped), key=lambda pair: _rank_match(*pair), reverse=True)
+    best = next((each for each, found in ranked if not each.describe_incomplete_body(found)), None)
+    best = best or _choose_part(ranked)
+    if best:
+        return MarkerSetMatch(best, describe_marker_set_match(best, labels))
+    nearest, found = ranked[0]
+    if found:
+        reason = f"the nearest is {nearest.name} with {_format_match_count(nearest, found)}, but "
+        reason += nearest.describe_missing_body(found, max_listed=0)
+    else:
+        reason = "none of them is in a shipped set; `mocapfix marker-set list` shows these"
+    return MarkerSetMatch(None, f"No marker set fits the labels {format_name_list(labels, MAX_LISTED_LABELS)}: {reason}.")
+
+
+def describe_marker_set_match(marker_set: MarkerSet, labels: Sequence[str]) -> str:
+    """Return a sentence with the number of markers of a set that are among a take's labels."""
+    return f"{marker_set.title}: {_format_match_count(marker_set, marker_set.match_labels(labels))} were found."
+
+
+def _choose_part(matches: Sequence[tuple[MarkerSet, Collection[str]]]) -> MarkerSet | None:
+    """Return the set with the most markers on a part of a body, None if no set shows one."""
+    parts = [(each, each.select_shown_part(found), found) for each, found in matches]
+    ranks = [(_rank_match(part, set(found).intersection(part.labels)), each) for each, part, found in parts if part.labels]
+    return max(ranks, key=lambda pair: pair[0])[1] if ranks else None
+
+
+def _rank_match(marker_set: MarkerSet, found_labels: Collection[str]) -> tuple[int, int]:
+    return len(found_labels), -len(marker_set.list_missing_labels(found_labels))
+
+
+def _format_match_count(marker_set: MarkerSet, found_labels: Collection[str]) -> str:
+    required_count = len(marker_set.required_labels)
+    found_required_count = required_count - len(marker_set.list_missing_labels(found_labels))
+    found_optional_count = len(found_labels) - found_required_count
+    optional = f" and {found_optional_count} optional ones" if found_optional_count else ""
+    return f"{found_required_count} of its {required_count} markers{optional}"
+
+
+@dataclass(frozen=True)
+class SubjectChoice:
+    """The subject and the marker set of a take.
+
+    Attributes:
+        subject: the subject that the options name, None if it is to be calibrated.
+        marker_set: the marker set, None where no set fits: there is no body then.
+        notes: sentences for the report.
+        is_learned: whether the marker set was learned from the take itself.
+    """
+
+    subject: Subject | None
+    marker_set: MarkerSet | None
+    notes: tuple[str, ...] = ()
+    is_learned: bool = False
+
+
+def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
+    """Return the subject and the marker set that the options name, None for each that they do not name."""
+    subject = None if isinstance(options.subject, tuple) else options.subject
+    if subject is not None:
+        if isinstance(subject, str | Path):
+            subject = subject_file.read_subject(subject)
+        return SubjectChoice(subject, build_subject_marker_set(subject), subject.notes)
+    return SubjectChoice(None, None if options.marker_set is None else load_marker_set(options.marker_set))
+
+
+def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
+    """Return the subject and the marker set of one subject's take: those that the options name, or the set that its labels match.
+
+    Raises TakeError where the named set or subject does not fit the take.
+    """
+    if take.subject_name == UNASSIGNED_SUBJECT:
+        return SubjectChoice(None, None, ("Markers that form neither a body nor a part of one are cleaned without a skeleton.",))
+    requested = load_requested_subject(options)
+    marker_set = requested.marker_set
+    if marker_set is None:
+        match = choose_marker_set(take.labels)
+        notes = () if match.marker_set else (match.reason, "The take was cleaned without a skeleton: there is no BVH.")
+        return restrict_subject_choice(SubjectChoice(None, match.marker_set, notes), take.labels)
+    found = marker_set.match_labels(take.labels)
+    if missing := marker_set.describe_missing_body(found):
+        count = f"{len(found)} of its {len(marker_set.labels)} markers"
+        raise TakeError(f"{take.name}: {marker_set.name} does not fit: {count}, {missing}.")
+    return restrict_subject_choice(requested, take.labels)
+
+
+def restrict_subject_choice(choice: SubjectChoice, labels: Sequence[str]) -> SubjectChoice:
+    """Return the choice with the markers of the joints that a take with these labels shows."""
+    if choice.marker_set is None:
+        return choice
+    marker_set = choice.marker_set.select_shown_part(choice.marker_set.match_labels(labels))
+    subject = choice.subject
+    if marker_set is choice.marker_set or not marker_set.labels:
+        return choice
+    return replace(choice, marker_set=marker_set, subject=subject.select_markers(marker_set.labels) if subject else None)

@@ -1,0 +1,313 @@
+"""Learning a marker set: from an initial guess for some markers of a take to the segment and offset of all of them.
+
+Two steps alternate until nothing changes: a person is calibrated on the markers whose segments are known so far, and every marker
+is attached to the segment of that person in whose axes it moves least.
+
+Marker attachment: the body segment that carries each marker.
+
+A marker on the skin stays nearly constant in the axes of its own segment and moves in those of others. Near a joint two segments
+fit equally well, and if a joint hardly turns in a take, they do everywhere. There the position on the body decides: markers are
+more likely where the known marker sets place one.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.errors import TakeError
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import BodyModel, find_carriers, restrict_body
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.solve import kinematics
+from mocapfix.solve.mean_pose import MeanPosePrior
+from mocapfix.stats.sequences import sample_evenly
+from mocapfix.subject import refinement
+from mocapfix.subject.calibration import calibrate_subject, select_candidate_frames
+from mocapfix.subject.library import load_whole_body_marker_sets
+
+KEPT_FRAME_SHARE = 0.9
+"""Share of a marker's frames that is used; the frames with the largest residuals may be swaps, ghosts or wrong poses."""
+MIN_SKIN_MOTION_M = 0.005
+"""Motion per axis that a marker shows even on the correct segment."""
+INDEPENDENT_POSE_COUNT = 10.0
+"""Effective number of independent poses in a take, whatever its number of frames."""
+ATLAS_DISTANCE_SD_M = 0.07
+"""Standard deviation of the distance from a marker to the nearest position of the known sets on its segment."""
+MAX_ATTACHED_SD_M = 0.025
+"""Motion per axis above which a marker is not attached to a segment."""
+MAX_ATLAS_DISTANCE_M = 0.15
+"""Distance from all known marker positions above which a marker is taken for a prop, unless its label names the segment."""
+MIN_ATTACHMENT_FRAMES = 30
+"""Frames in which a marker must be visible to be attached."""
+MIN_ATTACHMENT_FRAME_SHARE = 0.3
+"""The same as a share of the frames, for short takes."""
+
+
+@dataclass(frozen=True)
+class AttachedMarkers:
+    """The segments of M markers.
+
+    joints             (M,) index of the joint, -1 for none
+    offsets            (M, 3) m in the axes of the joint; for unattached markers of the most likely joint
+    residual_sd        (M,) m: motion per axis about the offset
+    probability        (M,) posterior probability of the joint
+    second_joints      (M,) the second most likely joint
+    log_likelihood     (M,) log likelihood of the joint up to a constant; NaN if the marker is never visible
+    rejection_reasons  why each marker is not attached (the predicate of a sentence), "" if it is
+    """
+
+    joints: Int[np.ndarray, " M"]
+    offsets: Float[np.ndarray, "M 3"]
+    residual_sd: Float[np.ndarray, " M"]
+    probability: Float[np.ndarray, " M"]
+    second_joints: Int[np.ndarray, " M"]
+    log_likelihood: Float[np.ndarray, " M"]
+    rejection_reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MarkerAtlas:
+    """A marker positions of the known sets, in metres in the axes of their joints, on a body of a given size."""
+
+    joints: Int[np.ndarray, " A"]
+    offsets: Float[np.ndarray, "A 3"]
+
+    def compute_distances(self, joint: int, offsets: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, " M"]:
+        """Return the distance in metres of each offset in a joint's axes from the nearest known one on that joint."""
+        known = self.offsets[self.joints == joint]
+        return np.linalg.norm(offsets[:, None] - known[None], axis=-1).min(1)
+
+    def select_joints(self, is_selected: Bool[np.ndarray, " J"]) -> "MarkerAtlas":
+        """Return the positions on some of the joints."""
+        is_kept = is_selected[self.joints]
+        return MarkerAtlas(self.joints[is_kept], self.offsets[is_kept])
+
+    def scale(self, size: float) -> "MarkerAtlas":
+        """Return the atlas of a body `size` times as large."""
+        return MarkerAtlas(self.joints, self.offsets * size)
+
+
+def build_marker_atlas(marker_sets: tuple[MarkerSet, ...]) -> MarkerAtlas:
+    """Return all marker positions of some sets on the average body."""
+    joints = np.concatenate([marker_set.joints for marker_set in marker_sets])
+    return MarkerAtlas(joints, np.concatenate([marker_set.marker_offsets for marker_set in marker_sets]))
+
+
+def attach_markers(
+    markers: Float[np.ndarray, "N M 3"],
+    joint_positions: Float[np.ndarray, "N J 3"],
+    joint_rotations: Float[np.ndarray, "N J 3 3"],
+    atlas: MarkerAtlas,
+    joint_names: tuple[str, ...],
+    label_log_odds: Float[np.ndarray, "M J"],
+) -> AttachedMarkers:
+    """Return the most likely segment of each marker.
+
+    markers                           in metres in N different frames, NaN if not visible
+    joint_positions, joint_rotations  the joints in the world, in metres
+    atlas                             marker positions of the known sets at the size of this body
+    label_log_odds                    log odds of each joint given the marker's label
+    """
+    candidates, each = np.unique(atlas.joints), np.arange(markers.shape[1])
+    offsets, sd = measure_marker_offsets(markers, joint_positions[:, candidates], joint_rotations[:, candidates])
+    distance = np.stack([atlas.compute_distances(int(joint), offsets[c]) for c, joint in enumerate(candidates)])
+    log_likelihood = (
+        -1.5 * INDEPENDENT_POSE_COUNT * np.log(sd**2 + MIN_SKIN_MOTION_M**2)
+        - 0.5 * (distance / ATLAS_DISTANCE_SD_M) ** 2
+        + label_log_odds.T[candidates]
+    )
+    order = (-np.nan_to_num(log_likelihood, nan=-np.inf)).argsort(0, kind="stable")
+    best, second = order[0], order[1]
+    frame_count = (~np.isnan(markers[..., 0])).sum(0)
+    min_frames = min(float(MIN_ATTACHMENT_FRAMES), MIN_ATTACHMENT_FRAME_SHARE * len(markers))
+    atlas_distance = np.where(label_log_odds[each, candidates[best]] > 0, 0.0, distance[best, each])
+    candidate_names = [joint_names[j] for j in candidates]
+    reasons = [
+        _explain_too_few_frames(int(frame_count[m]), min_frames)
+        or _explain_no_segment(sd[:, m], float(atlas_distance[m]), int(best[m]), candidate_names)
+        for m in each
+    ]
+    return AttachedMarkers(
+        joints=np.where([bool(reason) for reason in reasons], -1, candidates[best]),
+        offsets=offsets[best, each],
+        residual_sd=sd[best, each],
+        probability=np.nan_to_num(1 / np.exp(log_likelihood - log_likelihood[best, each]).sum(0)),
+        second_joints=candidates[second],
+        log_likelihood=log_likelihood[best, each],
+        rejection_reasons=tuple(reasons),
+    )
+
+
+def measure_marker_offsets(
+    markers: Float[np.ndarray, "N M 3"],
+    joint_positions: Float[np.ndarray, "N C 3"],
+    joint_rotations: Float[np.ndarray, "N C 3 3"],
+) -> tuple[Float[np.ndarray, "C M 3"], Float[np.ndarray, "C M"]]:
+    """Return each marker's median position in the axes of each joint, in metres, and its root mean square motion per axis.
+
+    The motion is measured over the KEPT_FRAME_SHARE of the frames with the smallest residuals. NaN if never visible.
+    """
+    shape = (joint_positions.shape[1], markers.shape[1])
+    offsets, sd = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
+    for m in range(markers.shape[1]):
+        visible = ~np.isnan(markers[:, m, 0])
+        if not visible.any():
+            continue
+        local = np.einsum("tcba,tcb->tca", joint_rotations[visible], markers[visible, None, m] - joint_positions[visible])
+        offsets[:, m] = np.median(local, axis=0)
+        squared = np.sort(((local - offsets[:, m]) ** 2).sum(-1), axis=0)[: max(1, round(KEPT_FRAME_SHARE * visible.sum()))]
+        sd[:, m] = np.sqrt(squared.mean(0) / 3)
+    return offsets, sd
+
+
+def _explain_too_few_frames(frame_count: int, min_frames: float) -> str:
+    """Return why a marker visible in `frame_count` frames cannot be attached, "" if it can."""
+    if frame_count >= max(min_frames, 1):
+        return ""
+    return f"is visible in {frame_count} of the frames examined, which is too few" if frame_count else "is never visible"
+
+
+def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: int, joint_names: list[str]) -> str:
+    """Return why a marker is attached to no segment, "" if it is.
+
+    residual_sd     (C,) m per axis: its motion relative to each of C segments, of which `best` is the most likely
+    atlas_distance  distance in metres from the nearest known marker position on that segment; 0 if the label names the segment
+    """
+    if residual_sd[best] > MAX_ATTACHED_SD_M:
+        least = int(residual_sd.argmin())
+        return f"moves by {residual_sd[least] * 1e3:.0f} mm against {joint_names[least]} and by more against every other segment"
+    if atlas_distance > MAX_ATLAS_DISTANCE_M:
+        return f"is rigid with {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm from the body: on a prop or another segment"
+    return ""
+
+
+MAX_ATTACHMENT_ROUNDS = 5
+"""Rounds of calibration and attachment."""
+MAX_LEARNING_FRAMES = 90
+"""Frames on which the person is calibrated in each round; the set is learned from more of them."""
+MAX_ATTACHMENT_FRAMES = 300
+"""Frames, evenly spread, from which markers are attached to segments."""
+ONE_TAKE_MARKER_SPREAD_M = 0.02
+"""Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
+
+
+@dataclass(frozen=True)
+class MarkerSetFit:
+    """A marker set learned from a take.
+
+    marker_set       the markers that are attached to a segment
+    subject          the person calibrated on them
+    attachment       the segments of all markers of the take, in its order
+    mean_residual_m  mean distance of the markers from the body over the frames examined
+    joint_rotations  (N, J, 3, 3) world rotations of the joints in these frames
+    """
+
+    marker_set: MarkerSet
+    subject: Subject
+    attachment: AttachedMarkers
+    mean_residual_m: float
+    joint_rotations: np.ndarray
+
+
+class CalibratedFrames(NamedTuple):
+    """A calibrated person and the world poses of N frames.
+
+    joint_positions (N, J, 3) m, joint_rotations (N, J, 3, 3), mean_residual_m: mean marker distance from the body
+    """
+
+    subject: Subject
+    joint_positions: np.ndarray
+    joint_rotations: np.ndarray
+    mean_residual_m: float
+
+
+def fit_marker_set(
+    take: Take, labels: tuple[str, ...], guess: MarkerSet, label_log_odds: float, body: BodyModel, prior: MeanPosePrior
+) -> MarkerSetFit:
+    """Return the marker set of a take, as far as its markers are attached to the body.
+
+    labels          the names of the take's M markers in the new set
+    guess           an initial set of some of these markers, enough to determine a body
+    label_log_odds  log odds that the guess names the correct segment
+
+    Raises TakeError if the guess does not fit a person's size, or no marker moves with it.
+    """
+    atlas, frames = build_marker_atlas(load_whole_body_marker_sets()), select_candidate_frames(take.markers)
+    frames = frames[sample_evenly(len(frames), MAX_ATTACHMENT_FRAMES)]
+    log_odds = np.zeros((len(labels), len(body.skeleton.names)))
+    log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
+
+    def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, MarkerSet]:
+        part = restrict_body(body, set(marker_set.joints.tolist()))
+        fit = calibrate_on_frames(take, labels, marker_set, part, prior, frames)
+        size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
+        attachment = attach_markers(
+            take.markers[frames],
+            fit.joint_positions,
+            fit.joint_rotations,
+            atlas.select_joints(find_posed_joints(part, body)).scale(size),
+            body.skeleton.names,
+            log_odds,
+        )
+        return fit, attachment, build_marker_set(attachment, labels, guess, size)
+
+    previous = guess
+    fit, attachment, marker_set = calibrate_and_attach(guess)
+    for _ in range(MAX_ATTACHMENT_ROUNDS - 1):
+        if marker_set.labels == previous.labels and (marker_set.joints == previous.joints).all():
+            break
+        if not marker_set.labels:
+            raise TakeError(f"{take.name}: no marker set can be learned: no marker moves with the body that was assumed.")
+        previous = marker_set
+        fit, attachment, marker_set = calibrate_and_attach(marker_set)
+    return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m, fit.joint_rotations)
+
+
+def find_posed_joints(part: BodyModel, body: BodyModel) -> Bool[np.ndarray, " J"]:
+    """Return the joints (J,) to which markers may be attached: of a part of a body those that it shows, else all."""
+    is_posed = part.free_joints | part.shown_segments
+    is_posed[0] = part.shown_segments[0]
+    return is_posed[find_carriers(part.skeleton.parents, body.free_joints)]
+
+
+def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:
+    """Return the attached markers as a set on the average body.
+
+    Where the guess has the correct segment its offset is kept, otherwise the measured one is used.
+
+    size  the person's size relative to the average body
+    """
+    guessed = {label: k for k, label in enumerate(guess.labels)}
+    attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0]
+    offsets, spread = attachment.offsets[attached] / size, np.full(len(attached), ONE_TAKE_MARKER_SPREAD_M)
+    for n, m in enumerate(attached):
+        k = guessed.get(labels[m], -1)
+        if k >= 0 and guess.joints[k] == attachment.joints[m]:
+            offsets[n], spread[n] = guess.marker_offsets[k], guess.marker_spread[k]
+    return replace(
+        guess,
+        labels=tuple(labels[m] for m in attached),
+        joints=attachment.joints[attached],
+        marker_offsets=offsets,
+        marker_spread=spread,
+        aliases=((),) * len(attached),
+    )
+
+
+def calibrate_on_frames(
+    take: Take, labels: tuple[str, ...], marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, frames: np.ndarray
+) -> CalibratedFrames:
+    """Calibrate the wearer of a marker set and pose the given frames of the take."""
+    columns = np.array([labels.index(label) for label in marker_set.labels])
+    selected = take.select(columns, take.visible)
+    markers = selected.markers[frames]
+    sparse = selected.replace_markers(markers[sample_evenly(len(frames), MAX_LEARNING_FRAMES)])
+    subject = calibrate_subject(sparse, marker_set, body, prior)
+    motion = refinement.pose_frames(subject, body, prior, markers)
+    joint_positions, joint_rotations = kinematics.compute_world_poses(subject.skeleton, motion)
+    predicted = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
+    residual = float(np.nanmean(np.linalg.norm(markers - predicted, axis=-1)))
+    return CalibratedFrames(subject, joint_positions, joint_rotations, residual)

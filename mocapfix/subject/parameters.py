@@ -1,0 +1,285 @@
+"""Calibration parameters: what calibration may change of a body, and the prior deviations of people from the average.
+
+The parameters are the size, the principal components of body shape, the scale of each bone group, the length of each bone, the
+direction of each bone of the trunk, the marker offsets, and the take's mean pose.
+
+Hip joint centres from the landmarks of the pelvis: regression equations from images, as a part of the calibration's prior.
+
+Markers seldom determine the hip joints: in ordinary gait the thighs hardly move sideways, and skin and muscle slide over the
+thigh as it turns. Where a marker set has markers on the iliac spines, their distances from each other predict the centres:
+Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral palsy based on magnetic
+resonance imaging", J. Biomechanics 40 (2007) 595-602.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import block_diag
+
+from mocapfix.model.skeleton import BodyModel, Skeleton
+from mocapfix.model.subject import Subject
+from mocapfix.solve.mean_pose import MeanPosePrior
+from mocapfix.subject.library import find_landmark
+
+BODY_SIZE_SD = 1e3
+"""Relative standard deviation of the size: practically free, since the take determines it well."""
+BONE_GROUP_SD = 0.05
+"""Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects."""
+INDIVIDUAL_BONE_LENGTH_SD = 0.03
+"""Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects."""
+LEANING_BONES = ("LeftUpLeg", "RightUpLeg", "Neck", "Neck1", "Head", "LeftArm", "RightArm")
+"""Joints at the ends of bones whose direction differs from person to person. A limb's bone defines the axes of its segment."""
+FIRM_BONES = ("Spine", "Spine1")
+"""The same for bones whose direction looks like a bend of the joint below: the fit hardly changes it."""
+PEOPLE_LEAN_SD_RAD = 0.04
+"""Standard deviation of the direction of such a bone about each axis across it: that of each of CMU's subjects from the principal
+components of the others."""
+FIRM_BONE_LEAN_SD_RAD = 0.005
+"""The same as the fit assumes it for FIRM_BONES."""
+MEAN_POSE_SD_RAD = 0.02
+"""Standard deviation of a take's mean pose from the average about axes for which no variation is known."""
+MIN_SCALED_BONE_LENGTH_M = 0.02
+"""Length above which an offset counts as a bone with a length of its own."""
+
+
+class ShapeDeformations(NamedTuple):
+    """Changes of the body by P shared unknowns, in metres per unit."""
+
+    joint_offsets: Float[np.ndarray, "P J 3"]  # of a joint in its parent's axes
+    marker_offsets: Float[np.ndarray, "P K 3"]  # of a marker in its joint's axes
+
+
+class CalibratedBody(NamedTuple):
+    """A body given by calibration parameters: joint and marker offsets in metres, and the rotation vectors of its mean pose."""
+
+    offsets: np.ndarray
+    marker_offsets: np.ndarray
+    mean_pose_vectors: np.ndarray
+
+
+@dataclass(frozen=True)
+class CalibrationParameters:
+    """The definition of Q shared unknowns, all 0 at the start.
+
+    They are P coefficients of deformations, the shifts of K markers (K, 3) in metres, and the rotation vectors (F, 3) in radians
+    of the take's mean pose from the average, for the free joints below the root.
+
+    offsets         (J, 3) m: joint offsets at the start
+    marker_offsets  (K, 3) m: marker offsets at the start
+    free_joints     (J,) joints that turn
+    deformations    change of the offsets with each of the P coefficients
+    information     (Q, Q) inverse covariance of the unknowns about those expected, as the fit assumes it
+    variance_ratio  (Q,) actual variance of people over that which the fit assumes: 1 unless the fit holds an unknown firmly
+    expected        (Q,) the most likely values before the take is seen: 0 unless landmarks predict joints
+    """
+
+    offsets: Float[np.ndarray, "J 3"]
+    marker_offsets: Float[np.ndarray, "K 3"]
+    free_joints: np.ndarray
+    deformations: ShapeDeformations
+    information: Float[np.ndarray, "Q Q"]
+    variance_ratio: Float[np.ndarray, " Q"]
+    expected: Float[np.ndarray, " Q"]
+
+    @property
+    def gradient_covariance(self) -> Float[np.ndarray, "Q Q"]:
+        """The covariance of the prior's gradient at the true values, larger for unknowns that the fit holds firmly."""
+        return self.information * np.sqrt(self.variance_ratio * self.variance_ratio[:, None])
+
+    def compute_body(self, unknowns: Float[np.ndarray, " Q"]) -> CalibratedBody:
+        """Return the body that the unknowns describe."""
+        coefficient_count = len(self.deformations.marker_offsets)
+        coefficients, shifts, vectors = np.split(unknowns, [coefficient_count, coefficient_count + self.marker_offsets.size])
+        marker_offsets = (
+            self.marker_offsets + np.tensordot(coefficients, self.deformations.marker_offsets, 1) + shifts.reshape(-1, 3)
+        )
+        mean_pose_vectors = np.zeros_like(self.offsets)
+        mean_pose_vectors[np.flatnonzero(self.free_joints)[1:]] = vectors.reshape(-1, 3)
+        offsets = self.offsets + np.tensordot(coefficients, self.deformations.joint_offsets, 1)
+        return CalibratedBody(offsets, marker_offsets, mean_pose_vectors)
+
+
+def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPosePrior) -> CalibrationParameters:
+    """Return the calibration parameters of a subject.
+
+    start  `body` at the estimated size; its marker spread is the standard deviation of people's marker offsets
+    """
+    offsets, marker_offsets = start.skeleton.offsets, start.marker_offsets
+    shapes = body.shape_components * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
+    groups = np.zeros((len(body.bone_groups), *offsets.shape))
+    for g, joints in enumerate(map(list, body.bone_groups.values())):
+        groups[g, joints] = offsets[joints]
+    bones = list_bones(start.skeleton)
+    leans, firm_leans = (list_bone_leans(start.skeleton, names) for names in (LEANING_BONES, FIRM_BONES))
+    joint_deformations = np.concatenate([offsets[None], shapes, groups, bones, leans, firm_leans])
+    # the size alone moves the markers along
+    marker_deformations = np.concatenate([marker_offsets[None], np.zeros((len(joint_deformations) - 1, *marker_offsets.shape))])
+    length_sd = *[BONE_GROUP_SD] * len(groups), *[INDIVIDUAL_BONE_LENGTH_SD] * len(bones)
+    lean_sd = *[PEOPLE_LEAN_SD_RAD] * len(leans), *[FIRM_BONE_LEAN_SD_RAD] * len(firm_leans)
+    sd = (BODY_SIZE_SD, *[1.0] * len(shapes), *length_sd, *lean_sd, *np.repeat(start.marker_spread, 3))
+    free_below_root = np.flatnonzero(body.free_joints)[1:]
+    mean_pose_information = np.linalg.inv(prior.between_take_covariance[free_below_root] + MEAN_POSE_SD_RAD**2 * np.eye(3))
+    information = np.asarray(block_diag(np.diag(1 / np.square(sd)), *mean_pose_information))
+    variance_ratio = np.ones(len(information))
+    variance_ratio[len(joint_deformations) - len(firm_leans) : len(joint_deformations)] = (
+        PEOPLE_LEAN_SD_RAD / FIRM_BONE_LEAN_SD_RAD
+    ) ** 2
+    deformations = ShapeDeformations(joint_deformations, marker_deformations)
+    expected = np.zeros(len(information))
+    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information, variance_ratio, expected)
+
+
+def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
+    """Return for each of B bones the offsets in metres of the joints it carries, zero for all others.
+
+    Joints at the same offset from one parent share a bone: the thorax carries the neck and both shoulders.
+    """
+    offsets, bones = skeleton.offsets, list[np.ndarray]()
+    for j in np.flatnonzero(np.linalg.norm(offsets, axis=1) > MIN_SCALED_BONE_LENGTH_M):
+        is_same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
+        if np.flatnonzero(is_same)[0] == j:
+            bones.append(np.where(is_same[:, None], offsets, 0.0))
+    return np.array(bones)
+
+
+def list_bone_leans(skeleton: Skeleton, joint_names: tuple[str, ...]) -> Float[np.ndarray, "L J 3"]:
+    """Return the changes of the joints' offsets by a rotation of each bone about two axes across it, in metres per radian.
+
+    joint_names  one joint at the end of each bone; joints at the same offset from one parent share a bone
+    """
+    offsets, leans = skeleton.offsets, list[np.ndarray]()
+    for j in map(skeleton.find_joint, joint_names):
+        is_same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
+        length_m, across = np.linalg.norm(offsets[j]), np.linalg.svd(offsets[j][None])[2][1:]
+        leans += [np.where(is_same[:, None], length_m * direction, 0.0) for direction in across]
+    return np.array(leans)
+
+
+HIP_REGRESSION_SD_M = 0.008
+"""Standard deviation per axis of a predicted hip joint centre: 12.3 +- 5.9 mm in space in 67 adults whose landmarks and joints
+were found in computed tomography (Mantovani et al., Gait & Posture 44 (2016) 48-54)."""
+BACKWARD_PER_DEPTH, BACKWARD_M = 0.24, 0.0099
+"""Distance of the centre behind the middle of the anterior iliac spines: a share of the pelvis' depth, and metres more."""
+DOWNWARD_PER_WIDTH, DOWNWARD_M = 0.30, 0.0109
+"""The same for its distance below it, from the pelvis' width."""
+SIDEWARD_PER_WIDTH, SIDEWARD_M = 0.33, 0.0073
+"""The same for its distance to the side."""
+MAX_LANDMARK_DISTANCE_M = 0.001
+"""Distance on the average body up to which a marker of a set is the one on a landmark: all sets give a landmark one place."""
+DERIVATIVE_STEP_M = 1e-4
+"""Step of the numerical derivatives; the equations are nearly linear over centimetres."""
+HIP_JOINTS = ("LeftUpLeg", "RightUpLeg")
+
+
+class PelvisLandmarks(NamedTuple):
+    """The markers of a subject on landmarks of the pelvis.
+
+    left_anterior, right_anterior  indices of the markers on the anterior superior iliac spines
+    posterior                      those on the posterior ones, or the one on the sacrum between them
+    """
+
+    left_anterior: int
+    right_anterior: int
+    posterior: tuple[int, ...]
+
+
+class HipEvidence(NamedTuple):
+    """What the regression says of the unknowns of a calibration, linearised at the start, where all are 0.
+
+    error     (6,) m: the body's hip joint centres, left and right, relative to the predicted ones
+    jacobian  (6, Q) its derivatives with respect to the unknowns
+    """
+
+    error: Float[np.ndarray, "6"]
+    jacobian: Float[np.ndarray, "6 Q"]
+
+
+def add_hip_regression(parameters: CalibrationParameters, start: Subject, average: Skeleton) -> CalibrationParameters:
+    """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none.
+
+    start    the subject at the start of the calibration
+    average  the skeleton of which the subject's is a scaled copy
+    """
+    evidence = build_hip_evidence(start, average, parameters)
+    if evidence is None:
+        return parameters
+    precision = evidence.jacobian.T / HIP_REGRESSION_SD_M**2
+    information = parameters.information + precision @ evidence.jacobian
+    gradient = parameters.information @ parameters.expected - precision @ evidence.error
+    return replace(parameters, information=information, expected=np.linalg.solve(information, gradient))
+
+
+def find_pelvis_landmarks(subject: Subject, average: Skeleton) -> PelvisLandmarks | None:
+    """Return the markers on the landmarks of the pelvis of an uncalibrated subject; None if one is missing.
+
+    average  the skeleton of which the subject's is a scaled copy
+    """
+    ratio = subject.skeleton.total_length_m / average.total_length_m
+    pelvis = average.find_joint("Hips")
+
+    def find_marker(landmark_name: str) -> list[int]:
+        distance = np.linalg.norm(subject.marker_offsets / ratio - find_landmark(landmark_name).offset, axis=1)
+        return np.flatnonzero((distance <= MAX_LANDMARK_DISTANCE_M) & (subject.joints == pelvis)).tolist()
+
+    left, right = (find_marker(f"{side} anterior superior iliac spine") for side in ("left", "right"))
+    pairs = [find_marker(f"{side} posterior superior iliac spine") for side in ("left", "right")]
+    posterior = pairs[0][:1] + pairs[1][:1] if all(pairs) else find_marker("sacrum")[:1]
+    return PelvisLandmarks(left[0], right[0], tuple(posterior)) if left and right and posterior else None
+
+
+def predict_hip_joints(
+    left_anterior: Float[np.ndarray, "3"], right_anterior: Float[np.ndarray, "3"], posterior: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "2 3"]:
+    """Return the centres of the left and the right hip joint from the iliac spines of a person, all in metres.
+
+    posterior  the middle of the posterior superior iliac spines
+    """
+    middle, across = (left_anterior + right_anterior) / 2, left_anterior - right_anterior
+    width_m, depth_m = float(np.linalg.norm(across)), float(np.linalg.norm(middle - posterior))
+    to_left = across / width_m
+    forward = middle - posterior - (middle - posterior) @ to_left * to_left
+    forward /= np.linalg.norm(forward)
+    up = np.cross(forward, to_left)
+    centre = middle - (BACKWARD_PER_DEPTH * depth_m + BACKWARD_M) * forward - (DOWNWARD_PER_WIDTH * width_m + DOWNWARD_M) * up
+    sideward = (SIDEWARD_PER_WIDTH * width_m + SIDEWARD_M) * to_left
+    return np.array([centre + sideward, centre - sideward])
+
+
+def build_hip_evidence(start: Subject, average: Skeleton, parameters: CalibrationParameters) -> HipEvidence | None:
+    """Return what the regression says of the unknowns, None if the subject has no markers on the landmarks."""
+    landmarks = find_pelvis_landmarks(start, average)
+    if landmarks is None:
+        return None
+    skeleton, posterior = start.skeleton, list(landmarks.posterior)
+    hips = [skeleton.find_joint(name) for name in HIP_JOINTS]
+    stubs = skeleton.parents[hips]  # between the pelvis and a hip joint
+    points = np.array(
+        [
+            *(skeleton.offsets[hips] + skeleton.offsets[stubs]),
+            *start.marker_offsets[list(landmarks[:2])],
+            start.marker_offsets[posterior].mean(0),
+        ]
+    )
+
+    def compute_error(flat_points: np.ndarray) -> np.ndarray:
+        hip_joints, spines = np.split(flat_points.reshape(-1, 3), [2])
+        return (hip_joints - predict_hip_joints(*spines)).ravel()
+
+    steps = DERIVATIVE_STEP_M * np.eye(points.size)
+    flat = points.ravel()
+    derivative = np.array(
+        [(compute_error(flat + step) - compute_error(flat - step)) / (2 * DERIVATIVE_STEP_M) for step in steps]
+    ).T
+    joint_deformations, marker_deformations = parameters.deformations
+    coefficient_count, unknown_count = len(marker_deformations), len(parameters.information)
+    motion = np.zeros((len(points), 3, unknown_count))  # of the points with the unknowns
+    joint_motion = joint_deformations[:, hips] + joint_deformations[:, stubs]
+    motion[:2, :, :coefficient_count] = joint_motion.transpose(1, 2, 0)
+    for point, indices in enumerate(((landmarks.left_anterior,), (landmarks.right_anterior,), landmarks.posterior), start=2):
+        for k in indices:
+            motion[point, :, :coefficient_count] += marker_deformations[:, k].T / len(indices)
+            shift = coefficient_count + 3 * k
+            motion[point, :, shift : shift + 3] += np.eye(3) / len(indices)
+    return HipEvidence(compute_error(flat), derivative @ motion.reshape(points.size, unknown_count))

@@ -1,0 +1,229 @@
+"""People across the takes of a session: who is who, by names and checked by the body.
+
+Takes show the same person if they agree in the name: that in the session file, else the prefix of the labels, else the folder of
+the take. Names are checked by the body: distances of markers on one segment or on neighbouring ones. Subjects of one take are
+never the same person.
+
+The subject files of a calibrated person: one for all takes, and one for each take in which markers lie elsewhere.
+
+The calibration of people from a list of takes: of one person whom all takes show, or of several.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mocapfix.options import CleanOptions
+from mocapfix.state import CleaningState
+from mocapfix.subject.body_size import BodyMeasurements, compute_body_difference, measure_body
+from mocapfix.subject.calibration import CalibrationFrames
+from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
+from mocapfix.subject.subject_file import write_subject
+
+MAX_BODY_DIFFERENCE = 0.06
+"""Median relative difference of marker distances above which two bodies are clearly different, whatever their names. Markers that
+were attached again differ by half of it."""
+MAX_UNNAMED_DIFFERENCE = 0.03
+"""The same for takes that share only a folder. Two takes of one person with the markers left on differ by 0.003 to 0.017, the
+bodies of different people by 0.048 and more."""
+MAX_COMPARED_TAKES = 20
+"""Takes of a person with which another take is compared."""
+FOLDER_REASON = "folder of the takes"
+UNNAMED_PERSON = "person"
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person of a session.
+
+    Attributes:
+        name: unique in the session, and a file name.
+        takes: the measurements of the person in each take.
+        reason: how the takes were recognised.
+        notes: sentences on names that the bodies contradict.
+    """
+
+    name: str
+    takes: tuple[BodyMeasurements, ...]
+    reason: str
+    notes: tuple[str, ...] = ()
+
+
+def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequence[str]] | None = None) -> list[Person]:
+    """Return the people of a session.
+
+    bodies  the measurements of each subject in each take
+    names   by name of a person, the ids of the takes that show only that person, or the person among others by prefix
+    """
+    of_take = {take: name for name, takes in (names or {}).items() for take in takes}
+    subject_counts: dict[str, int] = {}
+    for body in bodies:
+        subject_counts[body.take] = subject_counts.get(body.take, 0) + 1
+    groups: list[tuple[str, str, list[BodyMeasurements]]] = []
+    notes: dict[int, list[str]] = {}
+    for body in bodies:
+        has_session_name = body.take in of_take and subject_counts[body.take] == 1
+        name, reason = (of_take[body.take], "session file") if has_session_name else find_name(body)
+        limit = MAX_UNNAMED_DIFFERENCE if reason == FOLDER_REASON else MAX_BODY_DIFFERENCE
+        same_name = [g for g, (other, _, _) in enumerate(groups) if other.casefold() == name.casefold()]
+        fitting = [g for g in same_name if can_be_same(body, groups[g][2], limit)]
+        if fitting:
+            groups[fitting[0]][2].append(body)
+            continue
+        groups.append((name, reason, [body]))
+        if same_name and reason != FOLDER_REASON:
+            other = groups[same_name[0]][2][0].take
+            notes[len(groups) - 1] = [
+                f"{body.take}: is named {name} like {other}, but in the same take or with another body: another person."
+            ]
+    return _name_uniquely(groups, notes)
+
+
+def find_name(body: BodyMeasurements) -> tuple[str, str]:
+    """Return the name of the person in a take and where it is from: the prefix of the labels, or the folder of the take."""
+    if body.label_name:
+        return body.label_name, "prefix of the labels"
+    folder = PurePosixPath(body.take).parent.as_posix()
+    return (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), FOLDER_REASON
+
+
+def can_be_same(body: BodyMeasurements, others: Sequence[BodyMeasurements], limit: float) -> bool:
+    """Return whether a subject can be the person of other takes: in another take, with the same marker set and a similar body.
+
+    limit  greatest median relative difference of marker distances
+    """
+    if any(other.take == body.take or other.marker_set != body.marker_set for other in others):
+        return False
+    differences = [compute_body_difference(body, other) for other in others[:MAX_COMPARED_TAKES]]
+    known = [each for each in differences if each is not None]
+    return not known or float(np.median(known)) <= limit
+
+
+def _name_uniquely(groups: Sequence[tuple[str, str, list[BodyMeasurements]]], notes: Mapping[int, list[str]]) -> list[Person]:
+    """Return the groups as people with different names, by a number where names agree."""
+    people: list[Person] = []
+    for g, (name, reason, takes) in enumerate(groups):
+        safe = "".join(character if character.isalnum() or character in "-_ " else "_" for character in name) or UNNAMED_PERSON
+        number, unique = 2, safe
+        while any(each.name.casefold() == unique.casefold() for each in people):
+            unique, number = f"{safe}-{number}", number + 1
+        people.append(Person(unique, tuple(takes), reason, tuple(notes.get(g, ()))))
+    return people
+
+
+SUBJECT_SUFFIX = ".subject.yaml"
+
+
+@dataclass(frozen=True)
+class PersonFiles:
+    """Where the subjects of a person are.
+
+    main     the subject file for takes in which the markers have their usual places
+    by_take  by id of a take, the file with the places of that take
+    """
+
+    main: Path
+    by_take: dict[str, Path]
+
+
+def locate_person_files(folder: Path, name: str, person: PersonCalibration) -> PersonFiles:
+    """Return the paths of the subject files of a person with a name, in a folder."""
+    by_take = {
+        take: folder / f"{name}.{PurePosixPath(take).with_suffix('').as_posix().replace('/', '-')}{SUBJECT_SUFFIX}"
+        for take in person.take_subjects
+    }
+    return PersonFiles(folder / f"{name}{SUBJECT_SUFFIX}", by_take)
+
+
+def write_person_files(files: PersonFiles, person: PersonCalibration) -> None:
+    """Write the subject files of a person, those of single takes with notes on what lies elsewhere. Raises WriteError."""
+    write_subject(files.main, person.subject)
+    for take, path in files.by_take.items():
+        write_subject(path, replace(person.take_subjects[take], notes=person.describe_take(take)))
+
+
+TakeGuard = Callable[[Path], AbstractContextManager[object]]
+"""returns the context in which a take is worked on; it may catch what is raised, and the other takes go on"""
+
+
+@dataclass(frozen=True)
+class CalibratedPerson:
+    """A person of several takes.
+
+    name         unique among the people, and a file name; "" for the only person
+    calibration  bones and marker places
+    notes        sentences on names that the bodies contradict
+    """
+
+    name: str
+    calibration: PersonCalibration
+    notes: tuple[str, ...] = ()
+
+    def describe(self) -> list[str]:
+        """Return what a technician must know of the calibration: moved markers, and takes that do not fit."""
+        return [*self.notes, *self.calibration.describe_moves(), *self.calibration.rejected.values()]
+
+
+def calibrate_one_person(
+    paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
+) -> list[CalibratedPerson]:
+    """Calibrate the person whom all takes show. Returns one person, none if no take is left by `guard`.
+
+    Raises TakeError as `pipeline.calibrate_takes`.
+    """
+    from mocapfix import pipeline
+
+    surveys: list[CalibrationFrames] = []
+    for path, take in zip(paths, name_takes(paths), strict=True):
+        with guard(path):
+            surveys += pipeline.survey_person([path], [take], options)
+    return [CalibratedPerson("", calibrate_with_one_thread(surveys, mean_pose_prior))] if surveys else []
+
+
+def calibrate_people(
+    paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
+) -> list[CalibratedPerson]:
+    """Calibrate all people in takes. Who is who: by the names in the labels or the folders of the takes, checked by the body.
+
+    Raises TakeError if a take cannot be read or shows no body.
+    """
+    from mocapfix import pipeline
+
+    states: dict[tuple[str, str], CleaningState] = {}
+    path_of_take = dict(zip(name_takes(paths), paths, strict=True))
+    for take, path in path_of_take.items():
+        with guard(path):
+            for state in pipeline.find_bodies_to_calibrate(path, options):
+                states[take, state.original_take.subject_name] = state
+    bodies = [
+        measure_body(take, state.original_take, state.marker_set) for (take, _), state in states.items() if state.marker_set
+    ]
+    people: list[CalibratedPerson] = []
+    for person in group_people(bodies):
+        keys = [(body.take, body.subject_name) for body in person.takes]
+        surveys: list[CalibrationFrames] = []
+        for key in keys:
+            with guard(path_of_take[key[0]]):
+                surveys.append(pipeline.survey_subject(states[key], options, key[0]))
+        if surveys:
+            people.append(CalibratedPerson(person.name, calibrate_with_one_thread(surveys, mean_pose_prior), person.notes))
+    return people
+
+
+def name_takes(paths: Sequence[Path]) -> list[str]:
+    """Return an id of each take: its path relative to the folder that contains all of them, with "/"."""
+    resolved = [path.resolve() for path in paths]
+    folder = os.path.commonpath([path.parent for path in resolved])
+    return [path.relative_to(folder).as_posix() for path in resolved]
+
+
+def calibrate_with_one_thread(surveys: Sequence[CalibrationFrames], mean_pose_prior: str) -> PersonCalibration:
+    """Calibrate a person from takes whose sessions are their folders, without threads of the BLAS library."""
+    sessions = [PurePosixPath(each.take).parent.as_posix() for each in surveys]
+    with threadpool_limits(limits=1, user_api="blas"):
+        return calibrate_person(surveys, sessions, mean_pose_prior)

@@ -1,0 +1,446 @@
+"""Refinement: bones, marker offsets and the poses of many frames, fitted together.
+
+Levenberg-Marquardt over the unknowns that the frames share (see `parameters`). At each step the poses of the frames are solved
+again and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step accounts for the change of the poses.
+The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
+
+`kernels.schur` describes the unknowns and the elimination, `calibration_uncertainty` the errors that remain.
+
+Shared responses: how each frame's markers and joints change with the unknowns that the frames share.
+
+The pose of each frame adapts to a change of the body (variable projection), so that the sum over the frames gives the curvature
+and the gradient of the cost whose poses are solved at every step. `kernels.schur` computes the responses.
+
+Calibration uncertainty: how far bones and markers of a calibrated subject may lie from the true ones.
+
+A calibration error is the same in every frame, so that no residual shows it. It is predicted from the normal equations of the
+calibration, with the actual variation of markers about their places instead of the weights of the fit.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.schur import eliminate_pose_frames
+from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import BodyModel
+from mocapfix.model.subject import Subject
+from mocapfix.solve import kinematics
+from mocapfix.solve.mean_pose import MeanPosePrior
+from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_no_joint_limits,
+    build_no_tracking,
+    build_pose_prior_term,
+)
+from mocapfix.solve.segment_registration import register_poses
+from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF, evaluate_matern
+from mocapfix.stats.sequences import sample_evenly
+from mocapfix.subject.parameters import (
+    CalibratedBody,
+    CalibrationParameters,
+    ShapeDeformations,
+    add_hip_regression,
+    build_calibration_parameters,
+)
+
+
+class SharedResponses(NamedTuple):
+    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
+
+    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
+    radians.
+    """
+
+    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
+    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
+    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
+    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
+    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
+    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
+    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
+
+
+def compute_shared_responses(
+    tree: KinematicTree,
+    terms: tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm],
+    deformations: ShapeDeformations,
+    squared_robust_scale: float,
+    root: Float[np.ndarray, "T 3"],
+    local: Float[np.ndarray, "T J 3 3"],
+    *,
+    only_errors: bool = False,
+) -> SharedResponses:
+    """Return the responses of frames at their solved poses, root in metres and local rotations.
+
+    terms                 those of the pose problem
+    squared_robust_scale  in units of the markers' standard deviation
+    only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
+    """
+    frames, joints = local.shape[:2]
+    dense, markers = deformations.marker_offsets.shape[:2]
+    rotating = np.flatnonzero(tree.free)[1:]
+    unknowns = dense + 3 * markers + 3 * len(rotating)
+    responses = SharedResponses(
+        np.empty(frames),
+        np.zeros((frames, markers)),
+        np.empty((frames, dense, markers, 3)),
+        np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns + 1, len(rotating), 3)),
+        terms[2].information[0, rotating],
+        np.empty((frames, unknowns, joints, 3)),
+    )
+    run_over_frames(
+        eliminate_pose_frames, frames, tree, terms, deformations, rotating, squared_robust_scale, only_errors, root, local,
+        *responses,
+    )  # fmt: skip
+    return responses
+
+
+def reduce_shared_curvature(responses: SharedResponses) -> Float[np.ndarray, "Q Q"]:
+    """Return the curvature of the cost in the shared unknowns, summed over frames."""
+    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
+    curvature = _reduce_rows(responses, slice(0, unknowns), dense)
+    curvature[dense:, :dense] = curvature[:dense, dense:].T
+    return curvature
+
+
+def reduce_shared_gradient(responses: SharedResponses) -> Float[np.ndarray, " Q"]:
+    """Return the gradient of the cost in the shared unknowns, summed over frames."""
+    return _reduce_rows(responses, slice(-1, None), 1)[0]
+
+
+def _reduce_rows(responses: SharedResponses, rows: slice, deformed_rows: int) -> np.ndarray:
+    """Return the products of some rows of the responses with the shifts of the body by each of the Q shared unknowns.
+
+    The products with the deformations are computed for the first rows only: a curvature is symmetric.
+    """
+    (_, dense, markers), unknowns = responses.marker_shift.shape[:3], responses.marker_response.shape[1] - 1
+    own = dense + 3 * markers  # first unknown after the markers' own offsets
+    weighted = responses.marker_response[:, rows] * responses.marker_weight[:, None, :, None]
+    products = np.zeros((weighted.shape[1], unknowns))
+    products[:, dense:own] = weighted.sum(0).reshape(len(products), -1)
+    prior = np.einsum("qfa,fab->qfb", responses.prior_response[:, rows].sum(0), responses.prior_information)
+    products[:, own:] = -prior.reshape(len(products), -1)
+    deformed = weighted[:, :deformed_rows]
+    products[:deformed_rows, :dense] = np.tensordot(deformed, responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
+    return products
+
+
+SKIN_CORRELATION_S = 0.3
+"""Time after which the correlation of a marker's motion with the skin has fallen to 1/e."""
+MIN_SKIN_SD_M = 0.001
+"""Smallest estimate of the residual's standard deviation."""
+MAX_POSE_ABSORBED_SHARE = 0.8
+"""Largest share of the markers' error that the poses are assumed to absorb."""
+
+
+def estimate_residual_sd(distance: Float[np.ndarray, "N K"], pose_freedom: int) -> float:
+    """Return the standard deviation per axis, in metres, of a marker about its place on the calibrated body.
+
+    Each frame's pose has absorbed a part of the markers' motion. The estimate is larger than the residuals accordingly.
+
+    distance      of each marker to the body, in metres, NaN if not visible
+    pose_freedom  number of coordinates of a pose that the markers determine
+    """
+    measured = 3 * np.isfinite(distance).sum(1).mean()
+    share = min(pose_freedom / max(measured, 1.0), MAX_POSE_ABSORBED_SHARE)
+    return max(float(np.sqrt(np.nanmedian(distance**2) / CHI2_MEDIAN_3_DOF / (1 - share))), MIN_SKIN_SD_M)
+
+
+def compute_shared_covariance(
+    marker_response: Float[np.ndarray, "n rows K 3"],
+    marker_weight: Float[np.ndarray, "n K"],
+    curvature: Float[np.ndarray, "Q Q"],
+    prior_gradient_covariance: Float[np.ndarray, "Q Q"],
+    times_s: Float[np.ndarray, " N"],
+    residual_sd_m: float,
+) -> Float[np.ndarray, "Q Q"]:
+    """Return the covariance of the errors of the shared unknowns.
+
+    The curvature weights every frame as if it were measured independently, with the marker error of the fit. Actually markers
+    slide with the skin, by less, but for a part of a second, so that neighbouring frames have nearly the same error. The
+    covariance of an estimate with these weights is H^-1 G H^-1, H the curvature and G the actual covariance of the gradient
+    (Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions").
+
+    marker_response, marker_weight  of n of the N frames, each of which stands for an equal part of them (see `SharedResponses`)
+    prior_gradient_covariance       of the gradient of the prior's cost: the prior's part of the curvature, larger for unknowns
+                                    that vary more than the fit assumes
+    times_s                         of all frames, in rising order
+    residual_sd_m                   of a marker about its place on the body, per axis
+    """
+    correlation = evaluate_matern(np.abs(times_s[:, None] - times_s) / SKIN_CORRELATION_S, 1)
+    parts = np.linspace(0, len(times_s), len(marker_weight) + 1).astype(int)[:-1]
+    summed = np.add.reduceat(np.add.reduceat(correlation, parts, axis=0), parts, axis=1)
+    weighted = marker_response[:, :-1] * marker_weight[:, None, :, None]
+    smoothed = (summed @ weighted.reshape(len(weighted), -1)).reshape(weighted.shape)
+    marker_gradient_covariance = residual_sd_m**2 * np.tensordot(smoothed, weighted, axes=([0, 2, 3], [0, 2, 3]))
+    gradient_covariance = marker_gradient_covariance + prior_gradient_covariance
+    covariance = np.linalg.solve(curvature, np.linalg.solve(curvature, gradient_covariance).T)
+    return (covariance + covariance.T) / 2
+
+
+def compute_response_sd(
+    joint_response: Float[np.ndarray, "n Q J 3"],
+    marker_response: Float[np.ndarray, "n rows K 3"],
+    covariance: Float[np.ndarray, "Q Q"],
+) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
+    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns.
+
+    covariance  of the shared unknowns
+    """
+    half = np.linalg.cholesky(covariance).T  # half.T @ half is the covariance
+    displacements = (half @ response.reshape(*response.shape[:2], -1) for response in (joint_response, marker_response[:, :-1]))
+    joint_sd, marker_sd = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displacements)
+    return joint_sd, marker_sd
+
+
+CALIBRATION_MARKER_SD_M = 0.010
+"""Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated."""
+CALIBRATION_ROBUST_SCALE_M = 0.050
+"""Geman-McClure scale of the marker residuals."""
+SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)
+"""The same scales, one after the other, for a body that is not yet calibrated."""
+POSE_PRIOR_WEIGHT = 0.02
+"""Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations."""
+MAX_SELECTION_ITERATIONS = 8
+"""Iterations of a frame when an uncalibrated body is posed."""
+MAX_CALIBRATION_POSE_ITERATIONS = 6
+"""Iterations of a frame between two steps of the shared unknowns."""
+MAX_REFINEMENT_ROUNDS = 25
+"""Steps of the shared unknowns."""
+MIN_RELATIVE_DECREASE = 1e-3
+"""Relative decrease of the cost below which the refinement ends."""
+MIN_CURVATURE_CHANGE_DECREASE = 0.02
+"""Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
+INITIAL_DAMPING = 1e-3
+"""Marquardt damping at the start."""
+MIN_DAMPING = 1e-6
+"""Smallest damping after accepted steps."""
+MAX_DAMPING = 1e3
+"""Damping above which the refinement ends without an accepted step."""
+FRAMES_PER_BLOCK = 10
+"""Frames whose responses are held at a time: those of one frame take about a megabyte."""
+MAX_UNCERTAINTY_FRAMES = 30
+"""Frames from which the standard deviations are computed."""
+
+
+@dataclass(frozen=True)
+class RefinementState:
+    """A body with the poses of N frames, and the cost and its gradient in the shared unknowns (Q,) there.
+
+    parameters                      the definition of the unknowns
+    root_position, local_rotations  (N, 3) m and (N, J, 3, 3): the poses
+    cost                            half the sum of squares in standard deviations, priors included
+    gradient                        (Q,) derivative of the cost with the poses eliminated
+    """
+
+    parameters: CalibrationParameters
+    unknowns: np.ndarray
+    problem: PoseProblem
+    root_position: np.ndarray
+    local_rotations: np.ndarray
+    cost: float
+    gradient: np.ndarray
+
+
+def build_calibration_problem(
+    start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray, calibrated: CalibratedBody
+) -> PoseProblem:
+    """Return the pose problem of frames (N, K, 3) on a body with calibrated offsets and mean pose."""
+    tree = KinematicTree(start.skeleton.parents, calibrated.offsets, body.free_joints)
+    prior_term = build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT))
+    return PoseProblem(
+        tree,
+        MarkerAttachment(start.joints, calibrated.marker_offsets),
+        markers,
+        ~np.isnan(markers[..., 0]),
+        CALIBRATION_MARKER_SD_M,
+        prior_term._replace(mean_vectors=calibrated.mean_pose_vectors),
+        build_no_joint_limits(len(calibrated.offsets)),
+    )
+
+
+def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"]) -> Motion:
+    """Return robust poses of some frames on a body that is not yet calibrated, so that spikes do not look like varied poses."""
+    motion = register_poses(start, body.free_joints, prior, markers)
+    uncalibrated = CalibratedBody(start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3)))
+    problem = build_calibration_problem(start, body, prior, markers, uncalibrated)
+    no_tracking = build_no_tracking(len(body.free_joints))
+    problem.solve(motion.root_position, motion.local_rotations, no_tracking, SELECTION_ROBUST_SCALES_M, MAX_SELECTION_ITERATIONS)
+    return motion
+
+
+def refine_subject(
+    start: Subject,
+    body: BodyModel,
+    prior: MeanPosePrior,
+    markers: Float[np.ndarray, "N K 3"],
+    root_position: Float[np.ndarray, "N 3"],
+    local_rotations: Float[np.ndarray, "N J 3 3"],
+    unknowns: Float[np.ndarray, " Q"] | None = None,
+    *,
+    times_s: Float[np.ndarray, " N"],
+) -> tuple[Subject, RefinementState, float]:
+    """Return `start` with the bones and marker offsets that fit the frames best, the refined state, and the first state's cost.
+
+    root_position, local_rotations  the first poses
+    times_s                         of the frames: those near each other have similar errors
+    unknowns                        the first values of the calibration parameters, by default 0
+    """
+    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start, body.skeleton)
+
+    def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
+        problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
+        return solve_and_linearise(parameters, problem, unknowns, root_position.copy(), local_rotations.copy())
+
+    unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
+    state = fit(unknowns, root_position, local_rotations)
+    first_cost = state.cost
+    curvature, damping = compute_curvature(state), INITIAL_DAMPING
+    for _ in range(MAX_REFINEMENT_ROUNDS):
+        step = compute_damped_step(curvature, state.gradient, damping)
+        trial = fit(state.unknowns + step, state.root_position, state.local_rotations)
+        if trial.cost < state.cost:
+            decrease = (state.cost - trial.cost) / trial.cost
+            state, damping = trial, max(damping / 5, MIN_DAMPING)
+            if decrease < MIN_RELATIVE_DECREASE:
+                break
+            if decrease > MIN_CURVATURE_CHANGE_DECREASE:
+                curvature = compute_curvature(state)
+        else:
+            damping *= 10
+            if damping > MAX_DAMPING:
+                break
+    return build_refined_subject(start, state, curvature, times_s), state, first_cost
+
+
+def solve_and_linearise(
+    parameters: CalibrationParameters,
+    problem: PoseProblem,
+    unknowns: np.ndarray,
+    root_position: np.ndarray,
+    local_rotations: np.ndarray,
+) -> RefinementState:
+    """Solve the poses from those given, which are overwritten, and return the state there."""
+    no_tracking = build_no_tracking(local_rotations.shape[1])
+    problem.solve(root_position, local_rotations, no_tracking, (CALIBRATION_ROBUST_SCALE_M,), MAX_CALIBRATION_POSE_ITERATIONS)
+    return linearise_frames(parameters, problem, unknowns, root_position, local_rotations)
+
+
+def linearise_frames(
+    parameters: CalibrationParameters,
+    problem: PoseProblem,
+    unknowns: np.ndarray,
+    root_position: np.ndarray,
+    local_rotations: np.ndarray,
+) -> RefinementState:
+    """Return the state at given poses, without solving them."""
+    frames, deviation = np.arange(len(root_position)), unknowns - parameters.expected
+    prior_gradient = parameters.information @ deviation
+    responses = respond_in_frames(parameters, problem, root_position, local_rotations, frames, only_errors=True)
+    cost = float(responses.cost.sum() + 0.5 * deviation @ prior_gradient)
+    gradient = reduce_shared_gradient(responses) + prior_gradient
+    return RefinementState(parameters, unknowns, problem, root_position, local_rotations, cost, gradient)
+
+
+def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
+    """Return the curvature of the cost in the shared unknowns, with the poses eliminated.
+
+    The frames are summed block by block: the responses of all of them together would take a hundred megabytes.
+    """
+    curvature, frame_count = state.parameters.information.copy(), len(state.root_position)
+    for first in range(0, frame_count, FRAMES_PER_BLOCK):
+        frames = np.arange(first, min(first + FRAMES_PER_BLOCK, frame_count))
+        responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
+        curvature += reduce_shared_curvature(responses)
+    return curvature
+
+
+def respond_in_frames(
+    parameters: CalibrationParameters,
+    problem: PoseProblem,
+    root_position: np.ndarray,
+    local_rotations: np.ndarray,
+    frames: Int[np.ndarray, " N"],
+    *,
+    only_errors: bool = False,
+) -> SharedResponses:
+    """Return the responses of some of the frames to the shared unknowns of the calibration (see `compute_shared_responses`)."""
+    part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
+    return compute_shared_responses(
+        part.tree,
+        part.build_terms(build_no_tracking(local_rotations.shape[1])),
+        parameters.deformations,
+        part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0],
+        root_position[frames],
+        local_rotations[frames],
+        only_errors=only_errors,
+    )
+
+
+def compute_damped_step(
+    curvature: Float[np.ndarray, "Q Q"], gradient: Float[np.ndarray, " Q"], damping: float
+) -> Float[np.ndarray, " Q"]:
+    """Return the damped Gauss-Newton step (Marquardt 1963)."""
+    return np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), -gradient)
+
+
+def compute_calibration_sd(
+    state: RefinementState,
+    curvature: Float[np.ndarray, "Q Q"],
+    times_s: Float[np.ndarray, " N"] | None = None,
+    residual_sd_m: float = CALIBRATION_MARKER_SD_M,
+) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
+    """Return the standard deviation per axis, in metres, of joints and markers due to the uncertainty of the shared unknowns.
+
+    The pose of each frame adapts to the unknowns. The values are root mean squares over at most MAX_UNCERTAINTY_FRAMES frames.
+
+    times_s        of the frames; None if each is measured independently
+    residual_sd_m  of a marker about its place on the body, per axis
+    """
+    frames = sample_evenly(len(state.root_position), MAX_UNCERTAINTY_FRAMES)
+    responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
+    if times_s is None:
+        covariance = np.linalg.inv(curvature)
+    else:
+        covariance = compute_shared_covariance(
+            responses.marker_response,
+            responses.marker_weight,
+            curvature,
+            state.parameters.gradient_covariance,
+            times_s,
+            residual_sd_m,
+        )
+    return compute_response_sd(responses.joint_response, responses.marker_response, covariance)
+
+
+def build_refined_subject(
+    start: Subject, state: RefinementState, curvature: np.ndarray, times_s: Float[np.ndarray, " N"]
+) -> Subject:
+    """Return the subject of a refined state; the spread of a marker is its median distance per axis from the body."""
+    tree = state.problem.tree
+    size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
+    subject = replace(
+        start,
+        skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),
+        marker_offsets=state.problem.attachment.offsets,
+        frame_count=len(state.root_position),
+    )
+    zeros = np.zeros(len(state.root_position), int)
+    motion = Motion(state.root_position, state.local_rotations, zeros, zeros, np.zeros(0), np.zeros(0))
+    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
+    distance = np.linalg.norm(state.problem.marker_positions - predicted, axis=-1)
+    visible = (~np.isnan(distance)).any(0)
+    spread = start.marker_spread.copy()
+    spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)
+    pose_freedom = 3 + 3 * int(np.isin(np.flatnonzero(tree.free), start.joints).sum())
+    residual_sd_m = estimate_residual_sd(distance, pose_freedom)
+    joint_sd, marker_sd = compute_calibration_sd(state, curvature, times_s, residual_sd_m)
+    return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

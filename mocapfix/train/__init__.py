@@ -1,1 +1,0 @@
-"""Fitting what ships in priors/ from motion data."""

@@ -1,0 +1,90 @@
+"""Feet that lie flat."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.character import SIDES, CharacterMotion, compute_character_poses
+from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
+from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.characters.segment_motion import compute_segment_motion
+from mocapfix.contacts.contacts import Floor, build_no_contacts
+from tests.characters.walking_body import load_walk
+
+FRAMES = 30
+FLOOR_M = 0.1
+BALL_M = 0.05
+INCLINATION_DEG = 8.0
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """The average body standing: feet inclined by 8 degrees, balls 50 mm above a floor at 0.1 m; and its contacts."""
+    character, motion = load_walk()
+    local = np.tile(character.rest_rotations, (FRAMES, 1, 1, 1))
+    for side, spread_deg in (("left", -20.0), ("right", 20.0)):
+        bones = character.mapping.bones
+        local[:, bones[f"{side}_thigh"][0]] = Rotation.from_euler("z", spread_deg, degrees=True).as_matrix()
+        local[:, bones[f"{side}_foot"][0]] = Rotation.from_euler("x", INCLINATION_DEG, degrees=True).as_matrix()
+    frame = build_body_frame(character)
+    still = CharacterMotion(np.zeros((FRAMES, 3)), local, motion.rate)
+    segments = compute_segment_motion(frame, still)
+    balls = [segments.position[f"{side}_foot"] + segments.rotation[f"{side}_foot"] @ frame.compute_ball(side) for side in SIDES]
+    raised = replace(still, pelvis_position=still.pelvis_position + [0.0, FLOOR_M + BALL_M - balls[0][0, 1], 0.0])
+    contacts = build_no_contacts(FRAMES, motion.rate)
+    contacts = replace(contacts, is_contact=np.ones_like(contacts.is_contact), floor=Floor(0.0, 0.0, (FLOOR_M,)))
+    return character, raised, contacts
+
+
+def test_height_and_inclination_of_flat_feet_are_measured(standing):
+    character, motion, contacts = standing
+    frame = build_body_frame(character)
+    feet = measure_flat_feet(frame, compute_segment_motion(frame, motion), contacts)
+    for foot in feet.values():
+        assert foot.ball_height_m == pytest.approx(BALL_M, abs=1e-3)
+        angle_deg = np.degrees(np.linalg.norm(Rotation.from_matrix(foot.inclination).as_rotvec()))
+        assert angle_deg == pytest.approx(INCLINATION_DEG, abs=1.5)  # the composed bones spread by about 20 degrees, not exactly
+
+
+def test_level_feet_have_no_inclination_where_they_lie_flat(standing):
+    character, motion, contacts = standing
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    level = level_feet(segments, measure_flat_feet(frame, segments, contacts))
+    for side in SIDES:
+        np.testing.assert_allclose(level.rotation[f"{side}_foot"][:, 1], np.tile([0, 1, 0], (FRAMES, 1)), atol=1e-9)
+
+
+def test_soles_of_a_character_lie_on_the_floor(standing):
+    character, motion, contacts = standing
+    target = load_character_preset("mixamo")
+    frame = build_body_frame(target)
+    position, _ = compute_character_poses(target, retarget_motion(character, motion, target, contacts=contacts))
+    for side in SIDES:
+        ankle, ball = (position[:, target.mapping.bones[f"{side}_{segment}"][0], 1] for segment in ("foot", "toe"))
+        np.testing.assert_allclose(ball, frame.ball_height_m, atol=2e-3)
+        np.testing.assert_allclose(ankle, frame.ankle_height_m, atol=2e-3)
+
+
+def test_feet_that_are_never_flat_are_those_of_the_skeleton(standing):
+    character, motion, _ = standing
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    for contacts in (None, build_no_contacts(FRAMES, motion.rate)):
+        for foot in measure_flat_feet(frame, segments, contacts).values():
+            assert foot.ball_height_m == frame.ball_height_m
+            np.testing.assert_array_equal(foot.inclination, np.eye(3))
+
+
+def test_a_foot_that_stands_on_an_edge_is_not_taken_to_be_flat(standing):
+    character, motion, contacts = standing
+    steep = motion.local_rotations.copy()
+    bone = character.mapping.bones["left_foot"][0]
+    steep[:, bone] = steep[:, bone] @ Rotation.from_euler("x", 40, degrees=True).as_matrix()
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, replace(motion, local_rotations=steep))
+    np.testing.assert_array_equal(measure_flat_feet(frame, segments, contacts)["left"].inclination, np.eye(3))

@@ -1,0 +1,71 @@
+"""The solve of a character's segments: knees, limits and planes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.character import CharacterMotion, compute_character_poses
+from mocapfix.characters.pose_segments import bend_straight_knees, build_solve_tree
+from mocapfix.characters.retarget_motion import retarget_motion
+from tests.characters.walking_body import load_walk, scale_limbs
+
+
+def stand(knee_deg: float = 0.0) -> tuple:
+    """Return the average body and a frame of it standing, its legs vertical, with flexed knees."""
+    character, motion = load_walk()
+    local = character.rest_rotations[None].copy()
+    for side, spread_deg in (("left", -20.0), ("right", 20.0)):
+        bones = character.mapping.bones
+        local[:, bones[f"{side}_thigh"][0]] = Rotation.from_euler("z", spread_deg, degrees=True).as_matrix()
+        thigh, shin = (
+            build_body_frame(character).standard_rotations[bones[f"{side}_{segment}"][0]] for segment in ("thigh", "shin")
+        )
+        flexion = Rotation.from_euler("x", knee_deg, degrees=True).as_matrix()
+        local[:, bones[f"{side}_shin"][0]] = thigh.T @ flexion @ shin
+    return character, CharacterMotion(np.array([[0.0, 0.9, 0.0]]), local, motion.rate)
+
+
+@pytest.mark.parametrize("knee_deg", [0.0, 5.0, 40.0])
+def test_solve_begins_with_flexed_knees(knee_deg):
+    character, motion = stand(knee_deg)
+    tree = build_solve_tree(build_body_frame(character))
+    joints = [tree.bones.tolist().index(bone) for bone in tree.bones]
+    bent = bend_straight_knees(tree, motion.local_rotations[:, tree.bones][:, joints])
+    thigh, shin = tree.find_joint("left_thigh"), tree.find_joint("left_shin")
+    knee = tree.standard_rotations[thigh] @ bent[0, shin] @ tree.standard_rotations[shin].T
+    assert np.degrees(Rotation.from_matrix(knee).as_rotvec()[0]) == pytest.approx(max(knee_deg, 8.0), abs=1e-6)
+
+
+def test_straight_knees_bend_forwards_where_the_target_must_bend():
+    character, motion = stand(0.0)
+    target = scale_limbs(character, legs=1.0)
+    positions = target.rest_positions.copy()
+    for side in ("left", "right"):  # a foot that is longer below the ankle, so that the leg has less room
+        positions[target.mapping.bones[f"{side}_toe"][0]] += [0.0, -0.03, 0.0]
+    target = replace(target, rest_positions=positions)
+    position, _ = compute_character_poses(target, retarget_motion(character, motion, target))
+    for side in ("left", "right"):
+        hip, knee, ankle = (position[0, target.mapping.bones[f"{side}_{segment}"][0]] for segment in ("thigh", "shin", "foot"))
+        straight = hip + (ankle - hip) * np.linalg.norm(knee - hip) / np.linalg.norm(ankle - hip)
+        assert (knee - straight)[2] > -1e-3
+        assert abs((knee - straight)[0]) < 0.02
+
+
+def test_joint_limits_hold_an_elbow_back():
+    character, motion = stand()
+    elbow = character.mapping.bones["left_forearm"][0]
+    local = motion.local_rotations.copy()
+    local[:, elbow] = Rotation.from_euler("y", -120, degrees=True).as_matrix()
+    bent = CharacterMotion(motion.pelvis_position, local, motion.rate)
+    limited = replace(character, limits_deg={elbow: np.array([[-10.0, 10.0], [-60.0, 10.0], [-10.0, 10.0]])})
+    free_deg, limited_deg = (
+        np.degrees(
+            np.linalg.norm(Rotation.from_matrix(retarget_motion(character, bent, each).local_rotations[0, elbow]).as_rotvec())
+        )
+        for each in (character, limited)
+    )
+    assert free_deg == pytest.approx(120, abs=1)
+    assert limited_deg < free_deg - 10

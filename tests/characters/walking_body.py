@@ -1,0 +1,41 @@
+"""A walk with gestures of the average body, and characters of other proportions, for the tests of retargeting."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mocapfix import synthetic
+from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion
+
+SECONDS = 4.0
+RATE = 60.0
+
+
+@cache
+def load_walk() -> tuple[Character, CharacterMotion]:
+    """Return the source: a composed motion and its character."""
+    take = synthetic.compose_take(seed=2, seconds=SECONDS, rate=RATE)
+    return build_cmu31_character(take.subject.skeleton), convert_motion(take.motion, RATE)
+
+
+def scale_limbs(character: Character, legs: float = 1.0, arms: float = 1.0) -> Character:
+    """Return the character with longer or shorter thighs and shins, upper arms and forearms."""
+    bones, positions = character.mapping.bones, character.rest_positions.copy()
+    for side in ("left", "right"):
+        for segment, factor in (("shin", legs), ("foot", legs), ("forearm", arms), ("hand", arms)):
+            positions[bones[f"{side}_{segment}"][0]] *= factor
+    return replace(character, rest_positions=positions)
+
+
+def turn_axes(character: Character, rng: np.random.Generator) -> Character:
+    """Return the same figure whose bones have other axes of their own."""
+    turns = Rotation.random(len(character.names), rng=rng).as_matrix()
+    rotations, positions = character.rest_rotations.copy(), character.rest_positions.copy()
+    for bone, parent in enumerate(character.parents):
+        above = turns[parent] if parent >= 0 else np.eye(3)
+        rotations[bone] = above.T @ character.rest_rotations[bone] @ turns[bone]
+        positions[bone] = above.T @ character.rest_positions[bone]
+    tails = np.einsum("jba,jb->ja", turns, character.tails)
+    return replace(character, rest_rotations=rotations, rest_positions=positions, tails=tails)

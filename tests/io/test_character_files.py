@@ -1,0 +1,120 @@
+"""The files of a character beside the other outputs of a take."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.character_choice import load_character
+from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.contacts.contacts import HeldFeet, build_no_contacts
+from mocapfix.errors import WriteError
+from mocapfix.io.capture import read_capture
+from mocapfix.io.character_files import CharacterFiles
+from mocapfix.io.output_formats import list_output_formats
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.lab.retargeting import build_contacts
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.options import FEET_LOCK, FEET_SOFT, OutputOptions
+from tests.characters.walking_body import RATE, load_walk
+from tests.io.read_back import motion_of
+
+
+@pytest.fixture(autouse=True)
+def without_report_files(monkeypatch):
+    """Replace the recording and the HTML report, which take most of the time and are not tested here."""
+    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
+    monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
+    monkeypatch.setattr("mocapfix.io.fbx.find_blender", lambda: None)
+
+
+@pytest.fixture
+def solved(cleaned):
+    """Return the cleaned take with half a second of its motion."""
+    return replace(cleaned.result, motion=cleaned.result.motion.select_frames(np.arange(61)))
+
+
+def test_all_files_of_each_character_are_written(solved, tmp_path):
+    options = OutputOptions(characters=("mixamo", "smpl"), key_error_deg=0.5)
+    outputs = solved.write(tmp_path, options=options)
+    for name in ("mixamo", "smpl"):
+        assert {f"{name}.{suffix}" for suffix in ("glb", "bvh", "npz", "map.yaml")} <= set(outputs)
+    notes = json.loads(outputs["report.json"].read_text())["notes"]
+    assert any("walk.mixamo.glb" in note and "ratio of the legs' lengths" in note for note in notes)
+    assert any("walk.smpl.glb" in note and "keys are kept" in note for note in notes)
+
+
+def test_bvh_of_a_character_moves_like_its_arrays(solved, tmp_path):
+    outputs = solved.write(tmp_path, options=OutputOptions(characters=("mixamo",), output_rate_hz=30.0))
+    animation = read_capture(outputs["mixamo.bvh"])
+    assert isinstance(animation, Animation)
+    arrays = np.load(outputs["mixamo.npz"])
+    assert animation.rate == pytest.approx(30.0)
+    position, _ = animation.compute_world_poses()
+    hips = position[:, animation.names.index("mixamorig:Hips")]
+    assert arrays["rate"] == 30.0
+    assert len(arrays["pelvis_position"]) == len(hips) == 16
+    np.testing.assert_allclose(hips, arrays["pelvis_position"], atol=1e-4)
+
+
+def test_fbx_that_cannot_be_written_is_no_failure(solved, tmp_path):
+    outputs = solved.write(tmp_path, options=OutputOptions(characters=("mixamo",), extra_formats=("fbx",)))
+    assert "mixamo.fbx" not in outputs
+    notes = json.loads(outputs["report.json"].read_text())["notes"]
+    assert sum("FBX needs Blender" in note for note in notes) == 2  # of the solved skeleton, and of the character
+
+
+@pytest.mark.parametrize("mode", [FEET_LOCK, FEET_SOFT])
+def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
+    """The files hold what retargeting gives with both, and neither of them is without effect."""
+    source, motion = load_walk()
+    rest = load_cmu31_skeleton()
+    skeleton = Skeleton(rest.names, rest.parents, source.rest_positions, rest.ends)
+    solved = motion_of(motion.local_rotations, motion.pelvis_position)
+    contacts = build_contacts(skeleton, solved, RATE)
+    raised = replace(contacts, floor=replace(contacts.floor, level_heights_m=(0.1,)), held_feet=HeldFeet(mode, 0.0))
+    target = load_character("mixamo")
+    CharacterFiles(target).write(tmp_path / "walk.mixamo.glb", skeleton, solved, RATE, raised)
+    arrays = np.load(tmp_path / "walk.mixamo.npz")
+    pelvis = arrays["pelvis_position"]
+
+    def retarget(height_m, mode):
+        floor = replace(contacts.floor, level_heights_m=(height_m,))
+        return retarget_motion(source, motion, target, contacts=replace(contacts, floor=floor, held_feet=HeldFeet(mode, 0.0)))
+
+    expected, other, on_zero = (
+        retarget(*each) for each in ((0.1, mode), (0.1, FEET_SOFT if mode == FEET_LOCK else FEET_LOCK), (0.0, mode))
+    )
+    foot = target.mapping.bones["left_foot"][0]
+    rotations = Rotation.from_quat(arrays["rotations"][:, foot]).as_matrix()
+    np.testing.assert_allclose(pelvis, expected.pelvis_position, atol=1e-5)
+    np.testing.assert_allclose(rotations, expected.local_rotations[:, foot], atol=1e-5)
+    assert np.abs(rotations - other.local_rotations[:, foot]).max() > 1e-3
+    assert (on_zero.pelvis_position[:, 1] > pelvis[:, 1] + 0.02).all()
+
+
+def test_the_contacts_of_the_motion_keep_feet_when_keys_are_reduced(tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr("mocapfix.io.character_files.build_leg_curves", lambda *arguments: given.append(arguments[2]))
+    _, motion = load_walk()
+    contacts = build_no_contacts(motion.frame_count, RATE)
+    solved = motion_of(motion.local_rotations, motion.pelvis_position)
+    files = CharacterFiles(load_character("mixamo"), key_error_deg=1.0)
+    files.write(tmp_path / "walk.mixamo.glb", load_cmu31_skeleton(), solved, RATE, contacts)
+    assert given == [contacts]
+
+
+def test_file_names_are_checked_before_anything_is_cleaned():
+    files = CharacterFiles(load_character("mixamo"), has_fbx=True)
+    assert files.suffixes == ("mixamo.glb", "mixamo.bvh", "mixamo.npz", "mixamo.map.yaml", "mixamo.fbx")
+    list_output_formats(OutputOptions(characters=("mixamo", "mixamo")))  # the same twice is written once
+    with pytest.raises(WriteError, match=r"both have the suffix \.mixamo\.glb"):
+        list_output_formats(OutputOptions(characters=("mixamo", find_preset_path("mixamo"))))
+
+
+def find_preset_path(name: str) -> str:
+    """Return the path of a preset's file, which has the preset's name."""
+    return str(find_shipped_folder("scenes") / "rigs" / f"{name}.yaml")

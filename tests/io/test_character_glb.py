@@ -1,0 +1,256 @@
+"""The bytes of the files are parsed by the specification (Khronos, glTF 2.0), independently of the writer."""
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_choice import load_character_preset, read_character
+from mocapfix.errors import WriteError
+from mocapfix.io.character_files import compute_leg_length, write_character_glb
+from mocapfix.io.gltf import write_gltf
+from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import (
+    FIGURE,
+    PREFIX,
+    build_figure_character,
+    build_mixamo_glb,
+    build_motion,
+    build_vrm,
+    edit_glb,
+    map_figure,
+    read_accessor,
+    split_glb,
+)
+from tests.io.read_back import SKELETON, motion_of, smooth_rotations
+
+ROOT = Path(__file__).parents[2]
+VALIDATOR = ROOT / ".gltf-validator" / "node_modules" / "gltf-validator"
+GLB = build_mixamo_glb()
+VALIDATION_SCRIPT = """
+const validator = require(process.argv[1]);
+const fs = require("fs");
+(async () => {
+  const reports = [];
+  for (const path of process.argv.slice(2)) {
+    const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(path)), {maxIssues: 20});
+    reports.push({errors: report.issues.numErrors, messages: report.issues.messages});
+  }
+  console.log(JSON.stringify(reports));
+})();
+"""
+
+
+def read_figure(folder, data=GLB, name="figure.glb"):
+    (folder / name).write_bytes(data)
+    character = read_character(folder / name)
+    return character if character.mapping.bones else replace(character, mapping=map_figure(character.names))
+
+
+def compute_worlds(document, binary, animation, times):
+    """Return the world matrices (T, N, 4, 4) of all nodes at some times, as a viewer computes them."""
+    nodes = document["nodes"]
+    curves = {}
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        keys = read_accessor(document, binary, sampler["input"])[:, 0]
+        values = read_accessor(document, binary, sampler["output"])
+        at = np.clip(times, keys[0], keys[-1])
+        if channel["target"]["path"] == "rotation":
+            rotations = Rotation.from_quat(values)
+            sampled = Slerp(keys, rotations)(at) if len(keys) > 1 else Rotation.concatenate([rotations] * len(times))
+            curves[channel["target"]["node"], "rotation"] = sampled.as_matrix()
+        else:
+            curves[channel["target"]["node"], "translation"] = np.stack([np.interp(at, keys, v) for v in values.T], axis=1)
+    worlds = np.tile(np.eye(4), (len(times), len(nodes), 1, 1))
+
+    def visit(index, above):
+        node, local = nodes[index], np.tile(np.eye(4), (len(times), 1, 1))
+        if "matrix" in node:
+            assert not any(key[0] == index for key in curves)
+            local[:] = np.reshape(node["matrix"], (4, 4)).T
+        else:
+            rest = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
+            local[:, :3, :3] = curves.get((index, "rotation"), rest) * np.array(node.get("scale", [1, 1, 1]))
+            local[:, :3, 3] = curves.get((index, "translation"), node.get("translation", [0, 0, 0]))
+        worlds[:, index] = above @ local
+        for child in node.get("children", []):
+            visit(child, worlds[:, index])
+
+    for root in document["scenes"][document["scene"]]["nodes"]:
+        visit(root, np.tile(np.eye(4), (len(times), 1, 1)))
+    return worlds
+
+
+def check_written_poses(path, character, motion, nodes, atol=2e-6):
+    document, binary = (json.loads(split_glb(path.read_bytes())[0]), split_glb(path.read_bytes())[1])
+    times = np.arange(motion.frame_count) / motion.rate
+    worlds = compute_worlds(document, binary, document["animations"][-1], times)[:, nodes]
+    positions, rotations = compute_character_poses(character, motion)
+    np.testing.assert_allclose(worlds[..., :3, 3], positions, atol=atol)
+    scale = np.linalg.norm(worlds[..., :3, 0], axis=-1)[..., None, None]
+    np.testing.assert_allclose(worlds[..., :3, :3] / scale, rotations, atol=atol)
+    return document
+
+
+def test_all_of_the_users_file_is_kept(tmp_path):
+    character = read_figure(tmp_path)
+    write_character_glb(tmp_path / "out.glb", character, build_motion(character), "walk")
+    (old_text, old_binary), (new_text, new_binary) = split_glb(GLB), split_glb((tmp_path / "out.glb").read_bytes())
+    old, new = json.loads(old_text), json.loads(new_text)
+    length = old["buffers"][0]["byteLength"]
+    assert new_binary[:length] == old_binary[:length]
+    for key, value in old.items():
+        if key in ("accessors", "bufferViews", "animations"):
+            assert new[key][: len(value)] == value
+        elif key == "buffers":
+            assert new[key][0]["byteLength"] <= len(new_binary)
+        else:
+            assert new[key] == value, key
+    assert set(new) == set(old)
+    assert [each["name"] for each in new["animations"]] == ["walk", "walk.001"]
+
+
+@pytest.mark.parametrize("data", [GLB, build_vrm(0), build_vrm(1)], ids=["mixamo", "vrm 0", "vrm 1"])
+def test_bones_move_as_in_the_motion(tmp_path, data):
+    character = read_figure(tmp_path, data)
+    motion = build_motion(character)
+    assert write_character_glb(tmp_path / "out.glb", character, motion, "walk") is None
+    assert character.source is not None
+    check_written_poses(tmp_path / "out.glb", character, motion, character.source.nodes)
+
+
+def test_animated_nodes_have_no_matrix(tmp_path):
+    def edit(document):
+        for node in document["nodes"]:
+            matrix = np.eye(4)
+            matrix[:3, :3] = Rotation.from_quat(node.pop("rotation", [0, 0, 0, 1])).as_matrix() * node.pop("scale", [1])[0]
+            matrix[:3, 3] = node.pop("translation", [0, 0, 0])
+            node["matrix"] = matrix.T.ravel().tolist()
+
+    character = read_figure(tmp_path, edit_glb(GLB, edit))
+    motion = build_motion(character)
+    write_character_glb(tmp_path / "out.glb", character, motion, "walk")
+    assert character.source is not None
+    document = check_written_poses(tmp_path / "out.glb", character, motion, character.source.nodes, 1e-5)
+    assert "matrix" in next(node for node in document["nodes"] if node["name"] == "Armature")
+
+
+def test_side_files_become_one_glb(tmp_path):
+    document = json.loads(split_glb(GLB)[0])
+    (tmp_path / "side.bin").write_bytes(split_glb(GLB)[1])
+    document["buffers"][0]["uri"] = "side.bin"
+    (tmp_path / "figure.gltf").write_text(json.dumps(document))
+    character = read_character(tmp_path / "figure.gltf")
+    character = replace(character, mapping=map_figure(character.names))
+    (tmp_path / "side.bin").unlink()
+    motion = build_motion(character)
+    write_character_glb(tmp_path / "out.glb", character, motion, "walk")
+    assert character.source is not None
+    check_written_poses(tmp_path / "out.glb", character, motion, character.source.nodes)
+    length = document["buffers"][0]["byteLength"]
+    assert split_glb((tmp_path / "out.glb").read_bytes())[1][:length] == split_glb(GLB)[1][:length]
+
+
+def test_a_character_without_mesh_gets_a_test_skin(tmp_path):
+    character = build_figure_character()
+    motion = build_motion(character)
+    write_character_glb(tmp_path / "out.glb", character, motion, "walk")
+    document = check_written_poses(tmp_path / "out.glb", character, motion, range(len(FIGURE.names)))
+    binary = split_glb((tmp_path / "out.glb").read_bytes())[1]
+    inverse = read_accessor(document, binary, document["skins"][0]["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+    rest_positions, rest_rotations = character.compute_rest_pose()
+    np.testing.assert_allclose(inverse[:, :3, :3] @ rest_rotations, np.tile(np.eye(3), (len(inverse), 1, 1)), atol=1e-6)
+    np.testing.assert_allclose((inverse[:, :3, :3] @ rest_positions[..., None])[..., 0] + inverse[:, :3, 3], 0, atol=1e-6)
+    corners = read_accessor(document, binary, document["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
+    assert np.ptp(corners[:, 1]) == pytest.approx(np.ptp(FIGURE.heads[:, 1]) + 0.05, abs=0.02)
+
+
+def test_rotations_that_do_not_change_have_one_key_and_resting_bones_none(tmp_path):
+    character = read_figure(tmp_path)
+    motion = build_motion(character)
+    held = character.find_bone(f"{PREFIX}LeftArm")
+    motion.local_rotations[:, held] = motion.local_rotations[7, held]
+    write_character_glb(tmp_path / "out.glb", character, motion, "walk")
+    document = json.loads(split_glb((tmp_path / "out.glb").read_bytes())[0])
+    assert character.source is not None
+    nodes, animation = character.source.nodes, document["animations"][-1]
+    counts = {}
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        accessor = document["accessors"][sampler["output"]]
+        assert accessor["count"] == document["accessors"][sampler["input"]]["count"]
+        counts[channel["target"]["node"], channel["target"]["path"]] = accessor["count"]
+    assert counts.pop((nodes[held], "rotation")) == 1
+    assert set(counts.values()) == {motion.frame_count}
+    unmapped = character.find_bone(f"{PREFIX}LeftHandIndex1")
+    assert (nodes[unmapped], "rotation") not in counts
+    assert (nodes[character.find_bone(f"{PREFIX}Hips")], "translation") in counts
+
+
+@pytest.mark.parametrize("degrees", [0.2, 1.0, 3.0])
+def test_reduced_keys_keep_the_stated_error(tmp_path, degrees):
+    character = read_figure(tmp_path)
+    motion = build_motion(character, 300)
+    reduction = write_character_glb(tmp_path / "out.glb", character, motion, "walk", np.radians(degrees))
+    assert reduction is not None
+    assert 0 < reduction.max_error_deg <= degrees + 1e-9
+    assert reduction.limit_deg == pytest.approx(degrees)
+    assert reduction.key_count < 0.6 * reduction.sample_count
+    document, binary = (
+        json.loads(split_glb((tmp_path / "out.glb").read_bytes())[0]),
+        split_glb((tmp_path / "out.glb").read_bytes())[1],
+    )
+    assert character.source is not None
+    worlds = compute_worlds(document, binary, document["animations"][-1], np.arange(300) / motion.rate)[:, character.source.nodes]
+    positions, _ = compute_character_poses(character, motion)
+    distance = np.linalg.norm(worlds[..., :3, 3] - positions, axis=-1).max()
+    assert distance <= reduction.max_distance_m + 1e-5
+    pelvis = character.mapping.bones["pelvis"][0]
+    shift = np.linalg.norm(worlds[:, pelvis, :3, 3] - positions[:, pelvis], axis=-1).max()
+    assert shift <= np.radians(degrees) * compute_leg_length(character) + 1e-5
+    assert f"{reduction.key_count:,} of" in reduction.sentence
+
+
+def test_legs_are_measured_along_their_bones(tmp_path):
+    thigh, shin, foot = (FIGURE.heads[FIGURE.names.index(name)] for name in ("LeftUpLeg", "LeftLeg", "LeftFoot"))
+    expected = np.linalg.norm(shin - thigh) + np.linalg.norm(foot - shin)
+    assert compute_leg_length(read_figure(tmp_path)) == pytest.approx(expected)
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    character = build_figure_character()
+    with pytest.raises(WriteError, match="nowhere"):
+        write_character_glb(tmp_path / "nowhere" / "out.glb", character, build_motion(character), "walk")
+
+
+@pytest.mark.skipif(
+    not shutil.which("node") or not VALIDATOR.is_dir(), reason="Khronos' validator is not installed (make gltf-validator)"
+)
+def test_khronos_validator_reports_no_errors(tmp_path):
+    paths = []
+    for name, data in {"mixamo": GLB, "vrm0": build_vrm(0), "vrm1": build_vrm(1), "bones": None}.items():
+        character = build_figure_character() if data is None else read_figure(tmp_path, data)
+        for limit in (None, 0.02):
+            paths.append(tmp_path / f"{name} {limit}.glb")
+            write_character_glb(paths[-1], character, build_motion(character), "walk", limit)
+    for name in CHARACTER_PRESETS:
+        paths.append(tmp_path / f"preset {name}.glb")
+        character = load_character_preset(name)
+        write_character_glb(paths[-1], character, build_motion(character, 10), "walk", 0.02)
+    solved = motion_of(smooth_rotations(2, 60, 31, swing=1), np.zeros((60, 3)))
+    for limit in (None, 0.02):
+        paths.append(tmp_path / f"solved {limit}.glb")
+        write_gltf(paths[-1], SKELETON, solved, 60.0, limit)
+    done = subprocess.run(
+        ["node", "-e", VALIDATION_SCRIPT, VALIDATOR, *paths], capture_output=True, text=True, check=True, env=os.environ
+    )
+    for path, report in zip(paths, json.loads(done.stdout), strict=True):
+        assert not report["errors"], (path.name, report["messages"])

@@ -1,0 +1,99 @@
+"""FBX without Blender, and with a Blender that fails. Files that Blender writes are opened in tests/blender."""
+
+import os
+import stat
+import sys
+
+import pytest
+
+from mocapfix.errors import WriteError
+from mocapfix.io import fbx
+from mocapfix.io.character_files import write_character_glb
+from mocapfix.io.fbx import BLENDER_VARIABLE, find_blender, write_character_fbx
+from mocapfix.io.fbx_export import split_rate
+from tests.characters.character_files import build_figure_character, build_motion
+
+
+@pytest.fixture
+def glb(tmp_path):
+    character = build_figure_character()
+    write_character_glb(tmp_path / "walk.glb", character, build_motion(character), "walk")
+    return tmp_path / "walk.glb"
+
+
+def make_executable(path, text):
+    path.write_text(f"#!{sys.executable}\n{text}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def test_without_blender_a_sentence_says_so(glb, monkeypatch):
+    monkeypatch.delenv(BLENDER_VARIABLE, raising=False)
+    monkeypatch.setenv("PATH", str(glb.parent))
+    assert find_blender() is None
+    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    assert sentence is not None
+    assert "needs Blender" in sentence
+    assert BLENDER_VARIABLE in sentence
+    assert not glb.with_suffix(".fbx").exists()
+
+
+def test_blender_on_the_search_path_is_found(tmp_path, monkeypatch):
+    monkeypatch.delenv(BLENDER_VARIABLE, raising=False)
+    blender = make_executable(tmp_path / "blender", "")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    command = find_blender()
+    assert command is not None
+    assert command[0] == str(blender)
+    assert "--background" in command
+
+
+def test_a_failure_of_blender_is_one_sentence(glb, monkeypatch):
+    blender = make_executable(glb.parent / "blender", "import sys; sys.exit('Error: no GPU.')")
+    monkeypatch.setenv(BLENDER_VARIABLE, str(blender))
+    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    assert sentence == "walk.fbx was not written: Blender failed (Error: no GPU)."
+    assert sorted(path.name for path in glb.parent.iterdir()) == ["blender", "walk.glb"]
+
+
+def test_a_blender_that_writes_nothing_is_noticed(glb, monkeypatch):
+    monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", "")))
+    assert write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0) == "walk.fbx was not written: Blender wrote no file."
+
+
+def test_a_blender_that_does_not_end_is_stopped(glb, monkeypatch):
+    monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", "import time; time.sleep(60)")))
+    monkeypatch.setattr(fbx, "BLENDER_TIMEOUT_S", 0.5)
+    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    assert sentence == "walk.fbx was not written: Blender did not end within 0.5 s."
+
+
+def test_an_executable_that_is_missing_is_named(glb, monkeypatch):
+    monkeypatch.setenv(BLENDER_VARIABLE, "/nowhere/blender")
+    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    assert sentence is not None
+    assert "/nowhere/blender cannot be started" in sentence
+
+
+def test_the_file_that_blender_wrote_is_the_output(glb, monkeypatch):
+    """A program that copies its arguments shows what Blender is given: one animation, and the rate."""
+    text = "import sys, pathlib; source, target, rate, name = sys.argv[-4:]; "
+    text += "pathlib.Path(target).write_bytes(pathlib.Path(source).read_bytes() + f'{rate} {name}'.encode())"
+    monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
+    assert write_character_fbx(glb.with_suffix(".fbx"), glb, 59.94) is None
+    assert glb.with_suffix(".fbx").read_bytes().endswith(b"59.94 walk")
+    assert os.listdir(glb.parent).count("walk.fbx") == 1  # noqa: PTH208
+
+
+def test_a_missing_folder_is_refused(glb, monkeypatch):
+    text = "import sys, pathlib; pathlib.Path(sys.argv[-3]).write_bytes(b'x')"
+    monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
+    with pytest.raises(WriteError, match="nowhere"):
+        write_character_fbx(glb.parent / "nowhere" / "walk.fbx", glb, 60.0)
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 60.0, 120.0, 59.94, 60000 / 1001, 23.976, 12.5, 179.82])
+def test_blender_can_store_every_rate(rate):
+    fps, base = split_rate(rate)
+    assert isinstance(fps, int)
+    assert fps / base == pytest.approx(rate, rel=1e-6)

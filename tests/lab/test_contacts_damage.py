@@ -1,0 +1,47 @@
+"""Damage to standing feet: losses while a foot stands, all markers of one foot, never both feet at once."""
+
+import numpy as np
+
+from mocapfix import synthetic
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS
+from mocapfix.lab.contacts import (
+    LOSS_DURATION_S,
+    MIN_SEEN_S,
+    FootLoss,
+    draw_foot_losses,
+    find_all_true_contacts,
+    find_foot_markers,
+    lose_feet,
+)
+from mocapfix.lab.sound_takes import remove_damage
+
+TRUTH = remove_damage(synthetic.compose_take(seed=1, seconds=10.0))
+
+
+def test_feet_are_lost_while_they_stand_and_one_at_a_time():
+    losses = draw_foot_losses(TRUTH, np.random.default_rng(0))
+    is_contact = find_all_true_contacts(TRUTH)
+    lost = np.zeros(len(is_contact), int)
+    margin = round(MIN_SEEN_S * TRUTH.rate)
+    assert {loss.side for loss in losses} == {"left", "right"}
+    for side, first, last in losses:
+        columns = [CONTACT_JOINTS.index(joint) for joint in FOOT_JOINTS[side]]
+        assert is_contact[first - margin : last + margin + 1, columns].all()
+        assert LOSS_DURATION_S[0] <= (last + 1 - first) / TRUTH.rate <= LOSS_DURATION_S[1]
+        lost[first : last + 1] += 1
+    assert lost.max() == 1
+
+
+def test_the_same_seed_loses_the_same():
+    assert draw_foot_losses(TRUTH, np.random.default_rng(3)) == draw_foot_losses(TRUTH, np.random.default_rng(3))
+
+
+def test_all_markers_of_a_foot_are_lost_and_no_other():
+    labels = {label for label, is_on_foot in zip(TRUTH.labels, find_foot_markers(TRUTH, "left"), strict=True) if is_on_foot}
+    assert labels == {"LANK", "LHEE", "LTOE", "LMT5"}
+    damaged = lose_feet(TRUTH, [FootLoss("left", 100, 160)])
+    columns = [TRUTH.labels.index(label) for label in labels]
+    assert damaged.missing_mask.sum() == 61 * len(labels)
+    assert damaged.missing_mask[100:161, columns].all()
+    assert np.isnan(damaged.damaged_positions[damaged.missing_mask]).all()
+    assert not TRUTH.missing_mask.any()

@@ -1,0 +1,64 @@
+"""Training windows of the motion prior."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.errors import ReadError
+from mocapfix.lab import motion_windows
+from mocapfix.solve.motion_prior import INNER_TOKENS, TOKEN_COUNT
+from tests.lab.motion_files import draw_motion, write_bvh_motion
+
+
+@pytest.fixture(scope="module")
+def stretches(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("motion")
+    for seed, name in enumerate(("01_01", "02_01", "14_01")):
+        write_bvh_motion(folder / f"{name}.bvh", draw_motion(seed, frames=80, spread=0.2))
+    return motion_windows.gather_motion_stretches([folder], lambda subject: subject != "02", lambda text: None)
+
+
+def test_only_wanted_subjects_are_gathered(stretches, tmp_path):
+    assert stretches.count_frames() == {"01": 80, "14": 80}
+    assert sum(stretches.count_source_frames().values()) == 160
+    np.testing.assert_allclose(np.linalg.norm(stretches.quaternions, axis=-1), 1, atol=1e-5)
+    write_bvh_motion(tmp_path / "01_01.bvh", draw_motion(0))
+    with pytest.raises(ReadError, match="no motion of the required subjects"):
+        motion_windows.gather_motion_stretches([tmp_path], lambda subject: False, lambda text: None)
+
+
+def test_joints_are_missing_inside_the_gap_and_known_before(stretches):
+    weights = motion_windows.compute_stretch_weights(stretches, 0.5)
+    assert weights.sum() == pytest.approx(1)
+    windows = motion_windows.draw_training_windows(stretches, weights, 40, np.random.default_rng(0))
+    assert windows.quaternions.shape[:2] == (40, TOKEN_COUNT)
+    assert windows.is_known.any(axis=1).all()
+    is_missing = ~windows.is_known[:, INNER_TOKENS]
+    assert is_missing.any(axis=2).all()
+    assert is_missing[windows.is_body_gap].all()
+    assert 0.1 < windows.is_body_gap.mean() < 0.8
+    assert not (windows.is_known & ~windows.is_inside[..., None]).any()
+
+
+def test_sampling_at_whole_frames_returns_them(stretches):
+    frames = np.array([[0.0, 5.0, 79.0]])
+    quaternions, position = motion_windows.sample_stretches(stretches, np.array([1]), frames)
+    index = stretches.starts[1] + np.array([0, 5, 79])
+    np.testing.assert_allclose(np.abs((quaternions[0] * stretches.quaternions[index]).sum(-1)), 1, atol=1e-5)
+    np.testing.assert_allclose(position[0], stretches.position[index], atol=1e-5)
+
+
+def test_motion_at_another_rate_is_resampled(tmp_path):
+    slow = draw_motion(0, frames=41, spread=0.05)
+    write_bvh_motion(tmp_path / "01_01.bvh", slow, rate=20.0)
+    resampled = motion_windows.gather_motion_stretches([tmp_path], lambda subject: True, lambda text: None)
+    assert resampled.count_frames() == {"01": 61}  # 2 s
+    joints = motion_windows.build_motion_tree().joints
+    expected = Rotation.from_matrix(slow[:, joints].reshape(-1, 3, 3)).as_quat().reshape(41, -1, 4)
+    np.testing.assert_allclose(np.abs((resampled.quaternions[::3] * expected[::2]).sum(-1)), 1, atol=1e-4)
+
+
+def test_mirroring_twice_changes_nothing(stretches):
+    mirrored = motion_windows.mirror_quaternions(stretches.quaternions)
+    assert np.abs(mirrored - stretches.quaternions).max() > 0.01
+    np.testing.assert_array_equal(motion_windows.mirror_quaternions(mirrored), stretches.quaternions)

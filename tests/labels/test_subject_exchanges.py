@@ -1,0 +1,92 @@
+"""Labels exchanged between two people: of a marker, of a limb and of the whole person, for a while and to the end of the take."""
+
+import numpy as np
+import pytest
+
+from mocapfix import synthetic
+from mocapfix.lab.label_recovery import place_two_people
+from mocapfix.labels.subject_exchanges import TrackletRelations, assign_persons, compute_support, detect_subject_exchanges
+from mocapfix.model.take import Take
+
+RATE = 60.0
+ARM = ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")
+FOOT = ("RANK", "RHEE", "RTOE", "RMT5")
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["beside", "crossing"])
+def two_people(request: pytest.FixtureRequest) -> Take:
+    """The second person does at another time what the first one does."""
+    one = synthetic.compose_take(5, 12.0, RATE, asymmetric=True)
+    other = synthetic.compose_take(6, 12.0, RATE, asymmetric=True)
+    second = other.damaged_positions[60:]
+    people = place_two_people(
+        one.damaged_positions[:-60], second, (one.labels, other.labels), 0.7 if request.param else 1.0, crossing=request.param
+    )
+    return Take(people.markers, people.labels, RATE)
+
+
+def find_pairs(take: Take, labels: tuple[str, ...]) -> list[tuple[int, int]]:
+    return [(take.labels.index(f"P1:{label}"), take.labels.index(f"P2:{label}")) for label in labels]
+
+
+def test_nothing_is_found_where_nothing_was_exchanged(two_people: Take) -> None:
+    assert not detect_subject_exchanges(two_people, "P1", "P2")
+
+
+@pytest.mark.parametrize(("first", "last"), [(200, 206), (300, 400), (450, 659)])
+@pytest.mark.parametrize("labels", [("RFWT",), ("LWRA",), ARM, FOOT, None], ids=["hip", "wrist", "arm", "foot", "person"])
+def test_exchanges_are_found_and_undone(two_people: Take, labels: tuple[str, ...] | None, first: int, last: int) -> None:
+    take = two_people
+    pairs = find_pairs(take, labels or tuple(dict.fromkeys(take.bare_labels)))
+    exchanged = take.exchange_labels_in_turn([(pair, first, last) for pair in pairs])
+    faults = detect_subject_exchanges(exchanged, "P1", "P2")
+    assert all(fault.kind == "swap" and fault.markers in pairs and fault.confidence > 0.9 for fault in faults)
+    corrected = exchanged.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in faults])
+    visible = take.visible[first : last + 1, pairs]
+    is_right = (corrected.markers == take.markers).all(-1)
+    assert is_right[first : last + 1, pairs][visible].mean() > 0.95
+    assert is_right[take.visible].mean() > 0.99
+
+
+def test_an_exchange_that_begins_and_ends_in_a_gap_is_found(two_people: Take) -> None:
+    pairs = find_pairs(two_people, FOOT)
+    exchanged = two_people.exchange_labels_in_turn([(pair, 250, 420) for pair in pairs])
+    hidden = np.ones_like(exchanged.visible)
+    for m in np.ravel(pairs):
+        hidden[[*range(240, 262), *range(410, 430)], m] = False
+    faults = detect_subject_exchanges(exchanged.masked(hidden), "P1", "P2")
+    assert {fault.markers for fault in faults} == set(pairs)
+    assert all(240 <= fault.first <= 262 and 408 <= fault.last <= 430 for fault in faults)
+
+
+def test_labels_that_one_subject_lacks_are_not_compared(two_people: Take) -> None:
+    kept = np.array([not label.startswith("P2:") or label == "P2:LFHD" for label in two_people.labels])
+    part = two_people.extract_markers(np.flatnonzero(kept), "")
+    assert not detect_subject_exchanges(part, "P1", "P2")
+    assert not detect_subject_exchanges(part, "P1", "P3")
+
+
+def test_tracklets_are_assigned_by_their_relations_and_groups_by_their_labels() -> None:
+    pairs = np.array([[0, 1], [1, 2], [0, 2], [3, 4]])
+    relations = TrackletRelations(pairs, np.array([5.0, -4.0, -1.0, 3.0]))
+    label_s = np.array([2.0, -1.0, -2.0, 0.1, -4.0])
+    person = assign_persons(relations, label_s)
+    assert person.tolist() == [0, 0, 1, 1, 1]
+    support = compute_support(relations, label_s, person)
+    assert support[1] == pytest.approx(5 + 4 - 0.02)
+    assert support[3] == pytest.approx(3 - 0.002)
+
+
+def test_one_wrong_strong_relation_does_not_exchange_a_group() -> None:
+    pairs = np.array([[0, 1], [2, 3], [1, 2], [0, 2], [0, 3], [1, 3]])
+    relations = TrackletRelations(pairs, np.array([9.0, 9.0, -6.0, 4.0, 4.0, 4.0]))
+    assert assign_persons(relations, np.ones(4)).tolist() == [0, 0, 0, 0]
+
+
+def test_evidence_of_one_pair_is_added_up_and_limited() -> None:
+    one, two = np.array([4, 4, -1, 4, 7]), np.array([2, 2, 3, 2, 7])
+    run = TrackletRelations.sum_runs(one, two, np.array([1.0, 2.0, 5.0, np.nan, 1.0]))
+    total = TrackletRelations.collect([run, TrackletRelations(np.array([[2, 4]]), np.array([40.0]))])
+    assert (total.pairs.tolist(), total.evidence.tolist()) == ([[2, 4]], [43.0])
+    assert total.limited_evidence.tolist() == [20.0]
+    assert not len(TrackletRelations.collect([]).pairs)

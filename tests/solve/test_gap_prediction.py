@@ -1,0 +1,58 @@
+"""The motion prior's prediction for a body, in the joints of the 31-joint skeleton."""
+
+from typing import cast
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve import motion_prior as gap_prediction
+from mocapfix.solve.gap_combination import GapContext
+from mocapfix.solve.motion_prior import MotionPrior, PredictedGap, build_motion_tree
+
+SKELETON = load_cmu31_body().skeleton
+RATE_HZ = 60.0
+
+
+class Recorder:
+    """A motion prior that returns a known motion, and keeps what it was given."""
+
+    def __init__(self, motion):
+        self.motion = motion
+
+    def predict_gap(self, *given):
+        self.given = given
+        return self.motion
+
+
+def build_context(frame_count=300, first=140, last=170):
+    rotations = np.tile(np.eye(3), (frame_count, 31, 1, 1))
+    root = np.arange(frame_count)[:, None] * np.array([1.0, 0, 0])
+    is_known = np.ones((frame_count, 31), bool)
+    is_known[first : last + 1, SKELETON.find_joint("LeftArm")] = False
+    return GapContext(root, rotations, is_known, first, last, RATE_HZ)
+
+
+def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
+    context, joints = build_context(), build_motion_tree().joints
+    arm = SKELETON.find_joint("LeftArm")
+    turn, raised = (Rotation.from_rotvec([0, 0, angle]).as_matrix() for angle in (0.3, 1.0))
+    context.local_rotations[:, arm - 1] = turn
+    predicted = np.tile(np.eye(3), (31, len(joints), 1, 1))
+    predicted[:, joints == arm] = raised
+    gap = predicted, np.full((31, len(joints)), 0.1), np.ones((31, 3)), np.full(31, 0.1)
+    prior = Recorder(PredictedGap(*gap))
+    found = gap_prediction.predict_model_gap(cast(MotionPrior, prior), context, size_ratio=2.0)
+    assert found is not None
+    np.testing.assert_allclose(prior.given[0], context.root_position / 2)
+    np.testing.assert_allclose(prior.given[1][0, arm], turn)
+    assert prior.given[2].shape == (300, len(joints))
+    np.testing.assert_allclose(turn @ found.rotations[0, arm], raised, atol=1e-12)
+    assert np.isinf(found.variance[:, arm - 1]).all()
+    np.testing.assert_allclose(found.variance[:, arm], 0.01)
+    np.testing.assert_allclose(found.root_position, 2)
+    np.testing.assert_allclose(found.root_variance, 0.04)
+
+
+def test_unpredicted_gap_is_none():
+    assert gap_prediction.predict_model_gap(cast(MotionPrior, Recorder(None)), build_context()) is None
