@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from mocapfix.animations import joint_mapping as joint_points
+from mocapfix.animations import joint_mapping
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_unfilled_samples
 from mocapfix.model import changes
@@ -52,7 +52,7 @@ def apply_repairs(
     options   those of detection (the kinds to repair) and of gap filling are used
     reviewed  decisions on the changes of an earlier cleaning
     """
-    tips = joint_points.build_tip_take(animation)
+    tips = joint_mapping.build_tip_take(animation)
     is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
     before = tips.masked(~is_absent)
     selected = [fault for fault in faults if _is_selected(fault, options.detect.repair_kinds, reviewed)]
@@ -63,9 +63,9 @@ def apply_repairs(
     is_repaired = editable & (rejection_reasons == "")
     repaired = insert_repairs(animation, repair, is_repaired)
     variance = np.where(is_repaired, repair.variance, 0.0)
-    after = joint_points.build_tip_take(repaired)
+    after = joint_mapping.build_tip_take(repaired)
     after = _add_sd(repaired, after, variance, is_repaired | ~before.visible).masked(is_repaired | ~is_absent)
-    joint_take = joint_points.build_joint_take(repaired)
+    joint_take = joint_mapping.build_joint_take(repaired)
     joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
     applied = _list_changes(before, after, selected, repair, is_repaired)
     unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
@@ -115,7 +115,7 @@ def _find_rejection_reasons(
     lost_faults = [fault for fault in faults if fault.kind in LOST_KINDS]
     is_lost = build_fault_mask(lost_faults, editable.shape)
     fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
-    sd = joint_points.compute_joint_point_sd(fully_repaired, joint_points.build_tip_take(fully_repaired), repair.variance)
+    sd = joint_mapping.compute_joint_point_sd(fully_repaired, joint_mapping.build_tip_take(fully_repaired), repair.variance)
     sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
     reasons = explain_unfilled_samples(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
     for fault in lost_faults:
@@ -128,7 +128,7 @@ def _add_sd(
     animation: Animation, points: Take, variance: Float[np.ndarray, "T N"], is_estimated: Bool[np.ndarray, "T M"]
 ) -> Take:
     """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
-    sd = joint_points.compute_joint_point_sd(animation, points, variance)
+    sd = joint_mapping.compute_joint_point_sd(animation, points, variance)
     return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
 
 

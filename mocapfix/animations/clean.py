@@ -24,7 +24,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import joint_mapping, retarget
-from mocapfix.animations import joint_mapping as joint_points
 from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.foot_lock import lock_feet
@@ -38,7 +37,7 @@ from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.io.patches import patch_animation
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
@@ -178,7 +177,7 @@ class MappedPriorConditioner(PriorConditioner):
         for i, joint in enumerate(occluded_joints):
             if joint in self.alignment.file_joints[occluded]:
                 all_frames = np.ones(len(frames), bool)
-                joint_quaternions = 2 * quaternions.extract_joint_quaternions(file_rotations, int(joint), all_frames)
+                joint_quaternions = 2 * lie.extract_joint_quaternions(file_rotations, int(joint), all_frames)
                 is_opposite = (joint_quaternions * result[:, i]).sum(1, keepdims=True) < 0
                 result[:, i] = np.where(is_opposite, -joint_quaternions, joint_quaternions)
         return result.reshape(reference.shape)
@@ -307,8 +306,8 @@ def clean_animation(
     Raises as `pipeline.clean`.
     """
     reject_marker_options(animation, options)
-    check_fill_options(joint_points.build_joint_take(animation), options.fill, "joint")
-    review = read_changes_files(options.review.review_files, [joint_points.build_tip_take(animation)])[0]
+    check_fill_options(joint_mapping.build_joint_take(animation), options.fill, "joint")
+    review = read_changes_files(options.review.review_files, [joint_mapping.build_tip_take(animation)])[0]
     if review.corrections:
         raise TakeError(
             f"{animation.name}: corrections in a changes file are for markers, and this is an animation; remove them."
@@ -379,8 +378,8 @@ def inspect_animation(animation: Animation, options: CleanOptions) -> Inspection
     """Return the report of the faults that `clean_animation` would detect, without repairing them."""
     reject_marker_options(animation, options)
     _, mapping_note = find_body(animation, options.subject.hierarchy)
-    tips, faults = joint_points.build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
-    joint_take = joint_points.build_joint_take(animation)
+    tips, faults = joint_mapping.build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
+    joint_take = joint_mapping.build_joint_take(animation)
     return build_report.build_inspection_report(joint_take, None, tips, faults, [*animation.notes, mapping_note])
 
 

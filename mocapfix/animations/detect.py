@@ -31,7 +31,7 @@ from scipy.ndimage import binary_closing, median_filter
 from mocapfix.animations import offsets
 from mocapfix.animations.joint_mapping import list_track_names
 from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.model.animation import AXIS_LETTERS, Animation
 from mocapfix.model.faults import Fault, FaultKind
 from mocapfix.stats import constant_offsets
@@ -299,7 +299,7 @@ def detect_pose_faults(
         faults.append(_build_gap_fault(gap, track_names, rate))
     for joint in range(joint_count):
         known_rotations = np.where(is_lost[:, joint, None, None], np.eye(3), local_rotations[:, joint])[:, None]
-        joint_quaternions = quaternions.extract_joint_quaternions(known_rotations, 0, ~is_lost[:, joint])
+        joint_quaternions = lie.extract_joint_quaternions(known_rotations, 0, ~is_lost[:, joint])
         if np.ptp(joint_quaternions, axis=0).max() > MIN_QUATERNION_RANGE:
             faults += _detect_joint_faults(joint, names[joint], joint_quaternions, ~is_lost[:, joint], orders[joint], rate)
     position = np.where(is_lost[:, -1:], 0.0, root_position)

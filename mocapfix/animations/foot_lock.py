@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.animations import joint_mapping as joint_points
+from mocapfix.animations import joint_mapping
 from mocapfix.animations.apply_repairs import RepairedAnimation
 from mocapfix.animations.retarget import SkeletonAlignment, compute_file_rotation
 from mocapfix.contacts.body_contacts import hold_feet
@@ -165,11 +165,11 @@ def _record_changes(
     """Return the cleaned animation with its changed legs; their tips have the distance moved as their uncertainty."""
     if not faults:
         return repaired
-    tips, before = joint_points.build_tip_take(animation), repaired.tips_after
+    tips, before = joint_mapping.build_tip_take(animation), repaired.tips_after
     was_known = before.visible
     sd = _combine_sd(before.sample_sd, np.where(is_changed & was_known, _measure_distance(tips.markers, before.markers), np.nan))
     after = before.replace_markers(np.where(was_known[..., None], tips.markers, np.nan), sd)
-    joints = joint_points.build_joint_take(animation)
+    joints = joint_mapping.build_joint_take(animation)
     joint_distance = _measure_distance(joints.markers, repaired.joint_take.markers)
     joint_sd = _combine_sd(repaired.joint_take.sample_sd, np.where(joint_distance > 0, joint_distance, np.nan))
     own_points = before.replace_markers(np.where(is_changed[..., None], after.markers, before.markers), sd)

@@ -14,9 +14,8 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import body_interpolation
-from mocapfix.animations import body_interpolation as rotation_repair
 from mocapfix.animations.body_interpolation import FrameSpan, InterpolatedBody
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.solve import occluded_joints
 from mocapfix.solve.gap_combination import (
@@ -123,10 +122,10 @@ def _remove_offset(
     j, frames, is_sound = fault.marker, fault.frame_slice, ~is_faulty[:, fault.marker]
     span = FrameSpan(fault.first, fault.last, rate)
     if fault.kind == "spike":
-        repair.root_position[frames], variance = rotation_repair.remove_position_offset(repair.root_position, is_sound, span)
+        repair.root_position[frames], variance = body_interpolation.remove_position_offset(repair.root_position, is_sound, span)
     else:
-        joint = quaternions.extract_joint_quaternions(repair.local_rotations, j, is_sound)
-        corrected, variance = rotation_repair.remove_rotation_offset(joint, is_sound, span, rotation_orders[j])
+        joint = lie.extract_joint_quaternions(repair.local_rotations, j, is_sound)
+        corrected, variance = body_interpolation.remove_rotation_offset(joint, is_sound, span, rotation_orders[j])
         repair.local_rotations[frames, j] = Rotation.from_quat(corrected).as_matrix()
     repair.variance[frames, j], repair.method[frames, j] = variance, RepairMethod.OFFSET_REMOVED
 
@@ -136,12 +135,12 @@ def _smooth_jitter(repair: AnimationRepair, fault: Fault, is_faulty: np.ndarray,
     j, frames, is_sound = fault.marker, fault.frame_slice, ~is_faulty[:, fault.marker]
     is_usable = (moving_joints > 0) & (moving_joints != j) & ~is_faulty[frames][:, moving_joints].any(0)
     other_joints = moving_joints[is_usable]
-    joint = quaternions.extract_joint_quaternions(repair.local_rotations, j, np.ones(len(is_sound), bool))
+    joint = lie.extract_joint_quaternions(repair.local_rotations, j, np.ones(len(is_sound), bool))
     is_steady = is_sound & ~is_faulty[:, other_joints].any(1)
     is_steady[frames] = True
-    if is_steady.sum() - (fault.last - fault.first + 1) < rotation_repair.MIN_STEADY_FRAMES:
+    if is_steady.sum() - (fault.last - fault.first + 1) < body_interpolation.MIN_STEADY_FRAMES:
         return
-    smoothed, variance = rotation_repair.smooth_joint_jitter(
+    smoothed, variance = body_interpolation.smooth_joint_jitter(
         repair.root_position,
         repair.local_rotations,
         joint,

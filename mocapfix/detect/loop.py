@@ -20,7 +20,7 @@ from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.errors import TakeError
-from mocapfix.labels import label_swaps as body_label_swaps
+from mocapfix.labels import label_swaps
 from mocapfix.labels.fragments import detect_fragments
 from mocapfix.labels.label_swaps import detect_label_swaps
 from mocapfix.labels.mislabelled import detect_mislabelled
@@ -75,7 +75,7 @@ def detect_body_faults(
     """
     residuals = body_outliers.compute_body_residuals(subject_take, solver_mask, subject, motion)
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)
-    swaps = body_label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
+    swaps = label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
     distances = estimate_distances(subject_take.markers)
     has_swap = np.any(build_fault_mask(swaps, subject_take.visible.shape), axis=1)
     single_outliers = [

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.fill import marker_estimates as body_fill
+from mocapfix.fill import marker_estimates
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate, measure_speed_limit
 from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
 from mocapfix.fill.marker_estimates import (
@@ -193,7 +193,9 @@ def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: Bod
     subject_take = take.select(columns, is_inlier)
     is_missing = ~is_inlier[:, columns] & has_column
     motion = body.filling_motion or body.motion
-    filled, filled_sd = body_fill.fill_from_body(subject_take.markers, is_missing, body.extended_subject, motion, take.rate)
+    filled, filled_sd = marker_estimates.fill_from_body(
+        subject_take.markers, is_missing, body.extended_subject, motion, take.rate
+    )
     positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
     return build_marker_estimate(positions, sd, FillMethod.BODY)
 

@@ -3,7 +3,7 @@
 The limit is an angle: of every bone relative to its parent, in every frame. For the position of the pelvis it is the distance
 that this angle means at the end of a leg, angle times leg length. Errors of a leg's bones add up, so while a foot stands there
 is a limit of its ankle's and ball's distance too. Source of the keys' choice: `kernels/key_reduction.py` and, for the legs,
-`kernels/standing_foot_keys.py`.
+`kernels/key_reduction.py`.
 
 The legs of a character and when its feet stand, for a reduction of keys that keeps standing feet where they are.
 """
@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion
-from mocapfix.kernels import key_reduction
-from mocapfix.kernels import key_reduction as standing_foot_keys
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import key_reduction, lie
 
 if TYPE_CHECKING:
     from mocapfix.contacts.contacts import BodyContacts
@@ -119,7 +117,7 @@ def select_motion_keys(
     """
     frame_count = len(position)
     is_known = np.ones(frame_count, bool)
-    rotations = tuple(quaternions.extract_joint_quaternions(local_rotations, bone, is_known) for bone in bones)
+    rotations = tuple(lie.extract_joint_quaternions(local_rotations, bone, is_known) for bone in bones)
     if max_error_rad is None:
         constant = [key_reduction.select_rotation_keys(rotation, CONSTANT_TRACK_RAD) for rotation in rotations]
         keys = tuple(each if each.sum() == 1 else is_known for each in constant)
@@ -160,7 +158,7 @@ def measure_key_reduction(
         points, reduced = compute_points(keys.position[frames], local_rotations[frames]), local_rotations[frames].copy()
         for rotations in curves:
             for bone, rotation in zip(keys.bones, rotations, strict=True):
-                quaternions.store_joint_quaternions(rotation[frames], bone, reduced)
+                lie.store_joint_quaternions(rotation[frames], bone, reduced)
             difference = compute_points(position[frames], reduced) - points
             distance_m = max(distance_m, float(np.linalg.norm(difference, axis=-1).max(initial=0.0)))
     has_standing = legs is not None and bool(legs.standing.any())
@@ -214,7 +212,7 @@ class LegCurves:
         max_error_m           of the pelvis' position
         max_standing_error_m  of ankles and balls of the feet while they stand
         """
-        kept = standing_foot_keys.select_leg_keys(
+        kept = key_reduction.select_leg_keys(
             self.position, self.rotations, self.offsets, self.leg_ends, self.balls, self.standing, self.points,
             float(max_error_rad), float(max_error_m), float(max_standing_error_m),
         )  # fmt: skip
@@ -230,7 +228,7 @@ class LegCurves:
         for k, bone in enumerate(self.bones):
             if bone in rotations:
                 moved[k] = rotations[bone]
-        return standing_foot_keys.measure_standing_error(
+        return key_reduction.measure_standing_error(
             np.ascontiguousarray(position, float), moved, self.offsets, self.leg_ends, self.balls, self.standing, self.points
         )
 
@@ -250,10 +248,10 @@ def build_leg_curves(character: Character, motion: CharacterMotion, contacts: "B
         bones += _list_leg(character, pelvis, foot)
         leg_ends.append(len(bones))
     is_known = np.ones(motion.frame_count, bool)
-    rotations = np.stack([quaternions.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones])
+    rotations = np.stack([lie.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones])
     position = np.ascontiguousarray(motion.pelvis_position, float)
     legs = np.ascontiguousarray(character.rest_positions[bones], float), np.array(leg_ends), balls
-    points = standing_foot_keys.compute_foot_points(position, rotations, *legs)
+    points = key_reduction.compute_foot_points(position, rotations, *legs)
     if contacts is not None and contacts.has_feet:
         from mocapfix.characters.kept_positions import resample_foot_contacts  # few cleanings need it
 

@@ -36,7 +36,7 @@ from jaxtyping import Bool
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.io.files import replace_atomically
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
@@ -107,7 +107,7 @@ def _build_body_arrays(skeleton: Skeleton, motion: Motion, solved_joints: Bool[n
     is_known = np.ones(motion.frame_count, bool)
     is_solved = np.ones(len(skeleton.names), bool) if solved_joints is None else solved_joints
     joints = range(len(skeleton.names))
-    rotations = [quaternions.extract_joint_quaternions(motion.local_rotations, joint, is_known) for joint in joints]
+    rotations = [lie.extract_joint_quaternions(motion.local_rotations, joint, is_known) for joint in joints]
     return {
         "names": np.array(skeleton.names),
         "parents": skeleton.parents,

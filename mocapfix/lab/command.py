@@ -269,13 +269,12 @@ def run_bench_baseline(
     `mocapfix bench --baseline` is the same.
     """
     from mocapfix.lab import baseline
-    from mocapfix.lab import baseline as baseline_measurements
 
     path = file or baseline.get_baseline_path()
     known = {} if update else baseline.read_baseline(path)
     with show_progress("baseline") as progress:
-        measured = baseline_measurements.measure_baseline(progress, BASELINE_UPDATE_RUNS if update else 1)
-        measured = baseline_measurements.repeat_slow_cleans(measured, known, progress)
+        measured = baseline.measure_baseline(progress, BASELINE_UPDATE_RUNS if update else 1)
+        measured = baseline.repeat_slow_cleans(measured, known, progress)
     if update:
         baseline.write_baseline(path, measured)
         stdout_console.print(f"Wrote {len(measured)} values to {path}.")

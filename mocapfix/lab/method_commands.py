@@ -88,12 +88,11 @@ def run_bench_hybrik(
 
 def draw_hybrik_figures(folder: Path, data: Path | None, results: Mapping[str, Any]) -> None:
     """Draw the errors on noisy joints and, if there is motion, the distribution of twists, into a folder."""
-    from mocapfix.lab import hands as pictures
-    from mocapfix.lab import hybrik_tables
+    from mocapfix.lab import hands, hybrik_tables
 
-    pictures.draw_joint_noise(folder / JITTER_FIGURE_NAME, dict(results))
+    hands.draw_joint_noise(folder / JITTER_FIGURE_NAME, dict(results))
     if data:
-        pictures.draw_twists(folder / TWIST_FIGURE_NAME, hybrik_tables.compute_twist_distribution(data))
+        hands.draw_twists(folder / TWIST_FIGURE_NAME, hybrik_tables.compute_twist_distribution(data))
 
 
 def build_jitter_table(title: str, results: Mapping[str, Any], unprocessed: Mapping[str, Any] | None = None) -> Table:
@@ -158,7 +157,7 @@ def run_bench_prior(
 ) -> int:
     """Compare the pose priors: few joints given as in MNN-IK, all joints given, missing limbs, and frames per second."""
     from mocapfix.io.files import make_output_folder
-    from mocapfix.lab import hands as pictures
+    from mocapfix.lab import hands
     from mocapfix.lab.pose_priors import measure_pose_priors
 
     if figure:
@@ -167,7 +166,7 @@ def run_bench_prior(
         results: dict[str, Any] = measure_pose_priors(data, frames, paper_split, figure is not None, progress)
     default = results["default"]
     if figure:
-        pictures.draw_iterations(figure, results["iterations"], default)
+        hands.draw_iterations(figure, results["iterations"], default)
     if as_json:
         print_json(results)
         return EXIT_DONE
@@ -232,7 +231,6 @@ def run_bench_hands(
     """Damage the hands in two sound captures as in section 5.1 of MNN-IK, clean them, and draw both."""
     from mocapfix.io.files import make_output_folder
     from mocapfix.lab import hands
-    from mocapfix.lab import hands as pictures
 
     make_output_folder(output_folder)
     results: dict[str, dict[str, float]] = {}
@@ -243,7 +241,7 @@ def run_bench_hands(
         with show_progress(path.name):
             comparison = hands.compare_hands(path, damage)
         picture = output_folder / f"{name}.png"
-        pictures.draw_hands(picture, comparison)
+        hands.draw_hands(picture, comparison)
         results[name] = {"alone_mm": comparison.markers_only_mm, "cleaned_mm": comparison.cleaned_mm}
         if not as_json:
             errors = f"error {comparison.markers_only_mm:.0f} mm from the markers alone, {comparison.cleaned_mm:.0f} mm cleaned"

@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.io import patches
-from mocapfix.io import source_file as text_tables
+from mocapfix.io import patches, source_file
 from mocapfix.io.c3d_parameters import read_c3d_parameters
 from mocapfix.io.c3d_writer import replace_point_parameters
 from mocapfix.io.capture import read_capture, read_capture_bytes
@@ -163,7 +162,7 @@ def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labe
     labelled = replace(
         take, markers=positions, labels=labels, unlabelled=None, computed_points=None, point_columns=np.zeros(0, int)
     )
-    write = text_tables.write_trc if take.path and take.path.suffix.lower() == ".trc" else text_tables.write_csv
+    write = source_file.write_trc if take.path and take.path.suffix.lower() == ".trc" else source_file.write_csv
     with make_scratch_folder() as folder:
         path = folder / "labelled"
         write(path, labelled)

@@ -30,7 +30,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body
@@ -208,7 +208,7 @@ def _solve_inferred_joints(
         is_gap = problem.is_unobserved[:, j]
         trajectory = smoothing.smooth_joint_rotations(pose[1], j, variance[:, j], problem.is_uncertain[:, j], problem.rate)
         rotations = np.empty((int(is_gap.sum()), 1, 3, 3))
-        quaternions.store_joint_quaternions(trajectory[is_gap], 0, rotations)
+        lie.store_joint_quaternions(trajectory[is_gap], 0, rotations)
         start[is_gap[frames], j] = rotations[:, 0]
         weight[is_gap[frames], j] = smoothing.compute_tracking_weight(variance[is_gap, j], problem.options)
     tracking = TrackingTerm(start.copy(), weight, root_position.copy(), np.full(len(frames), FIXED_JOINT_WEIGHT))

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.solve.gap_combination import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -160,7 +160,7 @@ def infer_occluded_joints(
             predicted += np.repeat(gain, 4, axis=1) * innovation
         for i, j in enumerate(occluded):
             predicted_joint = np.ascontiguousarray(predicted[:, 4 * i : 4 * i + 4])
-            quaternions.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
+            lie.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
         if conditioner:
             gap_rotations = local_rotations[first : last + 1]
             context = GapContext(root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
@@ -202,7 +202,7 @@ def extract_training_rotations(
     occluded: Int[np.ndarray, " L"],
 ) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, " N"]]:
     """Return quaternions of L joints, multiplied by 2, as rows of Q = 4 L numbers, and their excess variance in rad^2."""
-    rotations = [2 * quaternions.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded]
+    rotations = [2 * lie.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded]
     training_variance = variance[training][:, occluded].max(axis=1)
     return np.concatenate(rotations, axis=1), np.maximum(training_variance - np.median(training_variance), 0.0)
 

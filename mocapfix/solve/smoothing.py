@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import PoseUncertainty
@@ -85,7 +85,7 @@ def estimate_rotation_power(
     rate: float,
     max_sd_rad: float = MAX_POWER_SAMPLE_SD,
 ) -> Float[np.ndarray, " T"]:
-    """Return the power of a joint's random angular acceleration, in rad^2/s^3 per axis, from its quaternions."""
+    """Return the power of a joint's random angular acceleration, in rad^2/s^3 per axis, from its lie."""
     # quaternions are half the angle, and spread three degrees of freedom over four numbers
     return estimate_acceleration_power(2 * joint_quaternions, variance, rate, max_sd_rad) * 4 / 3
 
@@ -147,9 +147,9 @@ def track_across_gaps(
     """
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
     for j in np.flatnonzero(is_uncertain.any(0)):
-        joint = quaternions.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
+        joint = lie.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
         trajectory, gap_variance[:, j] = interpolate_quaternions(joint, variance[:, j], is_uncertain[:, j], rate)
-        quaternions.store_joint_quaternions(trajectory, j, rotations)
+        lie.store_joint_quaternions(trajectory, j, rotations)
         tracking_variance = gap_variance[:, j] + options.rotation_tracking_sd_rad**2
         weight[:, j] = np.where(is_uncertain[:, j], 1 / tracking_variance, 0.0)
     no_root, no_weight = np.zeros((len(local_rotations), 3)), np.zeros(len(local_rotations))
@@ -174,7 +174,7 @@ def smooth_poses(
     for j in np.flatnonzero(free_joints).tolist():
         variance = uncertainty.rotation_variance[:, j]
         trajectory = smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate)
-        quaternions.store_joint_quaternions(trajectory, j, local_rotations)
+        lie.store_joint_quaternions(trajectory, j, local_rotations)
         weight[:, j] = compute_tracking_weight(variance, options)
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
     return TrackingTerm(local_rotations, weight, smooth_root, 1 / (options.root_tracking_sd_m**2 + root_variance))
@@ -187,8 +187,8 @@ def smooth_joint_rotations(
     is_uncertain: Bool[np.ndarray, " T"],
     rate: float,
 ) -> Float[np.ndarray, "T 4"]:
-    """Return the smooth trajectory of one joint's rotations, whose variance is in rad^2, as quaternions."""
-    joint_quaternions = quaternions.extract_joint_quaternions(local_rotations, joint, np.ones(len(variance), bool))
+    """Return the smooth trajectory of one joint's rotations, whose variance is in rad^2, as lie."""
+    joint_quaternions = lie.extract_joint_quaternions(local_rotations, joint, np.ones(len(variance), bool))
     observed_variance = np.where(is_uncertain, MAX_SAMPLE_VARIANCE, variance)
     power = estimate_rotation_power(joint_quaternions, observed_variance, rate, MAX_OBSERVED_SAMPLE_SD_RAD)
     if is_uncertain.any():  # what is inferred for a gap is smooth, unlike what markers show
@@ -224,10 +224,8 @@ def remove_pose_jitter(
         is_known[:, j] &= is_known[:, tree.parents[j]]
     _, world_rotations = kinematics.compute_tree_poses(tree, root_position, local_rotations)
     for j in np.flatnonzero(tree.free):
-        joint = quaternions.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
-        quaternions.store_joint_quaternions(
-            remove_jitter(joint, is_known[:, j], rate, options.rotation_jitter_rad), j, world_rotations
-        )
+        joint = lie.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
+        lie.store_joint_quaternions(remove_jitter(joint, is_known[:, j], rate, options.rotation_jitter_rad), j, world_rotations)
     write_local_rotations(world_rotations, tree, local_rotations)
     return smooth_root_path(root_position, np.full(len(root_position), options.root_jitter_m**2), rate)[0]
 

@@ -37,7 +37,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import lie as quaternions
+from mocapfix.kernels import lie
 from mocapfix.kernels.terms import PosePriorTerm, TrackingTerm
 from mocapfix.model.motion import PoseEvidence, PoseUncertainty
 from mocapfix.model.subject import Subject
@@ -215,8 +215,8 @@ def interpolate_sampled_prior(
     information = np.tile(sampled.information[:1], (len(every_frame), 1, 1, 1))
     known, part = np.ones(len(frames), bool), share[:, None]
     for j in joints.tolist():
-        sequence = quaternions.extract_joint_quaternions(sampled.mean_rotations, j, known)
-        quaternions.store_joint_quaternions((1 - part) * sequence[before] + part * sequence[after], j, means)
+        sequence = lie.extract_joint_quaternions(sampled.mean_rotations, j, known)
+        lie.store_joint_quaternions((1 - part) * sequence[before] + part * sequence[after], j, means)
         values = sampled.information[:, j]
         information[:, j] = (1 - part[..., None]) * values[before] + part[..., None] * values[after]
     return PosePriorTerm(means, information)

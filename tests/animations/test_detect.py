@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import detect
-from mocapfix.animations import detect as gaps
 from mocapfix.animations.detect import TrackMotion
 from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
@@ -97,7 +96,7 @@ def test_single_jitter_burst_about_one_axis_is_detected():
 def test_value_repeated_in_one_frame_is_a_gap_if_several_tracks_share_it(tracks: list[int]):
     steps, rest_distances = np.full((60, 8), 0.01), np.ones((61, 8))
     steps[30, tracks], steps[31, tracks] = 0.0, 0.05
-    found = gaps.detect_animation_gaps(TrackMotion(steps, rest_distances), np.zeros(rest_distances.shape, bool), RATE)
+    found = detect.detect_animation_gaps(TrackMotion(steps, rest_distances), np.zeros(rest_distances.shape, bool), RATE)
     assert [each[:3] for each in found] == ([((0, 1), 31, 31)] if len(tracks) > 1 else [])
 
 
@@ -132,7 +131,7 @@ def test_intended_standstill_is_no_gap():
     frames = np.round(300 * progress).astype(int)
     motion = compose_sound_motion()
     tracks = detect.compute_track_motion(motion.root_position[frames], motion.local_rotations[frames])
-    found = gaps.detect_animation_gaps(tracks, np.zeros(tracks.rest_distances.shape, bool), RATE)
+    found = detect.detect_animation_gaps(tracks, np.zeros(tracks.rest_distances.shape, bool), RATE)
     assert not [gap for gap in found if gap.last - gap.first > 30]
 
 

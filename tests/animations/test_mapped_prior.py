@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animations.clean import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import prior_files
 from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.motion_prior import predict_shipped_gap
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -21,7 +21,7 @@ OBSERVED = np.array(
 
 @pytest.fixture(scope="module")
 def model():
-    return io.load_pose_model("gaussian", SKELETON)
+    return prior_files.load_pose_model("gaussian", SKELETON)
 
 
 def posed(frames: int) -> np.ndarray:

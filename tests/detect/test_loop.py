@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import loop
-from mocapfix.detect import loop as body_checks
 from mocapfix.io import capture
 from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
 from mocapfix.model.motion import Motion
@@ -96,7 +95,7 @@ def build_body(marker_columns, marker_offsets) -> BodyFit:
 def test_shift_is_confirmed_by_the_body(change_m, is_rejected):
     shift = MarkerShift("moved", 1, 50, 99, 0.04, "", settled_frame=50)
     body = build_body([0, 1, 2, 3], [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, change_m, 0]])
-    found = body_checks.find_unconfirmed_shifts(DetectionState(TAKE, (), Faults((shift,))), body)
+    found = loop.find_unconfirmed_shifts(DetectionState(TAKE, (), Faults((shift,))), body)
     assert found == ([shift] if is_rejected else [])
 
 
@@ -106,7 +105,7 @@ def test_shift_to_a_rarely_visible_position_is_unconfirmed():
     off_body = MarkerShift("moved", 2, 50, 99, 0.04, "", settled_frame=50)
     body = build_body([0, 1], [[0, 0, 0], [0, 0, 0]])
     detection = DetectionState(TAKE, (), Faults((late, off_body)))
-    assert body_checks.find_unconfirmed_shifts(detection, body) == [late]
+    assert loop.find_unconfirmed_shifts(detection, body) == [late]
 
 
 def mock_detectors(monkeypatch, *body_faults):

@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.io import files as output_files
+from mocapfix.io import files
 from mocapfix.io.files import hold_signals, make_scratch_folder, replace_atomically, replace_together
 
 
@@ -107,6 +107,6 @@ def test_no_room_for_temporary_files_is_an_error(monkeypatch):
     def refuse():
         raise FileNotFoundError(2, "No usable temporary directory found")
 
-    monkeypatch.setattr(output_files, "gettempdir", refuse)
+    monkeypatch.setattr(files, "gettempdir", refuse)
     with pytest.raises(WriteError, match="TMPDIR"), make_scratch_folder():
         pass

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.io import files as temporary_files
+from mocapfix.io import files
 from mocapfix.io.files import open_temporary_file, open_temporary_folder, remove_abandoned_files
 
 OWNER = """
@@ -21,7 +21,7 @@ with open_temporary_file(Path(sys.argv[1])) as file, open_temporary_folder(Path(
     print("ready", flush=True)
     time.sleep(60)
 """
-pytestmark = pytest.mark.skipif(temporary_files.fcntl is None, reason="no locks on this system")
+pytestmark = pytest.mark.skipif(files.fcntl is None, reason="no locks on this system")
 
 
 def list_names(folder: Path) -> list[str]:
@@ -57,14 +57,14 @@ def test_those_of_other_machines_are_left_for_a_day(tmp_path: Path) -> None:
     foreign.touch()
     remove_abandoned_files(tmp_path)
     assert foreign.exists()
-    old = time.time() - 2 * temporary_files.FOREIGN_AGE_S
+    old = time.time() - 2 * files.FOREIGN_AGE_S
     os.utime(foreign, (old, old))
     remove_abandoned_files(tmp_path)
     assert not foreign.exists()
 
 
 def test_folder_without_a_lock_is_removed_if_it_is_empty(tmp_path: Path) -> None:
-    folder = tmp_path / f"{temporary_files.TEMPORARY_PREFIX}abc"
+    folder = tmp_path / f"{files.TEMPORARY_PREFIX}abc"
     folder.mkdir()
     (folder / "part").touch()
     remove_abandoned_files(tmp_path)

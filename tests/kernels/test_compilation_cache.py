@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from mocapfix.kernels import compilation_cache
-from mocapfix.kernels import compilation_cache as deferred_code
 from mocapfix.kernels.compilation_cache import PACKAGE_FOLDER, compile_inner_kernel, find_module_folder
 
 KERNEL_SOURCES = {
@@ -52,7 +51,7 @@ def package(tmp_path):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(textwrap.dedent(source))
-    for module in (compilation_cache, deferred_code):
+    for module in (compilation_cache, compilation_cache):
         shutil.copy(inspect.getfile(module), folder / "kernels")
     return folder
 

@@ -9,7 +9,6 @@ import pytest
 from numba import types
 
 from mocapfix.kernels import precompilation
-from mocapfix.kernels import precompilation as signatures
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.precompilation import (
     CompilationSchedule,
@@ -141,4 +140,4 @@ def test_a_worker_compiles_what_it_is_sent(tmp_path):
     )
     assert done.stdout == f"ready\n{index}\n"
     assert [path.name.partition("-")[0] for path in tmp_path.rglob("*.nbi")] == [name]
-    assert signatures.read_signatures() == read_signatures()
+    assert precompilation.read_signatures() == read_signatures()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import hybrik as swing_twist
+from mocapfix.kernels import hybrik
 from tests.kernels import random_terms
 
 seeds = st.integers(0, 2**32 - 1)
@@ -17,21 +17,21 @@ AXES = [(1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.3), (1.0, 2.0, -3.0), (0
 
 @njit
 def compiled_swing(t, p):
-    return swing_twist.compute_swing(t, p)
+    return hybrik.compute_swing(t, p)
 
 
 @njit
 def compiled_twist(t, cosine, sine):
-    return swing_twist.compute_twist(t, cosine, sine)
+    return hybrik.compute_twist(t, cosine, sine)
 
 
 @njit
 def compiled_between(a, b, c, upper, lower):
-    return swing_twist.solve_two_bone_joint(a, b, c, upper, lower)
+    return hybrik.solve_two_bone_joint(a, b, c, upper, lower)
 
 
 def swung(t, p) -> np.ndarray:
-    return np.reshape(swing_twist.compute_swing(tuple(map(float, t)), tuple(map(float, p))), (3, 3))
+    return np.reshape(hybrik.compute_swing(tuple(map(float, t)), tuple(map(float, p))), (3, 3))
 
 
 @given(seeds)
@@ -48,7 +48,7 @@ def test_swing_is_the_shortest_rotation_between_directions(seed):
 @pytest.mark.parametrize("t", AXES)
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 1e-5])
 def test_nearly_opposite_directions_swing_by_a_half_turn(t, angle):
-    away = -Rotation.from_rotvec(angle * np.array(swing_twist.compute_perpendicular(swing_twist.normalise_vector(t)))).apply(t)
+    away = -Rotation.from_rotvec(angle * np.array(hybrik.compute_perpendicular(hybrik.normalise_vector(t)))).apply(t)
     turn = swung(t, away)
     assert np.linalg.det(turn) == pytest.approx(1)
     assert np.allclose(turn @ t, away, atol=3e-6)
@@ -64,7 +64,7 @@ def test_parallel_and_zero_vectors_give_no_swing(t):
 @given(seeds, st.floats(-3.1, 3.1), st.floats(1e-6, 1e6))
 def test_twist_does_not_depend_on_the_evidences_length(seed, angle, length):
     t = np.random.default_rng(seed).normal(size=3)
-    turn = np.reshape(swing_twist.compute_twist(tuple(t), length * np.cos(angle), length * np.sin(angle)), (3, 3))
+    turn = np.reshape(hybrik.compute_twist(tuple(t), length * np.cos(angle), length * np.sin(angle)), (3, 3))
     assert np.allclose(turn, Rotation.from_rotvec(angle * t / np.linalg.norm(t)).as_matrix(), atol=1e-12)
 
 
@@ -73,7 +73,7 @@ def test_twist_evidence_gives_the_least_squares_angle(seed):
     rng = np.random.default_rng(seed)
     t, points, seen = rng.normal(size=3), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
     evidence = np.sum(
-        [swing_twist.compute_twist_evidence(tuple(t), tuple(m), tuple(s)) for m, s in zip(points, seen, strict=True)], axis=0
+        [hybrik.compute_twist_evidence(tuple(t), tuple(m), tuple(s)) for m, s in zip(points, seen, strict=True)], axis=0
     )
 
     def off(angle):
@@ -89,7 +89,7 @@ def test_two_bone_joint_keeps_both_lengths_and_is_nearest(seed):
     a, c, b = rng.normal(size=(3, 3))
     upper, reach = rng.uniform(0.1, 2), np.linalg.norm(c - a)
     lower = rng.uniform(abs(upper - reach), upper + reach)
-    place, missed = swing_twist.solve_two_bone_joint(tuple(a), tuple(b), tuple(c), upper, lower)
+    place, missed = hybrik.solve_two_bone_joint(tuple(a), tuple(b), tuple(c), upper, lower)
     assert missed == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(place - a) == pytest.approx(upper)
     assert np.linalg.norm(place - c) == pytest.approx(lower)
@@ -108,7 +108,7 @@ def test_two_bone_joint_keeps_both_lengths_and_is_nearest(seed):
     ],
 )
 def test_unreachable_two_bone_joint_is_in_line_with_its_reach_error(end, upper, lower, place, missed):
-    found, by = swing_twist.solve_two_bone_joint((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), tuple(map(float, end)), upper, lower)
+    found, by = hybrik.solve_two_bone_joint((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), tuple(map(float, end)), upper, lower)
     assert by == pytest.approx(missed)
     assert np.linalg.norm(found) == pytest.approx(upper)
     if any(end):
@@ -117,7 +117,7 @@ def test_unreachable_two_bone_joint_is_in_line_with_its_reach_error(end, upper, 
 
 @pytest.mark.parametrize("b", [(0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (9.0, 0.0, 0.0)])
 def test_guess_in_line_with_both_ends_keeps_both_lengths(b):
-    place, _ = swing_twist.solve_two_bone_joint((0.0, 0.0, 0.0), b, (0.5, 0.0, 0.0), 0.3, 0.4)
+    place, _ = hybrik.solve_two_bone_joint((0.0, 0.0, 0.0), b, (0.5, 0.0, 0.0), 0.3, 0.4)
     assert np.linalg.norm(place) == pytest.approx(0.3)
     assert np.linalg.norm(np.subtract(place, (0.5, 0, 0))) == pytest.approx(0.4)
 
@@ -129,10 +129,10 @@ def test_kernels_and_tensors_agree():
     upper, lower = rng.uniform(0.1, 1.5, (2, 200))
     x, y, z = (tuple(torch.tensor(each).T) for each in (a, b, c))
     together = [
-        torch.stack(swing_twist.compute_swing(x, y)).T,
-        torch.stack(swing_twist.compute_swing(x, z)).T,
-        torch.stack(swing_twist.compute_twist(x, torch.tensor(upper), torch.tensor(lower))).T,
-        torch.stack(swing_twist.solve_two_bone_joint(x, y, z, torch.tensor(upper), torch.tensor(lower))[0]).T,
+        torch.stack(hybrik.compute_swing(x, y)).T,
+        torch.stack(hybrik.compute_swing(x, z)).T,
+        torch.stack(hybrik.compute_twist(x, torch.tensor(upper), torch.tensor(lower))).T,
+        torch.stack(hybrik.solve_two_bone_joint(x, y, z, torch.tensor(upper), torch.tensor(lower))[0]).T,
     ]
     for i in range(200):
         k, m, n = (tuple(each[i]) for each in (a, b, c))
@@ -145,12 +145,12 @@ def test_kernels_and_tensors_agree():
 def test_gradients_are_correct_and_finite_at_singularities():
     rng = np.random.default_rng(1)
     t, p, c = (torch.tensor(each.T.copy(), requires_grad=True) for each in rng.normal(size=(3, 5, 3)))
-    assert torch.autograd.gradcheck(lambda t, p: torch.stack(swing_twist.compute_swing(tuple(t), tuple(p))), (t, p))
+    assert torch.autograd.gradcheck(lambda t, p: torch.stack(hybrik.compute_swing(tuple(t), tuple(p))), (t, p))
     assert torch.autograd.gradcheck(
-        lambda t, p, c: torch.stack(swing_twist.solve_two_bone_joint(tuple(t), tuple(p), tuple(c), 1.5, 1.2)[0]), (t, p, c)
+        lambda t, p, c: torch.stack(hybrik.solve_two_bone_joint(tuple(t), tuple(p), tuple(c), 1.5, 1.2)[0]), (t, p, c)
     )
     for a, b in [((1.0, 0, 0), (-1.0, 0, 0)), ((1.0, 0, 0), (0.0, 0, 0)), ((1.0, 0, 0), (2.0, 0, 0))]:
         corner = torch.tensor([[*a], [*b]], dtype=torch.float64, requires_grad=True)
-        torch.stack(swing_twist.compute_swing(tuple(corner[0]), tuple(corner[1]))).sum().backward()
+        torch.stack(hybrik.compute_swing(tuple(corner[0]), tuple(corner[1]))).sum().backward()
         assert corner.grad is not None
         assert torch.isfinite(corner.grad).all()

@@ -9,11 +9,11 @@ import pytest
 from mocapfix.keypoints import film_solver, keypoint_file, keypoint_scene
 from mocapfix.keypoints.reprojection_problem import ReprojectionProblem, build_camera_rotation
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import prior_files
 
 RATE = 10.0
 SKELETON = load_cmu31_body().skeleton
-MODEL = io.load_pose_model("pca", SKELETON)
+MODEL = prior_files.load_pose_model("pca", SKELETON)
 
 
 def compute_error_m(found, truth):

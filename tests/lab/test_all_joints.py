@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.lab import pose_priors as given_joints
-from mocapfix.lab import sound_takes
+from mocapfix.lab import pose_priors, sound_takes
 from mocapfix.lab.compared_priors import ComparedPriors, place_known_poses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import mean_pose, prior_files
 
 SKELETON = load_cmu31_body().skeleton
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations
@@ -24,7 +22,7 @@ def poses():
 
 
 def test_twist_bones_have_one_child_at_some_distance():
-    bones, children = given_joints.find_twist_bones(SKELETON)
+    bones, children = pose_priors.find_twist_bones(SKELETON)
     names = {SKELETON.names[bone]: SKELETON.names[child] for bone, child in zip(bones, children, strict=True)}
     assert names["LeftArm"] == "LeftForeArm"
     assert not {"Hips", "Spine1", "LeftHand", "Head", "LThumb"} & set(names)
@@ -38,8 +36,8 @@ def test_twist_error_is_the_rotation_about_the_bone(poses, angle):
     rotation = Rotation.from_rotvec(angle * direction).as_matrix()
     twisted[:, arm] = twisted[:, arm] @ rotation
     twisted[:, elbow] = rotation.T @ twisted[:, elbow]
-    errors = given_joints.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, twisted), truth)
-    bones = given_joints.find_twist_bones(SKELETON)[0]
+    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, twisted), truth)
+    bones = pose_priors.find_twist_bones(SKELETON)[0]
     np.testing.assert_allclose(errors[:, bones == arm], abs(angle), atol=1e-6)
     np.testing.assert_allclose(errors[:, bones != arm], 0, atol=1e-6)
 
@@ -48,8 +46,8 @@ def test_swing_of_a_bone_is_not_a_twist(poses):
     truth, rotated = place_known_poses(SKELETON, ORIGIN, poses), poses.copy()
     arm, elbow = SKELETON.find_joint("RightArm"), SKELETON.find_joint("RightForeArm")
     rotated[:, arm] = rotated[:, arm] @ Rotation.from_rotvec(0.4 * np.cross(SKELETON.offsets[elbow], [0, 1, 0])).as_matrix()
-    errors = given_joints.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, rotated), truth)
-    np.testing.assert_allclose(errors[:, given_joints.find_twist_bones(SKELETON)[0] == arm], 0, atol=1e-6)
+    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, rotated), truth)
+    np.testing.assert_allclose(errors[:, pose_priors.find_twist_bones(SKELETON)[0] == arm], 0, atol=1e-6)
 
 
 def test_bias_is_relative_to_no_prior_and_noise_is_the_same_for_all(poses, monkeypatch):
@@ -59,20 +57,20 @@ def test_bias_is_relative_to_no_prior_and_noise_is_the_same_for_all(poses, monke
         tasks.append(task)
         return place_known_poses(SKELETON, ORIGIN + [offsets[model], 0, 0], poses)
 
-    monkeypatch.setattr(given_joints, "solve_joint_task", solve)
+    monkeypatch.setattr(pose_priors, "solve_joint_task", solve)
     priors: dict[str, Any] = {"none": None, "biased": "biased"}
-    results = given_joints.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
+    results = pose_priors.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
     assert results["none"] == pytest.approx({"bias_mm": 0, "noisy_mm": 0, "twist_deg": 0}, abs=1e-4)
     assert results["biased"] == pytest.approx({"bias_mm": 2, "noisy_mm": 2, "twist_deg": 0}, abs=1e-4)
     exact, noisy, again, noisy_again = tasks
     np.testing.assert_array_equal(noisy.given_positions, noisy_again.given_positions)
     np.testing.assert_array_equal(exact.given_positions, again.given_positions)
-    assert (noisy.given_positions - exact.given_positions).std() == pytest.approx(given_joints.ALL_JOINTS_SD_M, rel=0.1)
+    assert (noisy.given_positions - exact.given_positions).std() == pytest.approx(pose_priors.ALL_JOINTS_SD_M, rel=0.1)
 
 
 def test_exact_positions_are_met_without_a_prior_and_twists_are_better_with_one(poses):
-    priors: ComparedPriors = {"none": None, "gaussian": io.load_pose_model("gaussian", SKELETON)}
-    results = given_joints.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
+    priors: ComparedPriors = {"none": None, "gaussian": prior_files.load_pose_model("gaussian", SKELETON)}
+    results = pose_priors.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
     assert results["none"]["bias_mm"] == 0
     assert 0 < results["gaussian"]["bias_mm"] < 5
     assert results["gaussian"]["twist_deg"] < results["none"]["twist_deg"]

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from mocapfix.errors import ReadError
-from mocapfix.lab import autoencoder_training as autoencoder
-from mocapfix.lab import settings
+from mocapfix.lab import autoencoder_training, settings
 from mocapfix.lab.autoencoder_training import build_rate_schedule, compute_weight_norm, train_network
 from mocapfix.lab.settings import AutoencoderSettings
 from mocapfix.lab.training_poses import compute_sampling_weights
@@ -94,7 +93,7 @@ def test_weight_norm_excludes_biases():
 
 def test_initial_weights_have_the_set_standard_deviation():
     training_settings = build_settings("mnn-ik", hidden_widths=(200,))
-    network, _ = autoencoder.initialise_network(
+    network, _ = autoencoder_training.initialise_network(
         93, REFERENCE, NetworkArchitecture("euler", "euler", (200,), 4, 0, "relu", skip_connection=False), training_settings
     )
     first = next(network.encoder.parameters())
@@ -114,7 +113,7 @@ def test_subject_balance_sets_the_sampling_frequency():
         assert float(weights[900:].sum() / weights.sum()) == pytest.approx(expected)
         counts = np.zeros(1000)
         for seed in range(20):
-            shown = autoencoder.sample_epoch(weights, torch.Generator().manual_seed(seed)).numpy()
+            shown = autoencoder_training.sample_epoch(weights, torch.Generator().manual_seed(seed)).numpy()
             assert len(shown) == 1000
             np.add.at(counts, shown, 1)
         assert counts[900:].sum() / counts.sum() == pytest.approx(expected, abs=0.02)
@@ -124,5 +123,7 @@ def test_subject_balance_sets_the_sampling_frequency():
 def test_corrupted_share_of_poses_is_corrupted(poses):
     vectors = torch.as_tensor(poses.reshape(-1, 31, 3), dtype=torch.float32).repeat(20, 1, 1)
     for share in (0.0, 0.3, 1.0):
-        shown = autoencoder.corrupt_some_poses(vectors, share, autoencoder.build_limb_masks(), torch.Generator().manual_seed(0))
+        shown = autoencoder_training.corrupt_some_poses(
+            vectors, share, autoencoder_training.build_limb_masks(), torch.Generator().manual_seed(0)
+        )
         assert float((shown != vectors).flatten(1).any(1).float().mean()) == pytest.approx(share, abs=0.04)

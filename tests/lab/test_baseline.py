@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError
-from mocapfix.lab import baseline as baseline_measurements
+from mocapfix.lab import baseline
 from mocapfix.lab.baseline import BaselineEntry, compare_with_baseline, get_baseline_path, read_baseline, write_baseline
 from mocapfix.lab.clean_speed import CLEAN_SCENES
 
@@ -46,40 +46,40 @@ def cost(over_solver: float) -> dict[str, float]:
 
 
 def test_a_ratio_that_is_a_third_worse_fails_and_one_that_is_a_quarter_worse_does_not() -> None:
-    known = baseline_measurements.build_clean_entries({"sound": cost(30.0), "animation": cost(30.0)})
-    measured = baseline_measurements.build_clean_entries({"sound": cost(37.5), "animation": cost(40.1)})
+    known = baseline.build_clean_entries({"sound": cost(30.0), "animation": cost(30.0)})
+    measured = baseline.build_clean_entries({"sound": cost(37.5), "animation": cost(40.1)})
     rows = [row for row in compare_with_baseline(measured, known) if "time" in row.name]
     assert [row.is_worse for row in rows] == [False, True]
 
 
 @pytest.mark.parametrize(("repeats", "is_worse"), [((31.0, 32.0), False), ((31.0, 44.0), True)])
 def test_a_slow_clean_is_repeated_and_the_median_counts(monkeypatch, repeats: tuple[float, float], is_worse: bool) -> None:
-    known = baseline_measurements.build_clean_entries({"sound": cost(30.0), "animation": cost(30.0)})
-    measured = baseline_measurements.build_clean_entries({"sound": cost(29.0), "animation": cost(45.0)})
+    known = baseline.build_clean_entries({"sound": cost(30.0), "animation": cost(30.0)})
+    measured = baseline.build_clean_entries({"sound": cost(29.0), "animation": cost(45.0)})
     values = iter(repeats)
 
     def measure(run_count, progress, names, warm_up):
         assert (run_count, list(names), warm_up) == (1, ["animation"], False)
         return {"animation": cost(next(values))}
 
-    monkeypatch.setattr(baseline_measurements, "measure_clean_speed", measure)
-    repeated = baseline_measurements.repeat_slow_cleans(measured, known, lambda _: None)
+    monkeypatch.setattr(baseline, "measure_clean_speed", measure)
+    repeated = baseline.repeat_slow_cleans(measured, known, lambda _: None)
     assert list(repeated) == list(measured)
     assert [row.is_worse for row in compare_with_baseline(repeated, known)] == [False, False, is_worse, False]
 
 
 def test_cleans_that_are_fast_enough_are_not_repeated() -> None:
-    entries = baseline_measurements.build_clean_entries({"sound": cost(30.0)})
-    assert baseline_measurements.repeat_slow_cleans(entries, entries, lambda _: None) == entries
+    entries = baseline.build_clean_entries({"sound": cost(30.0)})
+    assert baseline.repeat_slow_cleans(entries, entries, lambda _: None) == entries
 
 
 def test_coverage_is_held_as_its_distance_from_that_of_a_normal_distribution(monkeypatch) -> None:
     summary = {"error_mm": 9.0, "within_1_sigma": 0.6027, "within_2_sigma": 0.9745}
     for name in ("compose_take", "clean_composed_take", "gather_joint_errors", "gather_fill_errors"):
-        monkeypatch.setattr(baseline_measurements, name, lambda *_, **__: None)
-    monkeypatch.setattr(baseline_measurements, "compute_fill_errors", lambda *_: {"mocapfix": {"spikes": 0.5}})
-    monkeypatch.setattr(baseline_measurements, "summarise_error_groups", lambda _: summary)
-    entries = baseline_measurements.measure_accuracy_entries(lambda _: None)
+        monkeypatch.setattr(baseline, name, lambda *_, **__: None)
+    monkeypatch.setattr(baseline, "compute_fill_errors", lambda *_: {"mocapfix": {"spikes": 0.5}})
+    monkeypatch.setattr(baseline, "summarise_error_groups", lambda _: summary)
+    entries = baseline.measure_accuracy_entries(lambda _: None)
     assert {name: each.value for name, each in entries.items()} == {
         "demo: spikes, mm": 0.5,
         "joints: error, mm": 9.0,
@@ -118,7 +118,7 @@ def test_the_command_fails_if_something_became_worse_and_updates_on_request(moca
     path, run_counts = tmp_path / "baseline.json", list[int]()
     write_baseline(path, {"error, mm": entry(10.0, 2.0)})
     now = {"error, mm": entry(10.1, 2.0), "new": entry(1.0)}
-    monkeypatch.setattr(baseline_measurements, "measure_baseline", lambda _, run_count: run_counts.append(run_count) or now)
+    monkeypatch.setattr(baseline, "measure_baseline", lambda _, run_count: run_counts.append(run_count) or now)
     status, out, _ = mocapfix("bench", "--baseline", "--file", path)
     assert (status, "worse\n" in out.replace(" ", ""), "Not in the baseline: new." in out) == (0, False, True)
     now["error, mm"] = entry(10.3, 2.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import body_statistics as train
+from mocapfix.lab import body_statistics
 from mocapfix.model import skeleton
 from mocapfix.model.skeleton import load_cmu31_skeleton
 
@@ -24,7 +24,7 @@ def draw_bodies(rng, count=400):
 
 
 def test_components_are_fitted_at_equal_size():
-    components, explained = train.fit_shape_components(draw_bodies(np.random.default_rng(0)), MEAN, MIRRORED, 10)
+    components, explained = body_statistics.fit_shape_components(draw_bodies(np.random.default_rng(0)), MEAN, MIRRORED, 10)
     assert len(components) == 2
     assert explained == pytest.approx(1.0)
     np.testing.assert_allclose(components[0], [[0, 0, 0], [0, 0, 0], [0, 0.1, 0], [0, 0.1, 0]], atol=0.01)
@@ -33,24 +33,24 @@ def test_components_are_fitted_at_equal_size():
 
 
 def test_largest_components_are_kept():
-    components, explained = train.fit_shape_components(draw_bodies(np.random.default_rng(0)), MEAN, MIRRORED, 1)
+    components, explained = body_statistics.fit_shape_components(draw_bodies(np.random.default_rng(0)), MEAN, MIRRORED, 1)
     assert len(components) == 1
     assert explained == pytest.approx(0.1**2 / (0.1**2 + 0.03**2), abs=0.03)
 
 
 def test_one_body_and_its_mirror_image_give_one_component():
     body = MEAN + [[0, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]
-    components, _ = train.fit_shape_components(body[None], MEAN, MIRRORED, 10)
+    components, _ = body_statistics.fit_shape_components(body[None], MEAN, MIRRORED, 10)
     np.testing.assert_allclose(np.abs(components), [[[0, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]], atol=1e-12)
 
 
 def test_no_test_subject_is_fitted():
-    assert not {"02", "05", "06", "16", "49"} & set(train.BODY_SUBJECTS)
+    assert not {"02", "05", "06", "16", "49"} & set(body_statistics.BODY_SUBJECTS)
 
 
 @pytest.mark.skipif(not MOTION.is_dir(), reason=f"needs CMU's skeletons in {MOTION}")
 def test_shipped_components_are_those_that_the_script_writes(tmp_path):
-    train.write_shape_components(str(MOTION), str(tmp_path / "shape.yaml"))
+    body_statistics.write_shape_components(str(MOTION), str(tmp_path / "shape.yaml"))
     found, shipped = (
         skeleton.load_shape_components(folder / "shape.yaml", load_cmu31_skeleton().names)
         for folder in (tmp_path, find_shipped_folder("priors"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.lab import fault_detection as fault_injection
+from mocapfix.lab import fault_detection
 from mocapfix.lab.fault_detection import FAULT_INJECTIONS, DamagedTake, FaultPlace
 from mocapfix.model.faults import build_fault_mask
 from mocapfix.solve import kinematics
@@ -61,7 +61,7 @@ def test_flicker_has_one_or_two_frames(damaged_take):
 
 
 def test_frozen_samples_repeat_the_previous_one(damaged_take):
-    fault_injection.inject_frozen(damaged_take, PLACE)
+    fault_detection.inject_frozen(damaged_take, PLACE)
     np.testing.assert_array_equal(damaged_take.markers[100:140, 7], np.tile(damaged_take.markers[99, 7], (40, 1)))
 
 
@@ -69,7 +69,7 @@ def test_polynomial_fill_is_a_line_or_a_smooth_cubic(sound):
     is_cubic = []
     for seed in range(8):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
-        fault_injection.inject_polynomial_fill(damaged_take, PLACE)
+        fault_detection.inject_polynomial_fill(damaged_take, PLACE)
         path = damaged_take.markers[99:141, 7]
         np.testing.assert_allclose(np.diff(path, n=4, axis=0), 0, atol=1e-9)
         is_cubic.append(np.abs(np.diff(path, n=2, axis=0)).max() > 1e-6)
@@ -79,7 +79,7 @@ def test_polynomial_fill_is_a_line_or_a_smooth_cubic(sound):
 
 
 def test_spike_has_its_severity(damaged_take):
-    fault_injection.inject_spike(damaged_take, FaultPlace((7,), 100, 101))
+    fault_detection.inject_spike(damaged_take, FaultPlace((7,), 100, 101))
     off = np.linalg.norm(damaged_take.markers[100:102, 7] - damaged_take.true_markers[100:102, 7], axis=-1)
     np.testing.assert_allclose(off, damaged_take.injected_faults[0].severity)
     assert 0.03 <= damaged_take.injected_faults[0].severity <= 0.3
@@ -89,7 +89,7 @@ def test_ghost_is_stationary_or_moves_along(sound):
     is_stationary = []
     for seed in range(8):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
-        fault_injection.inject_ghost(damaged_take, PLACE)
+        fault_detection.inject_ghost(damaged_take, PLACE)
         there, true = damaged_take.markers[100:140, 7], damaged_take.true_markers[100:140, 7]
         assert np.linalg.norm(there[0] - true[0]) > 0.04
         world, along = np.ptp(there, axis=0).max(), np.ptp(there - true, axis=0).max()
@@ -99,7 +99,7 @@ def test_ghost_is_stationary_or_moves_along(sound):
 
 
 def test_labels_are_exchanged_cyclically(damaged_take):
-    fault_injection.exchange_labels(damaged_take, [3, 5, 9], 50, 59, "swap")
+    fault_detection.exchange_labels(damaged_take, [3, 5, 9], 50, 59, "swap")
     for own, under in ((3, 5), (5, 9), (9, 3)):
         np.testing.assert_array_equal(damaged_take.markers[50:60, under], damaged_take.true_markers[50:60, own])
     fault = damaged_take.injected_faults[0]
@@ -111,7 +111,7 @@ def test_exchanges_may_be_hidden_or_permanent(sound):
     damaged_take = DamagedTake(sound, np.random.default_rng(0))
     for seed in range(20):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
-        fault_injection.inject_label_exchange(damaged_take, FaultPlace((3, 5), 400, 459))
+        fault_detection.inject_label_exchange(damaged_take, FaultPlace((3, 5), 400, 459))
         hidden.add(len(damaged_take.secondary_faults))
         last.add(damaged_take.injected_faults[0].last)
         for gap in damaged_take.secondary_faults:
@@ -125,7 +125,7 @@ def test_fragment_moves_samples_to_another_label(sound):
     damaged_take = DamagedTake(sound, np.random.default_rng(0))
     for seed in range(12):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
-        fault_injection.inject_fragment(damaged_take, PLACE)
+        fault_detection.inject_fragment(damaged_take, PLACE)
         np.testing.assert_array_equal(damaged_take.markers[100:140, -1], damaged_take.true_markers[100:140, 7])
         assert np.isnan(damaged_take.markers[[*range(100), *range(140, damaged_take.frame_count)], -1]).all()
         missing = np.isnan(damaged_take.markers[:, 7, 0])

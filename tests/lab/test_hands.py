@@ -11,7 +11,6 @@ from mocapfix import synthetic
 from mocapfix.cli import app
 from mocapfix.errors import TakeError
 from mocapfix.lab import hands
-from mocapfix.lab import hands as pictures
 from mocapfix.model.take import Take
 
 PNG = b"\x89PNG\r\n"
@@ -63,12 +62,12 @@ def test_cleaning_is_better_than_the_markers_only(comparison, tmp_path):
         comparison.cleaned_markers[~comparison.is_damaged], comparison.damaged_markers[~comparison.is_damaged]
     )
     assert 0 < comparison.cleaned_mm < comparison.markers_only_mm
-    pictures.draw_hands(tmp_path / "hands.png", comparison)
+    hands.draw_hands(tmp_path / "hands.png", comparison)
     assert (tmp_path / "hands.png").read_bytes().startswith(PNG)
 
 
 def test_projection_is_seen_from_in_front_of_the_body(comparison):
-    project = pictures.build_projection(comparison)
+    project = hands.build_projection(comparison)
     left, right = (project(comparison.true_joints[[comparison.skeleton.find_joint(name)]])[0] for name in ("LeftArm", "RightArm"))
     assert left[0] > right[0]  # the left of the body is on the right of the picture
     assert left[1] == pytest.approx(comparison.true_joints[comparison.skeleton.find_joint("LeftArm"), 1])

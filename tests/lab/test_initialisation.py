@@ -9,8 +9,6 @@ import pytest
 from mocapfix import synthetic
 from mocapfix.errors import ReadError
 from mocapfix.lab import initialisation, sound_takes
-from mocapfix.lab import initialisation as initialisation_outcomes
-from mocapfix.lab import initialisation as initialisation_takes
 from mocapfix.lab.initialisation import (
     InitialisationTake,
     SolveEnd,
@@ -132,7 +130,7 @@ def test_pose_of_least_cost_replaces_an_unknown_truth(truth, case):
     aside, none = truth.joint_positions.copy(), np.zeros(frames, int)
     aside[1:4] += [0.5, 0.0, 0.0]
     costs = np.zeros((2, frames))
-    costs[1, 1], costs[0, 2], costs[1, 3] = 5.0, 5.0, 0.5 * initialisation_outcomes.MAX_EQUAL_COST_DIFFERENCE
+    costs[1, 1], costs[0, 2], costs[1, 3] = 5.0, 5.0, 0.5 * initialisation.MAX_EQUAL_COST_DIFFERENCE
     found = find_wrong_frames(
         unknown, {"one": SolveEnd(truth.joint_positions, costs[0], none), "other": SolveEnd(aside, costs[1], none)}
     )
@@ -148,9 +146,9 @@ def test_distant_joint_threshold_is_a_tenth_of_a_metre():
 
 
 def test_marker_losses_have_their_distribution(case):
-    losses = {name: lost(case, np.random.default_rng(1)) for name, lost in initialisation_takes.MARKER_LOSSES.items()}
-    on, half = case.subject.joints, round(initialisation_takes.GROUP_LOSS_DURATION_S * case.take.rate)
-    assert initialisation_takes.SINGLE_GAP_SHARE <= losses["gaps"].mean() < 0.2
+    losses = {name: lost(case, np.random.default_rng(1)) for name, lost in initialisation.MARKER_LOSSES.items()}
+    on, half = case.subject.joints, round(initialisation.GROUP_LOSS_DURATION_S * case.take.rate)
+    assert initialisation.SINGLE_GAP_SHARE <= losses["gaps"].mean() < 0.2
     for name in ("a segment lost", "the pelvis lost"):
         carriers = {tuple(np.unique(on[lost])) for lost in losses[name] if lost.any()}
         assert all(len(each) == 1 for each in carriers)
@@ -160,7 +158,7 @@ def test_marker_losses_have_their_distribution(case):
         assert half <= losses[name].any(axis=1).sum() <= 2 * half
     assert {int(j) for j in on[losses["the pelvis lost"].any(axis=0)]} == {0}
     assert 0.3 < losses["half lost"][round(0.5 * case.take.rate)].mean() < 0.7
-    (damaged,) = initialisation_takes.damage_takes([case], lambda *_: losses["gaps"])
+    (damaged,) = initialisation.damage_takes([case], lambda *_: losses["gaps"])
     np.testing.assert_array_equal(damaged.take.visible, case.take.visible & ~losses["gaps"])
 
 
@@ -168,14 +166,14 @@ def test_performing_subject_is_calibrated_close_to_the_truth(truth):
     performance = sound_takes.PerformedMotion(
         truth.motion.select_frames(np.arange(0, truth.motion.frame_count, 8)), truth.rate / 8, "01_01"
     )
-    (found,) = initialisation_takes.perform_subject_recordings([performance], np.random.default_rng(0))
+    (found,) = initialisation.perform_subject_recordings([performance], np.random.default_rng(0))
     assert found.name == "01_01"
     assert found.true_joint_positions is not None
     assert found.true_joint_positions.shape == (performance.motion.frame_count, len(NAMES), 3)
     assert found.take.visible.all()
     assert found.subject.frame_count > 0
     length_ratio = np.linalg.norm(found.subject.skeleton.offsets, axis=1) / np.linalg.norm(
-        initialisation_takes.draw_subject(np.random.default_rng(0), asymmetric=True).skeleton.offsets, axis=1
+        initialisation.draw_subject(np.random.default_rng(0), asymmetric=True).skeleton.offsets, axis=1
     ).clip(1e-9)
     assert length_ratio[NAMES.index("LeftFoot")] == pytest.approx(1.0, abs=0.1)
 
@@ -183,14 +181,14 @@ def test_performing_subject_is_calibrated_close_to_the_truth(truth):
 def test_captures_are_read_without_truth(truth, tmp_path):
     (tmp_path / "walk.c3d").write_bytes(build_c3d(truth.marker_positions[:40], truth.labels))
     (tmp_path / "stick.c3d").write_bytes(build_c3d(truth.marker_positions[:, :3], ("A", "B", "C")))
-    (found,) = initialisation_takes.read_captures(tmp_path)
+    (found,) = initialisation.read_captures(tmp_path)
     assert (found.name, found.true_joint_positions, found.true_motion) == ("walk", None, None)
     results = initialisation.compare_starts([found], {"one": start_sound}, repeats=1)
     assert set(results) == {"one"}
     results = results["one"]
     assert (results["start_joints_mm"], results["wrong"]) == (None, 0)
     with pytest.raises(ReadError, match="holds no capture"):
-        list(initialisation_takes.read_captures(tmp_path / "elsewhere"))
+        list(initialisation.read_captures(tmp_path / "elsewhere"))
 
 
 def test_every_start_is_measured_on_every_set(monkeypatch, case):
@@ -209,7 +207,7 @@ def test_every_start_is_measured_on_every_set(monkeypatch, case):
 
 
 def test_ghosts_are_one_at_a_time_for_a_while(case):
-    (other,) = initialisation_takes.add_ghosts([case])
+    (other,) = initialisation.add_ghosts([case])
     is_ghost = (other.take.markers != case.take.markers).any(axis=2)
     assert is_ghost.sum(axis=1).max() == 1
     assert 0.2 < is_ghost.any(axis=1).mean() < 0.8

@@ -3,18 +3,15 @@
 import numpy as np
 import pytest
 
-from mocapfix.lab import compared_priors, sound_takes
-from mocapfix.lab import hands as pictures
-from mocapfix.lab import pose_priors as given_joints
+from mocapfix.lab import compared_priors, hands, pose_priors, sound_takes
 from mocapfix.lab.compared_priors import ComparedPriors, build_joint_task
 from mocapfix.lab.pose_priors import GIVEN_JOINT_SD_M, compute_pose_errors, draw_given_joints
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import mean_pose, prior_files
 from mocapfix.solve.pose_prior import compute_pose_vectors
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
-GAUSSIAN = io.load_pose_model("gaussian", load_cmu31_body().skeleton)
+GAUSSIAN = prior_files.load_pose_model("gaussian", load_cmu31_body().skeleton)
 PRIORS: ComparedPriors = {"none": None, "gaussian": GAUSSIAN}
 
 
@@ -25,16 +22,14 @@ def poses():
 
 @pytest.fixture(scope="module")
 def results(poses):
-    return given_joints.measure_iterations(poses, PRIORS, REFERENCE, "gaussian", lambda text: None)
+    return pose_priors.measure_iterations(poses, PRIORS, REFERENCE, "gaussian", lambda text: None)
 
 
 def test_curves_begin_at_the_start_and_end_at_the_full_solve(poses, results):
-    task = build_joint_task(
-        poses, draw_given_joints(len(poses), poses.shape[1], given_joints.CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M
-    )
+    task = build_joint_task(poses, draw_given_joints(len(poses), poses.shape[1], pose_priors.CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M)
     start = compared_priors.place_known_poses(task.skeleton, *task.build_start(REFERENCE))
     for name, model in PRIORS.items():
-        assert len(results["position_mm"][name]) == len(results["iterations"][name]) == given_joints.MAX_SHOWN_ITERATIONS + 1
+        assert len(results["position_mm"][name]) == len(results["iterations"][name]) == pose_priors.MAX_SHOWN_ITERATIONS + 1
         assert results["iterations"][name][:2] == [0, 1]
         assert results["position_mm"][name][0] == pytest.approx(1e3 * compute_pose_errors(task, start)[0].mean())
         full = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE))
@@ -51,9 +46,9 @@ def test_total_cost_decreases_and_is_the_sum_of_its_parts(results):
 def test_prior_cost_is_that_of_residual_and_code(poses, results):
     model, task = (
         GAUSSIAN,
-        build_joint_task(poses, draw_given_joints(len(poses), poses.shape[1], given_joints.CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M),
+        build_joint_task(poses, draw_given_joints(len(poses), poses.shape[1], pose_priors.CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M),
     )
-    solution = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE), given_joints.MAX_SHOWN_ITERATIONS)
+    solution = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE), pose_priors.MAX_SHOWN_ITERATIONS)
     residuals = (
         compute_pose_vectors(solution.rotations, model.reference_rotations) - model.decode(solution.codes)
     ) / model.residual_sd_rad[:, None]
@@ -62,6 +57,6 @@ def test_prior_cost_is_that_of_residual_and_code(poses, results):
 
 
 def test_curves_are_drawn(results, tmp_path):
-    pictures.draw_iterations(tmp_path / "curves.png", results, "gaussian")
+    hands.draw_iterations(tmp_path / "curves.png", results, "gaussian")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG\r\n")
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png"}

@@ -5,11 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import body_statistics as joint_limits
+from mocapfix.lab import body_statistics
 from mocapfix.lab.body_statistics import FOREARM_TWIST_SD_RAD, LOCKED_JOINT_SD_RAD
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose
-from mocapfix.solve import mean_pose as joint_limits_prior
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits
 
 NAMES = ["Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"]
@@ -31,7 +30,7 @@ def swing_arm(low, high, frames=2001):
 
 
 def measure(trials, subjects, locked=0.0):
-    return joint_limits.measure_joint_limits(
+    return body_statistics.measure_joint_limits(
         NAMES, trials, subjects, MeanPosePrior("", IDENTITY, IDENTITY, locked * IDENTITY, 0 * IDENTITY)
     )
 
@@ -78,8 +77,8 @@ def test_a_jump_excludes_the_trial_for_that_joint_only():
 @pytest.mark.parametrize(("step", "expected"), [(0.9, True), (1.1, False)])
 def test_a_jump_is_a_radian_in_a_thirtieth_of_a_second(step, expected):
     rotations = Rotation.from_rotvec(np.outer(np.repeat([0.0, step], 5), [0, 0.6, 0.8])).as_matrix()
-    assert joint_limits.is_free_of_jumps(rotations) is expected
-    assert joint_limits.is_free_of_jumps(rotations[:1])
+    assert body_statistics.is_free_of_jumps(rotations) is expected
+    assert body_statistics.is_free_of_jumps(rotations[:1])
 
 
 def test_written_limits_load(tmp_path, monkeypatch):
@@ -89,11 +88,11 @@ def test_written_limits_load(tmp_path, monkeypatch):
     angles = np.random.default_rng(1).uniform(-20, 20, (40, len(names), 3))
     written = np.round(angles / 180 * 32767).astype(np.int16)
     np.savez(tmp_path / "train-0.npz", euler=written, trial=np.array(["01_01", "02_01"]), start=np.array([0, 25]))
-    joint_limits.write_joint_limits(str(tmp_path), str(tmp_path / "joint-limits.yaml"))
+    body_statistics.write_joint_limits(str(tmp_path), str(tmp_path / "joint-limits.yaml"))
     text = (tmp_path / "joint-limits.yaml").read_text(encoding="utf-8")
     assert "40 frames of 2 trials" in text
     assert "NSF" in text
-    for module in (mean_pose, joint_limits_prior):
+    for module in (mean_pose, mean_pose):
         monkeypatch.setattr(module, "find_shipped_folder", lambda _: tmp_path)
     limits = load_joint_limits(load_cmu31_body().skeleton)
     assert (limits.lower_rad[1:] < limits.upper_rad[1:]).all()

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from mocapfix.lab import learned_ik as bench
+from mocapfix.lab import learned_ik
 from mocapfix.lab.learned_ik import optimise_poses
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from tests.lab.motion_files import draw_motion
@@ -45,8 +45,8 @@ def folder(tmp_path_factory):
 
 def test_results_are_complete(folder, monkeypatch):
     for name, value in (("MAX_SMPLIFY_PAIRS", 4), ("SINGLE_FRAMES", 4), ("SPEED_REPEATS", 1), ("PIECE_COUNT", 2)):
-        monkeypatch.setattr(bench, name, value)
-    results = bench.measure_learned_ik(folder, lambda text: None, build_network(scale=0.0))
+        monkeypatch.setattr(learned_ik, name, value)
+    results = learned_ik.measure_learned_ik(folder, lambda text: None, build_network(scale=0.0))
     assert list(results["one_step_mm"]) == ["1", "3", "5", "7", "9"] == list(results["smplify_mm"])
     assert max(results["one_step_mm"].values()) < 1
     assert results["copied_mm"]["9"] > results["copied_mm"]["1"] > 1

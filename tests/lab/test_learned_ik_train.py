@@ -7,7 +7,7 @@ import yaml
 
 from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import learned_ik_training as training
+from mocapfix.lab import learned_ik_training
 from mocapfix.lab.frame_pairs import PairSampler, gather_sequences
 from mocapfix.lab.settings import read_ik_settings
 from mocapfix.solve.learned_ik import read_ik_network
@@ -61,22 +61,22 @@ def test_command_writes_weights_and_a_card(config, motion, tmp_path, mocapfix):
 
 def test_unknown_suffix_raises_before_training(tmp_path, motion):
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_learned_ik(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
+        learned_ik_training.train_learned_ik(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_interrupted_training_continues_to_the_same_network(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr(training, "STEPS_PER_CHECKPOINT", 2)
+    monkeypatch.setattr(learned_ik_training, "STEPS_PER_CHECKPOINT", 2)
     settings = build_settings()
     sequences = gather_sequences([motion], lambda subject: subject in {"01", "14"}, lambda text: None)
-    whole = training.fit_ik_model(settings, sequences, tmp_path / "whole.checkpoint", lambda text: None)
+    whole = learned_ik_training.fit_ik_model(settings, sequences, tmp_path / "whole.checkpoint", lambda text: None)
 
     def interrupt(text):
         if "step 4" in text:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        training.fit_ik_model(settings, sequences, tmp_path / "part.checkpoint", interrupt)
-    resumed = training.fit_ik_model(settings, sequences, tmp_path / "part.checkpoint", lambda text: None)
+        learned_ik_training.fit_ik_model(settings, sequences, tmp_path / "part.checkpoint", interrupt)
+    resumed = learned_ik_training.fit_ik_model(settings, sequences, tmp_path / "part.checkpoint", lambda text: None)
     for name, values in whole.state_dict().items():
         torch.testing.assert_close(resumed.state_dict()[name], values)
 
@@ -86,12 +86,14 @@ def test_training_lowers_the_loss(tmp_path, motion):
     sequences = gather_sequences([motion], lambda subject: subject in {"01", "14"}, lambda text: None)
     losses = []
     for steps in (1, 60):
-        model = training.fit_ik_model(
+        model = learned_ik_training.fit_ik_model(
             settings.model_copy(update={"steps": steps}), sequences, tmp_path / f"{steps}.checkpoint", lambda text: None
         )
         batch = PairSampler(sequences, settings).draw_batch(1000)
         with torch.no_grad():
-            loss = training.compute_ik_loss(model.predict(batch), training.build_true_tensors(batch), settings.loss_weights)
+            loss = learned_ik_training.compute_ik_loss(
+                model.predict(batch), learned_ik_training.build_true_tensors(batch), settings.loss_weights
+            )
         losses.append(float(loss))
     assert losses[1] < losses[0]
 
@@ -99,8 +101,8 @@ def test_training_lowers_the_loss(tmp_path, motion):
 def test_extracted_network_predicts_what_the_model_does(tmp_path, motion):
     settings = build_settings()
     sequences = gather_sequences([motion], lambda subject: subject in {"01", "14"}, lambda text: None)
-    model = training.fit_ik_model(settings, sequences, tmp_path / "mine.checkpoint", lambda text: None)
-    assert isinstance(model, training.ClosedFormModel)
+    model = learned_ik_training.fit_ik_model(settings, sequences, tmp_path / "mine.checkpoint", lambda text: None)
+    assert isinstance(model, learned_ik_training.ClosedFormModel)
     batch = PairSampler(sequences, settings).draw_batch(7)
     _, features = model._compute_inputs(batch)
     with torch.no_grad():

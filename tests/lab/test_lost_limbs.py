@@ -11,8 +11,7 @@ from mocapfix.lab import lost_limbs
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.sound_takes import PerformedMotion
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import kinematics, prior_files
 
 SKELETON = load_cmu31_body().skeleton
 ARM = np.array([SKELETON.find_joint(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")])
@@ -42,7 +41,7 @@ def test_constant_rotation_is_restored_exactly():
 
 def test_blended_model_is_accurate_at_the_edges():
     found = rotate_evenly(60, ARM[0], speed=0.4)
-    by_way = fill(found, io.load_pose_model("gaussian", SKELETON))
+    by_way = fill(found, prior_files.load_pose_model("gaussian", SKELETON))
     alone, corrected = by_way["model, each frame alone"], by_way["model, corrected at both edges"]
 
     def off(motion, frame):

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import body_statistics as mean_pose
+from mocapfix.lab import body_statistics
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose as prior
+from mocapfix.solve import mean_pose
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 MEAN = Rotation.from_rotvec([0.4, -0.7, 0.3]).as_matrix()
@@ -19,7 +19,7 @@ NAMES = ["Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head", "
 
 
 def get_covariance(joint):
-    return prior.build_symmetric_matrix(joint["covariance"])
+    return mean_pose.build_symmetric_matrix(joint["covariance"])
 
 
 def get_rotation(joint):
@@ -36,7 +36,7 @@ def fitted():
         rotations[f"{side}Arm"] = mirror @ difference @ MEAN @ mirror
     rotations["Head"] = Rotation.from_rotvec(rng.normal(0, 0.4, (count, 1)) * [1.0, 0, 0] + [0, 0.2, 0]).as_matrix()
     euler = np.stack([Rotation.from_matrix(rotations[name]).as_euler("ZYX", degrees=True) for name in NAMES], axis=1)
-    return mean_pose.fit_mean_pose(NAMES, euler, np.arange(count) // 100)
+    return body_statistics.fit_mean_pose(NAMES, euler, np.arange(count) // 100)
 
 
 def test_fit_recovers_mean_and_covariance(fitted):
@@ -57,7 +57,7 @@ def test_mean_of_the_head_is_symmetric(fitted):
 
 
 def test_joint_that_never_rotates_is_locked_about_every_axis(fitted):
-    np.testing.assert_allclose(get_covariance(fitted["LThumb"]), np.eye(3) * mean_pose.LOCKED_JOINT_SD_RAD**2, atol=1e-5)
+    np.testing.assert_allclose(get_covariance(fitted["LThumb"]), np.eye(3) * body_statistics.LOCKED_JOINT_SD_RAD**2, atol=1e-5)
     np.testing.assert_allclose(np.abs(np.linalg.det(fitted["LThumb"]["locked_axes"])), 1.0, atol=1e-4)
     assert fitted["LeftArm"]["locked_axes"] == []
 
@@ -68,28 +68,30 @@ def test_hinge_is_locked_across_its_axis_only(seed):
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
     angles = rng.normal(0, 0.5, (60, 1))
-    covariance, locked = mean_pose.compute_pose_covariance(Rotation.from_rotvec(angles * axis).as_matrix(), is_forearm=False)
+    covariance, locked = body_statistics.compute_pose_covariance(
+        Rotation.from_rotvec(angles * axis).as_matrix(), is_forearm=False
+    )
     assert locked.shape == (2, 3)
     np.testing.assert_allclose(locked @ axis, 0, atol=1e-6)
     assert axis @ covariance @ axis == pytest.approx((angles**2).mean(), rel=1e-6)
-    np.testing.assert_allclose(locked @ covariance @ locked.T, np.eye(2) * mean_pose.HINGE_CROSS_AXIS_SD_RAD**2, atol=1e-9)
+    np.testing.assert_allclose(locked @ covariance @ locked.T, np.eye(2) * body_statistics.HINGE_CROSS_AXIS_SD_RAD**2, atol=1e-9)
 
 
 def test_elbow_gets_the_twist_of_the_forearm():
     angles = np.random.default_rng(2).normal(0, 0.6, (60, 1))
-    covariance, locked = mean_pose.compute_pose_covariance(
+    covariance, locked = body_statistics.compute_pose_covariance(
         Rotation.from_rotvec(angles * [[0.0, 0.8, 0.6]]).as_matrix(), is_forearm=True
     )
-    assert covariance[0, 0] == pytest.approx(mean_pose.FOREARM_TWIST_SD_RAD**2)
+    assert covariance[0, 0] == pytest.approx(body_statistics.FOREARM_TWIST_SD_RAD**2)
     np.testing.assert_allclose(np.abs(locked), [[0, 0.6, 0.8]], atol=1e-6)
-    assert locked[0] @ covariance @ locked[0] == pytest.approx(mean_pose.HINGE_CROSS_AXIS_SD_RAD**2)
+    assert locked[0] @ covariance @ locked[0] == pytest.approx(body_statistics.HINGE_CROSS_AXIS_SD_RAD**2)
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_covariance_of_a_free_joint_is_the_second_moment(seed):
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=(50, 3)) * rng.uniform(0.1, 0.5, 3)
-    covariance, locked = mean_pose.compute_pose_covariance(Rotation.from_rotvec(vectors).as_matrix(), is_forearm=True)
+    covariance, locked = body_statistics.compute_pose_covariance(Rotation.from_rotvec(vectors).as_matrix(), is_forearm=True)
     assert locked.shape == (0, 3)
     np.testing.assert_allclose(covariance, vectors.T @ vectors / 50, atol=1e-9)
 
@@ -98,16 +100,16 @@ def test_between_take_covariance_is_separated_from_that_within_takes():
     rng, takes = np.random.default_rng(3), np.repeat(np.arange(400), 50)
     take_means, poses = rng.normal(0, 0.1, (400, 3)) * [1.0, 2.0, 0.0], rng.normal(0, 0.2, (len(takes), 3))
     difference = Rotation.from_rotvec(take_means[takes] + poses).as_matrix()
-    covariance = mean_pose.compute_between_take_covariance(difference, takes, np.zeros((0, 3)))
+    covariance = body_statistics.compute_between_take_covariance(difference, takes, np.zeros((0, 3)))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), np.hypot([0.1, 0.2, 0.0], 0.2 / np.sqrt(50)), rtol=0.1)
     np.testing.assert_allclose(
-        mean_pose.compute_between_take_covariance(difference, takes, np.array([[0.0, 1.0, 0.0]]))[1], 0, atol=1e-12
+        body_statistics.compute_between_take_covariance(difference, takes, np.array([[0.0, 1.0, 0.0]]))[1], 0, atol=1e-12
     )
 
 
 def test_between_take_covariance_is_less_than_the_total(fitted):
     for name in ("LeftArm", "RightForeArm", "LThumb"):
-        covariance, between = (prior.build_symmetric_matrix(fitted[name][key]) for key in ("covariance", "between_takes"))
+        covariance, between = (mean_pose.build_symmetric_matrix(fitted[name][key]) for key in ("covariance", "between_takes"))
         assert np.linalg.eigvalsh(covariance - between).min() > 0
 
 
@@ -116,14 +118,14 @@ def test_chordal_mean_is_a_rotation_and_equivariant(seed):
     rng = np.random.default_rng(seed)
     several = Rotation.from_rotvec(rng.normal(0, 0.5, (6, 3))).as_matrix()
     by = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
-    mean = mean_pose.compute_chordal_mean_rotation(several)
+    mean = body_statistics.compute_chordal_mean_rotation(several)
     assert np.linalg.det(mean) == pytest.approx(1)
-    np.testing.assert_allclose(mean_pose.compute_chordal_mean_rotation(by @ several), by @ mean, atol=1e-6)
+    np.testing.assert_allclose(body_statistics.compute_chordal_mean_rotation(by @ several), by @ mean, atol=1e-6)
 
 
 def test_chordal_mean_of_half_rotations_is_not_a_reflection():
     half = Rotation.from_rotvec(np.pi * np.eye(3)).as_matrix()
-    assert np.linalg.det(mean_pose.compute_chordal_mean_rotation(half)) == pytest.approx(1)
+    assert np.linalg.det(body_statistics.compute_chordal_mean_rotation(half)) == pytest.approx(1)
 
 
 def test_written_mean_pose_loads(tmp_path, monkeypatch):
@@ -131,12 +133,12 @@ def test_written_mean_pose_loads(tmp_path, monkeypatch):
     angles = np.random.default_rng(1).uniform(-20, 20, (count, len(names), 3))
     (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
     np.savez(tmp_path / "train-0.npz", euler=np.round(angles / 180 * 32767).astype(np.int16), length=[30, 10])
-    mean_pose.write_mean_pose(str(tmp_path), str(tmp_path / "mine.yaml"))
+    body_statistics.write_mean_pose(str(tmp_path), str(tmp_path / "mine.yaml"))
     text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")
     assert "40 frames of 2 trials" in text
-    monkeypatch.setattr(prior, "find_shipped_folder", lambda _: tmp_path)
-    loaded = prior.load_mean_pose_prior("mine", load_cmu31_body().skeleton)
-    expected = mean_pose.fit_mean_pose(names, angles, np.repeat([0, 1], [30, 10]))["LeftArm"]
+    monkeypatch.setattr(mean_pose, "find_shipped_folder", lambda _: tmp_path)
+    loaded = mean_pose.load_mean_pose_prior("mine", load_cmu31_body().skeleton)
+    expected = body_statistics.fit_mean_pose(names, angles, np.repeat([0, 1], [30, 10]))["LeftArm"]
     np.testing.assert_allclose(loaded.mean_rotations[names.index("LeftArm")], get_rotation(expected), atol=1e-3)
     shipped = yaml.safe_load((find_shipped_folder("priors") / "mean-pose.yaml").read_text(encoding="utf-8"))
     assert yaml.safe_load(text)["joints"].keys() == shipped["joints"].keys()

@@ -7,8 +7,7 @@ import yaml
 
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import motion_training as training
-from mocapfix.lab import motion_windows, settings
+from mocapfix.lab import motion_training, motion_windows, settings
 from mocapfix.solve.motion_prior import read_motion_prior
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -40,7 +39,7 @@ def build_settings(**changes):
 def fit(motion, checkpoint, **changes):
     stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
     losses = []
-    network = training.fit_motion_network(build_settings(**changes), stretches, checkpoint, losses.append)
+    network = motion_training.fit_motion_network(build_settings(**changes), stretches, checkpoint, losses.append)
     return network, [float(text.split()[-1]) for text in losses]
 
 
@@ -64,23 +63,23 @@ def test_trained_prior_loads_and_has_a_card(motion, tmp_path, mocapfix):
 
 def test_interrupted_training_ends_with_the_same_weights(motion, tmp_path, monkeypatch):
     whole, _ = fit(motion, tmp_path / "whole")
-    monkeypatch.setattr(training, "CHECKPOINT_STEPS", 2)
+    monkeypatch.setattr(motion_training, "CHECKPOINT_STEPS", 2)
 
     def interrupt(text):
         raise KeyboardInterrupt
 
     stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
     with pytest.raises(KeyboardInterrupt):
-        training.fit_motion_network(build_settings(), stretches, tmp_path / "part", interrupt)
-    resumed = training.fit_motion_network(build_settings(), stretches, tmp_path / "part", lambda text: None)
+        motion_training.fit_motion_network(build_settings(), stretches, tmp_path / "part", interrupt)
+    resumed = motion_training.fit_motion_network(build_settings(), stretches, tmp_path / "part", lambda text: None)
     for name, values in whole.state_dict().items():
         torch.testing.assert_close(resumed.state_dict()[name], values, rtol=0, atol=0)
 
 
 def test_training_lowers_the_loss(motion, tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "CHECKPOINT_STEPS", 20)
-    monkeypatch.setattr(training, "RISE_STEPS", 5)
-    monkeypatch.setattr(training, "AVERAGED_STEPS", 10)
+    monkeypatch.setattr(motion_training, "CHECKPOINT_STEPS", 20)
+    monkeypatch.setattr(motion_training, "RISE_STEPS", 5)
+    monkeypatch.setattr(motion_training, "AVERAGED_STEPS", 10)
     _, losses = fit(motion, tmp_path / "mine", steps=60, batch_windows=16, learning_rate=5e-3)
     assert losses[-1] < 0.9 * losses[0]
 
@@ -93,14 +92,14 @@ def test_file_that_is_not_a_checkpoint_raises(motion, tmp_path):
 
 def test_unknown_suffix_raises_before_training(motion, tmp_path):
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_motion_prior(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
+        motion_training.train_motion_prior(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_scores_of_an_untrained_network_are_those_of_interpolation(motion, tmp_path):
     network, _ = fit(motion, tmp_path / "mine", steps=1)
-    model = training.extract_motion_weights(network)
+    model = motion_training.extract_motion_weights(network)
     model.tensors["output.weight"][:] = 0
     model.tensors["output.bias"][:] = 0
     stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject == "03", lambda text: None)
-    scores = training.compute_gap_scores(model, stretches, build_settings())
+    scores = motion_training.compute_gap_scores(model, stretches, build_settings())
     np.testing.assert_allclose(scores.predicted_m, scores.interpolated_m, rtol=1e-4)

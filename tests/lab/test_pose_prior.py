@@ -9,11 +9,10 @@ import yaml
 from mocapfix.cli import app
 from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import pose_prior_training as training
-from mocapfix.lab import settings
+from mocapfix.lab import pose_prior_training, settings
 from mocapfix.lab.training_poses import TrainingPoses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files as io
+from mocapfix.solve import prior_files
 from mocapfix.solve.pose_prior import GaussianModel
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -62,7 +61,7 @@ def train(name, motion, folder, *more, **changes):
 )
 def test_trained_prior_loads_and_has_a_card(tmp_path, motion, capsys, name, changes, size):
     assert train(name, motion, tmp_path, **changes) == 0
-    model = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     assert model.code_size == size
     card = (tmp_path / "mine.md").read_text(encoding="utf-8")
     assert "NSF EIA-0196217" in card
@@ -81,12 +80,16 @@ def test_interleaved_split_trains_on_all_subjects(tmp_path, motion):
     assert "two of every five frames, between those trained on" in card
     assert "never read" not in card
     assert "| held-out frames |" in card
-    model = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
-    poses = training.gather_training_poses(
+    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    poses = pose_prior_training.gather_training_poses(
         [motion], model.reference_rotations, frozenset(), frozenset(), lambda text: None, is_interleaved=True
     )
-    np.testing.assert_allclose(model.residual_sd_rad, training.compute_residual_sd(model, poses.training_vectors), rtol=1e-5)
-    assert not np.allclose(model.residual_sd_rad, training.compute_residual_sd(model, poses.held_out_vectors), rtol=1e-5)
+    np.testing.assert_allclose(
+        model.residual_sd_rad, pose_prior_training.compute_residual_sd(model, poses.training_vectors), rtol=1e-5
+    )
+    assert not np.allclose(
+        model.residual_sd_rad, pose_prior_training.compute_residual_sd(model, poses.held_out_vectors), rtol=1e-5
+    )
 
 
 def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
@@ -101,18 +104,18 @@ def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
 def test_unknown_suffix_raises_before_training(tmp_path, motion):
     training_settings = settings.read_prior_settings(find_shipped_folder("priors") / "pca.yaml")
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_pose_prior(training_settings, [motion], tmp_path / "mine.pt", lambda text: None)
+        pose_prior_training.train_pose_prior(training_settings, [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_codes_of_training_poses_are_scaled_by_the_inflation(tmp_path, motion):
     train("autoencoder", motion, tmp_path, **SMALL)
-    model = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
-    poses = training.gather_training_poses(
+    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    poses = pose_prior_training.gather_training_poses(
         [motion], model.reference_rotations, frozenset(["02"]), frozenset(["03"]), lambda text: None
     )
     codes = model.encode(poses.training_vectors)[:, :3]
     np.testing.assert_allclose(codes.mean(0), 0, atol=1e-3)
-    np.testing.assert_allclose(np.cov(codes.T), np.eye(3) / training.SD_INFLATION**2, atol=1e-3)
+    np.testing.assert_allclose(np.cov(codes.T), np.eye(3) / pose_prior_training.SD_INFLATION**2, atol=1e-3)
 
 
 def test_residual_sd_is_measured_on_held_out_poses_with_a_lower_bound():
@@ -122,9 +125,9 @@ def test_residual_sd_is_measured_on_held_out_poses_with_a_lower_bound():
     )
     held_out = np.zeros((5000, 31, 3))
     held_out[:, 7] = rng.normal(0, 0.2, (5000, 3))
-    residual_sd = training.compute_residual_sd(model, held_out)
-    assert residual_sd[7] == pytest.approx(0.2 * training.SD_INFLATION, rel=0.03)
-    np.testing.assert_allclose(np.delete(residual_sd, 7), training.MIN_RESIDUAL_SD_RAD)
+    residual_sd = pose_prior_training.compute_residual_sd(model, held_out)
+    assert residual_sd[7] == pytest.approx(0.2 * pose_prior_training.SD_INFLATION, rel=0.03)
+    np.testing.assert_allclose(np.delete(residual_sd, 7), pose_prior_training.MIN_RESIDUAL_SD_RAD)
 
 
 def test_residual_sd_is_measured_on_poses_that_are_not_retargeted():
@@ -132,4 +135,4 @@ def test_residual_sd_is_measured_on_poses_that_are_not_retargeted():
     index = np.array([0, 1, 0, 1])
     for is_retargeted, expected in (([False, True], [0.0, 2.0]), ([True, True], [0.0, 1.0, 2.0, 3.0])):
         poses = TrainingPoses(held_out, held_out, index, index, np.array(is_retargeted), Counter(), 0)
-        np.testing.assert_array_equal(training.select_measured_poses(poses)[:, 0, 0], expected)
+        np.testing.assert_array_equal(pose_prior_training.select_measured_poses(poses)[:, 0, 0], expected)

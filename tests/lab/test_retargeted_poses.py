@@ -3,13 +3,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mocapfix.lab import training_poses as retargeted_poses
+from mocapfix.lab import training_poses
 from mocapfix.lab.training_poses import TrainingPoses, add_mirrored_poses, mirror_pose_vectors
 from mocapfix.model.skeleton import load_cmu31_skeleton
 
 NAMES = load_cmu31_skeleton().names
-WRISTS = [NAMES.index(name) for name in retargeted_poses.MATCHED_JOINTS]
-HIDDEN = [i for i, name in enumerate(NAMES) if name.endswith(retargeted_poses.UNOBSERVED_JOINT_ENDINGS)]
+WRISTS = [NAMES.index(name) for name in training_poses.MATCHED_JOINTS]
+HIDDEN = [i for i, name in enumerate(NAMES) if name.endswith(training_poses.UNOBSERVED_JOINT_ENDINGS)]
 FRAMES = 1000  # of each person
 
 
@@ -28,14 +28,14 @@ def draw_people(seed=0):
 
 def conform(poses, subject_index):
     is_retargeted = subject_index >= 2
-    return retargeted_poses.conform_retargeted_poses(poses, subject_index, is_retargeted, np.ones(len(poses)), NAMES)
+    return training_poses.conform_retargeted_poses(poses, subject_index, is_retargeted, np.ones(len(poses)), NAMES)
 
 
 def test_observed_joints_and_sums_are_unchanged():
     poses, subject_index = draw_people()
     conformed = conform(poses, subject_index)
     np.testing.assert_array_equal(conformed[: 2 * FRAMES], poses[: 2 * FRAMES])
-    chains = [[NAMES.index(name) for name in chain] for chain in retargeted_poses.REDIVIDED_CHAINS]
+    chains = [[NAMES.index(name) for name in chain] for chain in training_poses.REDIVIDED_CHAINS]
     for chain in chains:
         np.testing.assert_allclose(conformed[:, chain].sum(1), poses[:, chain].sum(1), atol=1e-4)
     others = np.setdiff1d(np.arange(31), [*WRISTS, *HIDDEN, *chains[0], *chains[1]])
@@ -60,7 +60,7 @@ def test_mean_wrists_are_distributed_as_in_the_reference():
 def test_motion_without_retargeted_people_is_unchanged():
     poses, subject_index = draw_people()
     is_retargeted, weights = np.zeros(len(poses), bool), np.ones(len(poses))
-    result = retargeted_poses.conform_retargeted_poses(poses, subject_index, is_retargeted, weights, NAMES)
+    result = training_poses.conform_retargeted_poses(poses, subject_index, is_retargeted, weights, NAMES)
     np.testing.assert_array_equal(result, poses)
 
 
@@ -71,7 +71,7 @@ def test_training_and_held_out_poses_are_conformed_and_mirrored():
     training_index, held_out_index = (np.tile(subject_index[part], 2) for part in (~is_held_out, is_held_out))
     is_retargeted = np.array([False, False, True, True])
     gathered = TrainingPoses(training, held_out, training_index, held_out_index, is_retargeted, Counter(), 0)
-    conformed = retargeted_poses.conform_training_poses(gathered, NAMES, 0.5)
+    conformed = training_poses.conform_training_poses(gathered, NAMES, 0.5)
     assert conformed.training_vectors.shape == training.shape
     assert conformed.held_out_vectors[:, HIDDEN].std() > 0.05
     np.testing.assert_allclose(

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
-from mocapfix.lab import recordings as recording_folders
-from mocapfix.lab import recordings as shard_recordings
+from mocapfix.lab import recordings
 from mocapfix.model.skeleton import load_cmu31_body
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -28,7 +27,7 @@ def write_shard(folder, name="train-1.npz", joints=NAMES):
 
 def test_shard_yields_its_trials(tmp_path):
     path, rotations = write_shard(tmp_path)
-    first, second = shard_recordings.read_shard_recordings(path)
+    first, second = recordings.read_shard_recordings(path)
     assert [(each.name, each.subject, each.rate_hz) for each in (first, second)] == [("01_02", "01", 30.0), ("14_01", "14", 30.0)]
     np.testing.assert_allclose(first.rotations, rotations[:10], atol=2e-4)
     np.testing.assert_allclose(second.rotations, rotations[10:], atol=2e-4)
@@ -37,29 +36,29 @@ def test_shard_yields_its_trials(tmp_path):
 
 def test_manifest_names_sources_and_retargeted_motion(tmp_path):
     path, _ = write_shard(tmp_path)
-    assert [each.source for each in shard_recordings.read_shard_recordings(path)] == [shard_recordings.UNKNOWN_SOURCE] * 2
+    assert [each.source for each in recordings.read_shard_recordings(path)] == [recordings.UNKNOWN_SOURCE] * 2
     manifest = tmp_path / "manifest.csv"
     manifest.write_text("trial,quality,source,licence\n01_02,exact,a/b@1,CMU (free)\n14_01,retargeted,c/d@2,MIT\n")
-    first, second = shard_recordings.read_shard_recordings(path)
-    assert first.source == shard_recordings.CMU_SOURCE
-    assert second.source == shard_recordings.RecordingSource("c/d", "MIT", is_retargeted=True)
+    first, second = recordings.read_shard_recordings(path)
+    assert first.source == recordings.CMU_SOURCE
+    assert second.source == recordings.RecordingSource("c/d", "MIT", is_retargeted=True)
     manifest.write_text("trial,licence\n01_02,MIT\n")
     with pytest.raises(ReadError, match=r"manifest\.csv.*columns"):
-        list(shard_recordings.read_shard_recordings(path))
+        list(recordings.read_shard_recordings(path))
 
 
 def test_reconstructed_motion_is_skipped(tmp_path):
     path, _ = write_shard(tmp_path, "train-approx.npz")
-    assert not list(shard_recordings.read_shard_recordings(path))
+    assert not list(recordings.read_shard_recordings(path))
 
 
 def test_other_joints_or_missing_skeletons_raise(tmp_path):
     path, _ = write_shard(tmp_path, joints=NAMES[::-1])
     with pytest.raises(ReadError, match="not the 31"):
-        list(shard_recordings.read_shard_recordings(path))
+        list(recordings.read_shard_recordings(path))
     (tmp_path / "skeletons.json").unlink()
     with pytest.raises(ReadError, match=r"skeletons\.json"):
-        list(shard_recordings.read_shard_recordings(path))
+        list(recordings.read_shard_recordings(path))
 
 
 def test_folder_yields_all_recordings_in_a_fixed_order(tmp_path):
@@ -68,14 +67,14 @@ def test_folder_yields_all_recordings_in_a_fixed_order(tmp_path):
     for name in ("09_02", "09_01"):
         write_bvh_motion(tmp_path / "more" / f"{name}.bvh", draw_motion(1))
     np.savez(tmp_path / "more" / "others_poses.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=30.0)
-    names = [each.name for each in recording_folders.read_recordings([tmp_path])]
+    names = [each.name for each in recordings.read_recordings([tmp_path])]
     assert names == ["01_02", "14_01", "others_poses", "09_01", "09_02"]
 
 
 def test_clavicles_do_not_move_and_arms_keep_their_direction(tmp_path):
     _, rotations = write_shard(tmp_path)
     clavicle, arm, other = (NAMES.index(name) for name in ("LeftShoulder", "LeftArm", "LeftForeArm"))
-    first, _ = recording_folders.read_recordings([tmp_path])
+    first, _ = recordings.read_recordings([tmp_path])
     np.testing.assert_array_equal(first.rotations[:, clavicle], np.tile(np.eye(3), (10, 1, 1)))
     np.testing.assert_allclose(first.rotations[:, arm], (rotations[:, clavicle] @ rotations[:, arm])[:10], atol=4e-4)
     np.testing.assert_allclose(first.rotations[:, other], rotations[:10, other], atol=2e-4)
@@ -85,18 +84,18 @@ def test_folders_are_read_one_after_the_other(tmp_path):
     for name in ("b", "a"):
         (tmp_path / name).mkdir()
         write_bvh_motion(tmp_path / name / f"01_{name}.bvh", draw_motion(1))
-    names = [each.name for each in recording_folders.read_recordings([tmp_path / "b", tmp_path / "a"])]
+    names = [each.name for each in recordings.read_recordings([tmp_path / "b", tmp_path / "a"])]
     assert names == ["01_b", "01_a"]
 
 
 def test_folder_without_motion_raises(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ReadError, match="holds no motion"):
-        list(recording_folders.read_recordings([tmp_path]))
+        list(recordings.read_recordings([tmp_path]))
 
 
 def test_truncated_file_raises(tmp_path):
     path, _ = write_shard(tmp_path)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(ReadError, match=r"train-1\.npz"):
-        list(recording_folders.read_recordings([tmp_path]))
+        list(recordings.read_recordings([tmp_path]))

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from mocapfix.cli.app import run_command_line
-from mocapfix.lab import compared_solvers as solver_speed
+from mocapfix.lab import compared_solvers
 from mocapfix.lab.compared_solvers import TimingEffort
 
 
@@ -18,7 +18,7 @@ def results():
     with pytest.MonkeyPatch.context() as patch:
         written, before = [], dict(os.environ)
         patch.setattr(
-            solver_speed,
+            compared_solvers,
             "QUICK_EFFORT",
             TimingEffort(rounds=1, samples_per_round=1, directions_per_sample=1, scipy_frame_count=2),
         )
@@ -55,7 +55,7 @@ def test_directions_have_times_by_joints_and_ratios(results):
 
 
 def test_tables_show_the_results(results, monkeypatch, capsys):
-    monkeypatch.setattr(solver_speed, "measure_in_fresh_process", lambda is_quick: results)
+    monkeypatch.setattr(compared_solvers, "measure_in_fresh_process", lambda is_quick: results)
     with pytest.raises(SystemExit) as exited:
         run_command_line(["bench", "solver"])
     shown = capsys.readouterr().out
@@ -68,7 +68,7 @@ def test_tables_show_the_results(results, monkeypatch, capsys):
 def test_minimum_of_the_medians_counts():
     one, other = iter([5.0, 1.0, 4.0, 3.0, 9.0, 2.0]), iter([1.0, 1.0, 1.0, 0.5, 7.0, 7.0])
     samples = [lambda: next(one), lambda: next(other)]
-    assert solver_speed.time_samples(
+    assert compared_solvers.time_samples(
         samples, TimingEffort(rounds=2, samples_per_round=3, directions_per_sample=1, scipy_frame_count=1)
     ) == [3.0, 1.0]
 
@@ -78,4 +78,4 @@ def test_speedup_is_a_geometric_mean():
         {"experiment": experiment, "joints": joints, "speedup": ratio}
         for experiment, joints, ratio in ((1, 23, 2.0), (1, 23, 8.0), (1, 51, 100.0), (2, 23, 100.0))
     ]
-    assert solver_speed.compute_speedup(rows, 1, 23) == pytest.approx(4.0)
+    assert compared_solvers.compute_speedup(rows, 1, 23) == pytest.approx(4.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.lab import clean_speed as stage_takes
+from mocapfix.lab import clean_speed
 from mocapfix.stats.sequences import find_runs
 from mocapfix.synthetic.synthetic_takes import SyntheticTake
 
@@ -12,12 +12,12 @@ RATE = 60.0
 
 @pytest.fixture(scope="module")
 def tenth() -> SyntheticTake:
-    return stage_takes.compose_tenth_missing_take(seed=1, seconds=60.0, rate=RATE)
+    return clean_speed.compose_tenth_missing_take(seed=1, seconds=60.0, rate=RATE)
 
 
 @pytest.fixture(scope="module")
 def heavy() -> SyntheticTake:
-    return stage_takes.compose_heavily_damaged_take(seed=1)
+    return clean_speed.compose_heavily_damaged_take(seed=1)
 
 
 def test_a_tenth_is_missing_and_nothing_is_displaced(tenth):
@@ -36,7 +36,7 @@ def test_most_gaps_are_short_and_most_missing_samples_in_long_ones(tenth):
 
 
 def test_limbs_are_lost_at_times(tenth):
-    limbs = stage_takes.find_limb_markers(tenth.subject)
+    limbs = clean_speed.find_limb_markers(tenth.subject)
     for name in ("LFRM", "LWRA", "LFIN"):
         assert limbs[0, tenth.labels.index(name)]
     assert not limbs[:, tenth.labels.index("STRN")].any()
@@ -55,7 +55,7 @@ def test_heavy_damage_has_the_stated_shares_and_size(heavy):
     assert (distance[visible & ~heavy.spike_mask] == 0).all()
 
 
-@pytest.mark.parametrize("compose", [stage_takes.compose_tenth_missing_take, stage_takes.compose_heavily_damaged_take])
+@pytest.mark.parametrize("compose", [clean_speed.compose_tenth_missing_take, clean_speed.compose_heavily_damaged_take])
 def test_the_same_arguments_give_the_same_take(compose):
     first, second, other = (compose(seed=seed, seconds=3.0, rate=RATE) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.damaged_positions, second.damaged_positions)

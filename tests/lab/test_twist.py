@@ -8,9 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import frame_pairs as twist_examples
-from mocapfix.lab import settings
-from mocapfix.lab import twist_training as training
+from mocapfix.lab import frame_pairs, settings, twist_training
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.solve.twist_regressor import compute_bone_vectors, compute_twists, read_twist_regressor
 from tests.lab.motion_files import draw_motion, write_bvh_motion
@@ -58,14 +56,14 @@ def test_trained_regressor_loads_and_has_a_card(command, tmp_path):
     status, output, _ = command()
     assert status == 0
     network = read_twist_regressor(tmp_path / "mine.safetensors")
-    assert (network.sd_rad >= training.MIN_TWIST_SD_RAD - 1e-6).all()
+    assert (network.sd_rad >= twist_training.MIN_TWIST_SD_RAD - 1e-6).all()
     card = (tmp_path / "mine.md").read_text(encoding="utf-8")
     assert "NSF EIA-0196217" in card
     assert "| trained on | 01 (24), 14 (24) |" in card
     assert "held out, for standard deviations and scores | 03 (24) |" in card
     assert "never read, for the benchmarks | 02, 05, 06, 16, 49, 85, basket-s010, tilling-mmk, ys2010-boxer |" in card
     table = card.split("## Scores")[1].split("\n\n")[2].splitlines()[2:]
-    names = [BODY.names[j] for j in np.flatnonzero(twist_examples.HAS_TWIST)]
+    names = [BODY.names[j] for j in np.flatnonzero(frame_pairs.HAS_TWIST)]
     assert [row.split(" | ")[0] for row in table] == ["| " + name for name in names if name[0] != "R"] + ["| mean"]
     assert "mine.safetensors: " in output
     assert "mean twist error of held-out people" in output
@@ -82,7 +80,7 @@ def test_existing_weights_are_not_overwritten(command, tmp_path):
 
 def test_unknown_suffix_raises_before_training(tmp_path, motion):
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_twist_regressor(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
+        twist_training.train_twist_regressor(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def draw_arm_poses(frames):
@@ -97,17 +95,17 @@ def draw_arm_poses(frames):
 def test_training_lowers_the_loss_and_finds_the_twist_of_an_arm():
     poses, losses = draw_arm_poses(300), []
     quick = build_settings(epochs=12, batch_poses=16, learning_rate=1e-2)
-    network = training.fit_twist_regressor(poses, np.ones(300), quick, lambda text: losses.append(float(text.split()[-1])))
+    network = twist_training.fit_twist_regressor(poses, np.ones(300), quick, lambda text: losses.append(float(text.split()[-1])))
     assert losses[-1] < 0.3 * losses[0]
-    inputs, true = twist_examples.build_examples(poses, BODY, None)
-    assert np.degrees(training.compute_angle_errors(network.evaluate(inputs), true).max(axis=1).mean()) < 12
-    assert np.degrees(training.compute_angle_errors(np.array([1.0, 0.0]), true).max(axis=1).mean()) > 25
+    inputs, true = frame_pairs.build_examples(poses, BODY, None)
+    assert np.degrees(twist_training.compute_angle_errors(network.evaluate(inputs), true).max(axis=1).mean()) < 12
+    assert np.degrees(twist_training.compute_angle_errors(np.array([1.0, 0.0]), true).max(axis=1).mean()) > 25
 
 
 def test_training_is_reproducible_by_seed():
     poses = draw_arm_poses(60)
     one, again, other = (
-        training.fit_twist_regressor(poses, np.ones(60), build_settings(epochs=1, seed=seed), lambda text: None)
+        twist_training.fit_twist_regressor(poses, np.ones(60), build_settings(epochs=1, seed=seed), lambda text: None)
         for seed in (3, 3, 4)
     )
     for layer, its in enumerate(one.weights):
@@ -117,13 +115,13 @@ def test_training_is_reproducible_by_seed():
 
 def test_examples_have_displaced_joints_and_true_twists():
     poses, rng = draw_arm_poses(200), np.random.default_rng(0)
-    inputs, true = twist_examples.build_epoch_examples(poses, rng)
-    exact, twisted = twist_examples.build_examples(poses, BODY, None)
-    assert inputs.shape == exact.shape == (200, twist_examples.INPUT_COUNT)
+    inputs, true = frame_pairs.build_epoch_examples(poses, rng)
+    exact, twisted = frame_pairs.build_examples(poses, BODY, None)
+    assert inputs.shape == exact.shape == (200, frame_pairs.INPUT_COUNT)
     assert inputs.dtype == true.dtype == np.float32
     np.testing.assert_allclose(true, twisted.reshape(200, -1), atol=2e-2)  # slightly different bone directions change the twist
-    assert 0.02 < np.mean(inputs[:, : twist_examples.INPUT_COUNT // 2].reshape(200, -1, 3).any(axis=2) == 0) < 0.3
-    arm = int(twist_examples.HAS_TWIST[: BODY.find_joint("LeftArm")].sum())
+    assert 0.02 < np.mean(inputs[:, : frame_pairs.INPUT_COUNT // 2].reshape(200, -1, 3).any(axis=2) == 0) < 0.3
+    arm = int(frame_pairs.HAS_TWIST[: BODY.find_joint("LeftArm")].sum())
     np.testing.assert_allclose(
         twisted[:, arm], compute_twists(poses, compute_bone_vectors(BODY))[:, BODY.find_joint("LeftArm")], atol=1e-6
     )
@@ -131,5 +129,5 @@ def test_examples_have_displaced_joints_and_true_twists():
 
 def test_angle_errors_are_the_smaller_angle():
     one, other = (np.array([[np.cos(a), np.sin(a)]]) for a in (3.0, -3.0))
-    np.testing.assert_allclose(training.compute_angle_errors(5 * one, other), 2 * np.pi - 6.0)
-    np.testing.assert_allclose(training.compute_angle_errors(np.array([1.0, 0.0]), other), 3.0)
+    np.testing.assert_allclose(twist_training.compute_angle_errors(5 * one, other), 2 * np.pi - 6.0)
+    np.testing.assert_allclose(twist_training.compute_angle_errors(np.array([1.0, 0.0]), other), 3.0)

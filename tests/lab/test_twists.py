@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
-from mocapfix.lab import hands as pictures
-from mocapfix.lab import hybrik_tables, sound_takes
+from mocapfix.lab import hands, hybrik_tables, sound_takes
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from tests.lab.motion_files import write_bvh_motion
@@ -49,12 +48,12 @@ def test_folder_without_motion_raises(tmp_path):
 
 
 def test_figure_is_drawn(motion, tmp_path):
-    pictures.draw_twists(tmp_path / "twists.png", hybrik_tables.compute_twist_distribution(motion))
+    hands.draw_twists(tmp_path / "twists.png", hybrik_tables.compute_twist_distribution(motion))
     assert (tmp_path / "twists.png").read_bytes().startswith(b"\x89PNG\r\n")
 
 
 def test_sides_share_a_row():
-    sides = {name: pictures.split_side(name) for name in ("LHipJoint", "RightLeg", "LeftLeg", "LowerBack", "RThumb")}
+    sides = {name: hands.split_side(name) for name in ("LHipJoint", "RightLeg", "LeftLeg", "LowerBack", "RThumb")}
     assert sides == {
         "LHipJoint": ("left", "HipJoint"),
         "RightLeg": ("right", "Leg"),

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from mocapfix.labels import mislabelled as body_fitter
+from mocapfix.labels import mislabelled
 from tests.detect.people import CMU41, compose_person
 
-RESTING = body_fitter.compute_rest_markers(CMU41)
+RESTING = mislabelled.compute_rest_markers(CMU41)
 
 
 def test_rest_markers_are_symmetric_in_a_t_pose():
@@ -18,18 +18,18 @@ def test_rest_markers_are_symmetric_in_a_t_pose():
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.3])
 def test_size_ratio_from_distances_within_segments(scale):
     markers = np.tile(RESTING * scale, (3, 1, 1))
-    assert body_fitter.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
+    assert mislabelled.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
     markers[0, 5] = markers[1, 7] = np.nan
-    assert body_fitter.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
+    assert mislabelled.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
 
 
 def test_size_ratio_is_one_without_visible_distances():
-    assert body_fitter.estimate_size_ratio(CMU41, np.full((2, 41, 3), np.nan)) == 1.0
+    assert mislabelled.estimate_size_ratio(CMU41, np.full((2, 41, 3), np.nan)) == 1.0
 
 
 def test_predicted_markers_match_the_measured_ones():
     markers = np.ascontiguousarray(compose_person().markers[::30])
-    off = np.linalg.norm(body_fitter.build_average_body_fitter(CMU41, markers).predict_markers(markers) - markers, axis=-1)
+    off = np.linalg.norm(mislabelled.build_average_body_fitter(CMU41, markers).predict_markers(markers) - markers, axis=-1)
     assert np.median(off) < 0.03  # marker offsets vary by 12 mm per axis, bones by some per cent
     assert off.max() < 0.12
 
@@ -38,11 +38,11 @@ def test_missing_markers_are_predicted():
     markers = np.ascontiguousarray(compose_person().markers[:1])
     hidden = markers.copy()
     hidden[0, CMU41.labels.index("LTOE")] = np.nan
-    placed = body_fitter.build_average_body_fitter(CMU41, hidden).predict_markers(hidden)
+    placed = mislabelled.build_average_body_fitter(CMU41, hidden).predict_markers(hidden)
     np.testing.assert_allclose(placed[0, CMU41.labels.index("LTOE")], markers[0, CMU41.labels.index("LTOE")], atol=0.06)
 
 
 def test_misfit_is_half_a_squared_sd_and_bounded():
     at = np.array([[0.003, 0, 0], [0, 0.1, 0], [1e3, 0, 0], [np.nan, np.nan, np.nan]])
     worst = 0.5 * 0.1**2 / 0.03**2
-    np.testing.assert_allclose(body_fitter.compute_marker_misfit(at, np.zeros(3)), [0.005, worst / 2, worst, 0], rtol=2e-3)
+    np.testing.assert_allclose(mislabelled.compute_marker_misfit(at, np.zeros(3)), [0.005, worst / 2, worst, 0], rtol=2e-3)

@@ -18,8 +18,6 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.review import changes_file
-from mocapfix.review import changes_file as declined_changes
-from mocapfix.review import changes_file as file_models
 from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.review.changes_file import Review
 from mocapfix.state import CleaningState, DetectionState, FillProposal
@@ -205,8 +203,8 @@ def test_gap_within_a_rejected_burst_is_filled():
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
-    entry = file_models.ChangeModel.model_validate(changes_file.serialize_changes([change])[0] | {"decision": "reject"})
-    rejected = declined_changes.ReviewedChange(entry, (0,), 5, 14)
+    entry = changes_file.ChangeModel.model_validate(changes_file.serialize_changes([change])[0] | {"decision": "reject"})
+    rejected = changes_file.ReviewedChange(entry, (0,), 5, 14)
     after, changes = decide(before, detection, repaired, reviewed=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}
     assert {change.kind: change.samples for change in changes} == {"jitter": 0, "gap": 2}

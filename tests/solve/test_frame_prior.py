@@ -10,9 +10,7 @@ from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem
-from mocapfix.solve import window_solver as frame_prior
-from mocapfix.solve import window_solver as marker_equations
+from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem, window_solver
 from mocapfix.solve.frame_windows import change_all_frames
 from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -51,7 +49,7 @@ def build_term(model, problem, pose, weight=1e-3, frames=None):
     frame_count = len(pose[0])
     rows = np.arange(0, frame_count) if frames is None else frames
     nothing = np.zeros((frame_count, JOINTS), bool)
-    return frame_prior.build_frame_prior_term(
+    return window_solver.build_frame_prior_term(
         model, weight, problem.pose_problem, PRIOR, pose, nothing, frames=rows, robust_scale_m=0.05
     )
 
@@ -59,12 +57,12 @@ def build_term(model, problem, pose, weight=1e-3, frames=None):
 def test_undetermined_joint_follows_the_rest_of_the_body(scene):
     truth, problem = scene
     pose = get_poses(truth)
-    below = marker_equations.find_moved_joints(BODY.skeleton.parents)[LEFT, truth.subject.joints]
+    below = window_solver.find_moved_joints(BODY.skeleton.parents)[LEFT, truth.subject.joints]
     part = problem.pose_problem
     free_axes = replace(PRIOR, locked_information=np.zeros_like(PRIOR.locked_information))
     hidden = replace(part, solver_mask=part.solver_mask & ~below)
     nothing, frames = np.zeros((len(pose[0]), JOINTS), bool), np.arange(0, len(pose[0]))
-    term = frame_prior.build_frame_prior_term(
+    term = window_solver.build_frame_prior_term(
         copy_right_forearm(), 1e-3, hidden, free_axes, pose, nothing, frames=frames, robust_scale_m=0.05
     )
     difference = Rotation.from_matrix(term.rotations[:, LEFT] @ np.swapaxes(pose[1][:, RIGHT], 1, 2)).magnitude()

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import motion_prior as gap_prediction
+from mocapfix.solve import motion_prior
 from mocapfix.solve.gap_combination import GapContext
 from mocapfix.solve.motion_prior import MotionPrior, PredictedGap, build_motion_tree
 
@@ -42,7 +42,7 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
     predicted[:, joints == arm] = raised
     gap = predicted, np.full((31, len(joints)), 0.1), np.ones((31, 3)), np.full(31, 0.1)
     prior = Recorder(PredictedGap(*gap))
-    found = gap_prediction.predict_model_gap(cast(MotionPrior, prior), context, size_ratio=2.0)
+    found = motion_prior.predict_model_gap(cast(MotionPrior, prior), context, size_ratio=2.0)
     assert found is not None
     np.testing.assert_allclose(prior.given[0], context.root_position / 2)
     np.testing.assert_allclose(prior.given[1][0, arm], turn)
@@ -55,4 +55,4 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
 
 
 def test_unpredicted_gap_is_none():
-    assert gap_prediction.predict_model_gap(cast(MotionPrior, Recorder(None)), build_context()) is None
+    assert motion_prior.predict_model_gap(cast(MotionPrior, Recorder(None)), build_context()) is None

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.lab.motion_training import draw_initial_network, extract_motion_weights
-from mocapfix.solve import motion_prior as motion_model
+from mocapfix.solve import motion_prior
 from mocapfix.solve.motion_prior import INNER_COUNT, TOKEN_COUNT, build_motion_tree, count_features, count_outputs
 
 JOINTS = build_motion_tree().joints
@@ -42,7 +42,7 @@ def prior():
 def interpolating_prior(prior):
     """Return a network whose outputs are zero."""
     changed = {name: 0 * values for name, values in prior.tensors.items() if name.startswith("output")}
-    return motion_model.MotionPrior(prior.tensors | changed)
+    return motion_prior.MotionPrior(prior.tensors | changed)
 
 
 def test_numpy_evaluates_the_network_as_torch_does(prior):
@@ -97,15 +97,15 @@ def test_joint_that_is_never_known_is_not_predicted(prior):
 
 
 def test_file_has_the_same_weights(prior, tmp_path):
-    motion_model.write_motion_prior(tmp_path / "mine.safetensors", prior)
-    again = motion_model.read_motion_prior(tmp_path / "mine.safetensors")
+    motion_prior.write_motion_prior(tmp_path / "mine.safetensors", prior)
+    again = motion_prior.read_motion_prior(tmp_path / "mine.safetensors")
     for name, values in prior.tensors.items():
         np.testing.assert_array_equal(again.tensors[name], values)
 
 
 def test_other_files_raise(tmp_path):
-    motion_model.write_motion_prior(tmp_path / "part.safetensors", motion_model.MotionPrior({"input.weight": np.ones(3)}))
+    motion_prior.write_motion_prior(tmp_path / "part.safetensors", motion_prior.MotionPrior({"input.weight": np.ones(3)}))
     (tmp_path / "text.safetensors").write_text("weights")
     for name in ("part", "text", "absent"):
         with pytest.raises(SceneError, match=f"{name}.safetensors: is not a motion prior"):
-            motion_model.read_motion_prior(tmp_path / f"{name}.safetensors")
+            motion_prior.read_motion_prior(tmp_path / f"{name}.safetensors")

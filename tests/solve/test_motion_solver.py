@@ -12,9 +12,16 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver, occluded_joints, pose_problem
-from mocapfix.solve import prior_files as io
-from mocapfix.solve import window_solver as limb_recovery
+from mocapfix.solve import (
+    initial_motion,
+    kinematics,
+    mean_pose,
+    motion_solver,
+    occluded_joints,
+    pose_problem,
+    prior_files,
+    window_solver,
+)
 from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -193,7 +200,7 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
         motion_solver.solve_motion(
-            *arguments, conditioner=PriorConditioner(lambda: io.load_pose_model("gaussian", BODY.skeleton), 1.0)
+            *arguments, conditioner=PriorConditioner(lambda: prior_files.load_pose_model("gaussian", BODY.skeleton), 1.0)
         ),
         motion_solver.solve_motion(*arguments),
     )
@@ -228,7 +235,7 @@ def test_limb_that_was_left_behind_is_solved_again(exact):
     right = root_position.copy(), local_rotations.copy()
     local_rotations[frames, NAMES.index("LeftArm")] = local_rotations[frames, NAMES.index("LeftArm")] @ compute_turn_x(2.5)
     own = root_position.copy(), local_rotations.copy()  # the frame's own solution lost the arm as well
-    limb_recovery.recover_lost_limbs(
+    window_solver.recover_lost_limbs(
         problem,
         truth.subject,
         MEAN,

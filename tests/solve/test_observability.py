@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
-from mocapfix.solve import pose_problem as observability
+from mocapfix.solve import pose_problem
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
 
@@ -33,7 +33,7 @@ LEFT = [BODY.skeleton.find_joint(name) for name in ARM]
 def test_samples_beside_gaps_are_not_used(rate, gap, border):
     is_inlier = np.ones((100, 2), bool)
     is_inlier[gap[0] : gap[1] + 1, 0] = False
-    mask = observability.find_gap_borders(is_inlier, np.zeros((100, 2), bool), rate, 0.05)
+    mask = pose_problem.find_gap_borders(is_inlier, np.zeros((100, 2), bool), rate, 0.05)
     assert find_runs(mask[:, 0]) == ([] if border is None else [border])
     assert not mask[:, 1].any()
 
@@ -42,7 +42,7 @@ def test_gaps_of_an_unobserved_joint_have_no_borders():
     is_inlier, is_unobserved = np.ones((100, 2), bool), np.zeros((100, 2), bool)
     is_inlier[40:60] = False
     is_unobserved[40:60, 0], is_unobserved[45:60, 1] = True, True
-    mask = observability.find_gap_borders(is_inlier, is_unobserved, 100.0, 0.05)
+    mask = pose_problem.find_gap_borders(is_inlier, is_unobserved, 100.0, 0.05)
     assert not mask[:, 0].any()
     assert find_runs(mask[:, 1]) == [(35, 64)]
 
@@ -54,7 +54,7 @@ def test_joint_lacks_own_and_child_markers():
     is_used[:, MARKER_SET.labels.index("RFRM")] = False  # never visible, so its absence is normal
     joint = NAMES[MARKER_SET.joints[MARKER_SET.labels.index("LFRM")]]
     lacking = {
-        (int(t), NAMES[j]) for t, j in np.argwhere(observability.find_partly_observed_joints(is_used, SUBJECT) & BODY.free_joints)
+        (int(t), NAMES[j]) for t, j in np.argwhere(pose_problem.find_partly_observed_joints(is_used, SUBJECT) & BODY.free_joints)
     }
     assert lacking == {(3, joint), (3, NAMES[BODY.skeleton.parents[NAMES.index(joint)]])}  # the root never
 
@@ -76,7 +76,7 @@ def list_labels_on(*names):
 def find_unobserved(is_used):
     return {
         (int(t), BODY.skeleton.names[j])
-        for t, j in np.argwhere(observability.find_unobserved_joints(is_used, SUBJECT, BODY.free_joints))
+        for t, j in np.argwhere(pose_problem.find_unobserved_joints(is_used, SUBJECT, BODY.free_joints))
     }
 
 
@@ -102,7 +102,7 @@ def test_never_marked_limb_is_not_unobserved():
 def test_root_and_fixed_joints_are_never_unobserved():
     is_used = np.zeros((5, len(MARKER_SET.labels)), bool)
     is_used[0] = True
-    is_unobserved = observability.find_unobserved_joints(is_used, SUBJECT, BODY.free_joints)
+    is_unobserved = pose_problem.find_unobserved_joints(is_used, SUBJECT, BODY.free_joints)
     assert not is_unobserved[:, 0].any()
     assert not is_unobserved[:, ~BODY.free_joints].any()
     assert is_unobserved[1:, LEFT].all()

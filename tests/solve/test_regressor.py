@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.solve import learned_ik as regressor
+from mocapfix.solve import learned_ik
 from mocapfix.solve.learned_ik import PoseRegressor
 from tests.solve.ik_cases import SKELETON, build_network, draw_poses, place
 
@@ -30,7 +30,7 @@ def test_second_pass_starts_from_the_first():
 
 @pytest.mark.parametrize("has_selector", [False, True])
 def test_followed_take_reaches_given_joints(has_selector, monkeypatch):
-    monkeypatch.setattr(regressor, "FIRST_SELECTED_FRAME", 4)
+    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 4)
     rotations = draw_poses(1)
     positions, _ = place(rotations)
     model = PoseRegressor(build_network(scale=0.0), SKELETON)
@@ -40,7 +40,7 @@ def test_followed_take_reaches_given_joints(has_selector, monkeypatch):
 
 
 def test_selector_copies_a_pose_that_fits_better(monkeypatch):
-    monkeypatch.setattr(regressor, "FIRST_SELECTED_FRAME", 0)
+    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 0)
     rotations = np.repeat(draw_poses(1)[:1], 12, axis=0)
     positions, _ = place(rotations)
     model = PoseRegressor(build_network(scale=5.0), SKELETON)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mocapfix.stats import point_function_search
-from mocapfix.stats import point_function_search as exact_distances
 from mocapfix.stats.point_function_search import (
     compare_points,
     find_exactly_rigid_points,
@@ -165,7 +164,7 @@ def test_many_points_are_compared_with_those_near_them(monkeypatch):
     expected = find(points)
     assert sorted(expected) == [5, 11, 17, 23, 29, 35]
     sd_m = measure_distance_sd(points)
-    monkeypatch.setattr(exact_distances, "MAX_COMPARED_PAIRS", 37 * 9)
+    monkeypatch.setattr(point_function_search, "MAX_COMPARED_PAIRS", 37 * 9)
     compared = compare_points(points)
     assert compared.partner.shape == (37, 9)
     rows = np.arange(37)[:, None]

@@ -16,8 +16,6 @@ from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import motions, synthetic_takes
-from mocapfix.synthetic import motions as footsteps
-from mocapfix.synthetic import motions as gestures
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))
@@ -42,14 +40,14 @@ def compute_angle_deg(a, b):
 
 
 @pytest.fixture(scope="module")
-def feet() -> footsteps.FootMotion:
-    return footsteps.plan_footsteps(np.arange(0, 20, 1 / 240), stride_m=0.6, half_width_m=0.09)
+def feet() -> motions.FootMotion:
+    return motions.plan_footsteps(np.arange(0, 20, 1 / 240), stride_m=0.6, half_width_m=0.09)
 
 
-@pytest.mark.parametrize(("pivot", "sign"), [(footsteps.TOE_PIVOT_M, 1), (footsteps.HEEL_PIVOT_M, -1)])
+@pytest.mark.parametrize(("pivot", "sign"), [(motions.TOE_PIVOT_M, 1), (motions.HEEL_PIVOT_M, -1)])
 def test_stance_foot_rolls_about_a_fixed_point_of_the_floor(feet, pivot, sign):
     pitch = -feet.foot_rotation[..., 1, 2] * sign  # sine of the pitch of heel or toes
-    point = feet.ankle_position + feet.foot_rotation @ [0, -footsteps.ANKLE_HEIGHT_M, pivot]
+    point = feet.ankle_position + feet.foot_rotation @ [0, -motions.ANKLE_HEIGHT_M, pivot]
     rolling = ~feet.is_swinging & (pitch > -1e-12)
     both = rolling[1:] & rolling[:-1]
     assert (pitch[rolling] > 0.05).sum() > 100
@@ -78,7 +76,7 @@ def test_legs_reach_their_feet(take, position_of):
     skeleton = take.subject.skeleton
     leg = sum(float(np.linalg.norm(skeleton.offsets[skeleton.find_joint(name)])) for name in ("LeftLeg", "LeftFoot"))
     half_width = skeleton.offsets[skeleton.find_joint("LeftUpLeg"), 0]
-    feet = footsteps.plan_footsteps(np.arange(len(take.joint_positions)) / RATE, motions.STRIDE_TO_LEG_RATIO * leg, half_width)
+    feet = motions.plan_footsteps(np.arange(len(take.joint_positions)) / RATE, motions.STRIDE_TO_LEG_RATIO * leg, half_width)
     for side, name in enumerate(("LeftFoot", "RightFoot")):
         assert (
             np.abs(position_of(name) - feet.ankle_position[:, side]).max() < 1e-4
@@ -147,7 +145,7 @@ def test_hands_reach_and_the_body_crouches_and_turns(position_of):
     def at(when):
         return round(np.mean(when[1:3]) * RATE)
 
-    left, right, crouch = at(gestures.REACH_LEFT_TIMES_S), at(gestures.REACH_RIGHT_TIMES_S), at(gestures.CROUCH_TIMES_S)
+    left, right, crouch = at(motions.REACH_LEFT_TIMES_S), at(motions.REACH_RIGHT_TIMES_S), at(motions.CROUCH_TIMES_S)
     assert abs(position_of("LeftHand")[left, 1] - position_of("LeftArm")[left, 1]) < 0.15
     assert position_of("LeftHand")[left, 2] - position_of("LeftArm")[left, 2] > 0.4
     assert position_of("RightHand")[right, 1] > position_of("Head")[right, 1]
@@ -225,7 +223,7 @@ def test_damage_matches_its_masks(seed):
 
 def test_arm_gap_and_late_marker(take):
     first, end = (round(second * RATE) for second in synthetic_takes.ARM_GAP_S)
-    assert 0 < synthetic_takes.ARM_GAP_S[0] < synthetic_takes.ARM_GAP_S[1] <= gestures.REACH_LEFT_TIMES_S[0]
+    assert 0 < synthetic_takes.ARM_GAP_S[0] < synthetic_takes.ARM_GAP_S[1] <= motions.REACH_LEFT_TIMES_S[0]
     lost = {label for label, missing in zip(take.labels, take.missing_mask[first:end].all(axis=0), strict=True) if missing}
     assert lost >= {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"}
     assert take.missing_mask[: round(synthetic_takes.LATE_START_S * RATE)].all(axis=0).sum() >= 1
