@@ -24,6 +24,6 @@ if result.subject and result.motion and result.contacts:
         x, _, z = toe[first : last + 1].mean(0)
         print(f"frames {first} to {last}: the left foot stands at x = {x:.3f} m, z = {z:.3f} m")
 
-options = OutputOptions(characters=("mixamo",), key_error_deg=1.0)
+options = OutputOptions(characters=("mixamo",))
 for output in result.write("retarget.mocapfix", overwrite=True, options=options).values():
     print(output)

@@ -217,10 +217,6 @@ class OutputOptions(StageOptions):
         None, "--character-map", "FILE", "YAML file with the bones of the character's body, as written beside its motion",
         job_key="write.character_map", default_text="by the names of the bones, or the shape of the skeleton",
     )  # fmt: skip
-    key_error_deg: float | None = define_option(
-        None, "--key-reduce", "DEGREES", "write fewer keys into .glb and .fbx: no rotation differs by more than this",
-        job_key="write.key_reduce", unit="degrees", default_text="a key in every frame", above=0.0, at_most=90.0,
-    )  # fmt: skip
 
 
 __all__ = [

@@ -5,7 +5,7 @@ coordinates     units, axes and handedness: the one place where files become met
 c3d, c3d_writer, points, force_plates
 marker_table    what TRC, Motive, Nexus, Qualisys and plain CSV share; trc, motive, nexus, qualisys, plain_csv
 bvh, amc, asf, rig, keypoint_json, npz
-gltf, glb, key_reduction, fbx, character_files
+gltf, glb, fbx, character_files
 source_file     copies of the source in which only changed samples differ
 output_formats  which files a cleaning writes
 files           atomic replacement, temporary files and locks

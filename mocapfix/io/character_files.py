@@ -63,21 +63,12 @@ from mocapfix.io.fbx import write_character_fbx
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.glb import GLTF_ASSET, GlbContent, GltfBuffer, build_glb, parse_glb
 from mocapfix.io.gltf import add_animation, add_test_skin
-from mocapfix.io.key_reduction import (
-    KeyReduction,
-    LegCurves,
-    MotionKeys,
-    build_leg_curves,
-    measure_key_reduction,
-    select_motion_keys,
-)
 from mocapfix.kernels import lie as quaternions
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 
 MIN_MOVED_ELEMENT = 1e-6
 """difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
-LEG_SEGMENTS = ("thigh", "shin")
 
 
 def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
@@ -87,30 +78,13 @@ def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int
     return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
 
 
-def compute_leg_length(character: Character) -> float:
-    """Return the length of the longer leg in metres, from hip to ankle along the bones of thigh and shin."""
-    mapped, lengths = character.mapping.bones, [0.0]
-    for side in ("left", "right"):
-        chain = [bone for segment in LEG_SEGMENTS for bone in mapped.get(f"{side}_{segment}", ())]
-        inner = [*chain[1:], *mapped.get(f"{side}_foot", ())]
-        lengths.append(float(np.linalg.norm(character.rest_positions[inner], axis=1).sum()))
-    return max(lengths)
-
-
 def get_parent_scale(character: Character, bone: int) -> float:
     """Return the metres in a unit of the file in which the position of a bone is given."""
     parent = int(character.parents[bone])
     return float(character.scales[parent]) if parent >= 0 else character.root_scale
 
 
-def write_character_glb(
-    target: Path,
-    character: Character,
-    motion: CharacterMotion,
-    take_name: str,
-    key_error_rad: float | None = None,
-    contacts: BodyContacts | None = None,
-) -> KeyReduction | None:
+def write_character_glb(target: Path, character: Character, motion: CharacterMotion, take_name: str) -> None:
     """Write the motion of a character as a GLB.
 
     The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis. A
@@ -121,21 +95,12 @@ def write_character_glb(
         character: The character. The file that it was read from, if that was a glTF, is kept; else it gets a test skin.
         motion: Its motion.
         take_name: Name of the animation; a number is appended if the file has an animation of that name.
-        key_error_rad: Write only the keys that keep every rotation within this angle, and the pelvis within the distance that
-            it means at the end of a leg (angle times leg length), and standing feet where they are. Every frame by default.
-        contacts: Of the motion, at their own rate: when its feet stand. Without any, slow feet stand.
-
-    Returns:
-        The errors of the reduction, None without one.
 
     Raises:
         WriteError: If `target` is not writable.
     """
     content, nodes = _open_document(character)
     bones = list_moving_bones(character, motion)
-    legs = None if key_error_rad is None else build_leg_curves(character, motion, contacts)
-    leg_length_m = compute_leg_length(character)
-    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, key_error_rad, leg_length_m, legs)
     pelvis = character.mapping.bones["pelvis"][0]
     buffer = GltfBuffer(content.document, content.binary)
     has_own_scale = character.source is not None and character.source.kind == "gltf"
@@ -143,23 +108,12 @@ def write_character_glb(
     for bone in {pelvis, *bones}:
         _replace_matrix(content.document["nodes"][nodes[bone]])
     name = _make_name_unique(take_name, content.document.get("animations", []))
-    add_animation(buffer, name, keys, [int(nodes[bone]) for bone in bones], int(nodes[pelvis]), position_scale, motion.rate)
+    moved_nodes = {bone: int(nodes[bone]) for bone in bones}
+    position = motion.pelvis_position / position_scale
+    add_animation(buffer, name, motion.local_rotations, position, moved_nodes, int(nodes[pelvis]), motion.rate)
     data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
-    return None if key_error_rad is None else _measure_character_keys(character, motion, keys, key_error_rad, legs)
-
-
-def _measure_character_keys(
-    character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float, legs: LegCurves | None
-) -> KeyReduction:
-    """Measure the errors of a character's motion between its keys, at the heads and tails of all bones."""
-
-    def compute_points(position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T P 3"]:
-        heads, axes = compute_character_poses(character, CharacterMotion(position, rotations, motion.rate))
-        return np.concatenate([heads, heads + (axes @ np.nan_to_num(character.tails)[..., None])[..., 0]], axis=1)
-
-    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points, legs)
 
 
 def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " J"]]:
@@ -344,13 +298,11 @@ FBX_SUFFIX = "fbx"
 class CharacterFiles:
     """What is written of a character.
 
-    character      the character, with a mapping of its bones
-    key_error_deg  largest error of reduced keys; None for a key in every frame
-    has_fbx        whether FBX is written too
+    character  the character, with a mapping of its bones
+    has_fbx    whether FBX is written too
     """
 
     character: Character
-    key_error_deg: float | None = None
     has_fbx: bool = False
 
     @property
@@ -378,43 +330,16 @@ class CharacterFiles:
         write_mapping_file(target.with_suffix(".map.yaml"), character)
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
-        return [*notes, *write_glb_and_fbx(target, character, retargeted, self.key_error_deg, contacts, has_fbx=self.has_fbx)]
+        write_character_glb(target, character, retargeted, target.name.partition(".")[0])
+        if self.has_fbx and (problem := write_character_fbx(target.with_suffix(f".{FBX_SUFFIX}"), target, rate)):
+            notes.append(problem)
+        return notes
 
 
-def write_glb_and_fbx(
-    target: Path,
-    character: Character,
-    motion: CharacterMotion,
-    key_error_deg: float | None,
-    contacts: BodyContacts | None,
-    *,
-    has_fbx: bool,
-) -> list[str]:
-    """Write a GLB, and with `has_fbx` an FBX of it by Blender. Returns sentences for the report. Raises WriteError."""
-    take_name = target.name.partition(".")[0]
-    key_error_rad = None if key_error_deg is None else float(np.deg2rad(key_error_deg))
-    reduction = write_character_glb(target, character, motion, take_name, key_error_rad, contacts)
-    notes = [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
-    if has_fbx and (problem := write_character_fbx(target.with_suffix(f".{FBX_SUFFIX}"), target, motion.rate)):
-        notes.append(problem)
-    return notes
-
-
-def write_skeleton_fbx(
-    target: Path,
-    skeleton: Skeleton,
-    motion: Motion,
-    rate: float,
-    key_error_deg: float | None,
-    contacts: BodyContacts | None = None,
-) -> list[str]:
-    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError.
-
-    contacts  of the motion, in which a reduction of keys keeps the feet; without any, slow feet stand
-    """
+def write_skeleton_fbx(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:
+    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError."""
     with make_scratch_folder() as folder:
         glb = folder / f"{target.stem}.glb"
-        character = build_cmu31_character(skeleton)
-        write_glb_and_fbx(glb, character, convert_motion(motion, rate), key_error_deg, contacts, has_fbx=False)
+        write_character_glb(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), target.name.partition(".")[0])
         problem = write_character_fbx(target, glb, rate)
     return [problem] if problem else []

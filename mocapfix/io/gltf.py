@@ -10,53 +10,60 @@ A test skin for bones without a mesh: a slender double pyramid for every bone, s
 Programs recognise a skeleton only where its joints are those of a skin.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.glb import ARRAY_BUFFER, GLTF_ASSET, GlbContent, GltfBuffer, build_glb
-from mocapfix.io.key_reduction import KeyReduction, MotionKeys, measure_key_reduction, select_motion_keys
+from mocapfix.kernels import lie
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
-from mocapfix.stats.rigid_alignment import compose_transforms
 
-if TYPE_CHECKING:
-    from mocapfix.contacts.contacts import BodyContacts
+MAX_CONSTANT_CHORD = 5e-7
+"""of unit quaternions: the distance of two rotations that differ by 1e-6 rad. A rotation that stays within it has one key"""
 
 
 def add_animation(
-    buffer: GltfBuffer, name: str, keys: MotionKeys, nodes: Sequence[int], position_node: int, position_scale: float, rate: float
+    buffer: GltfBuffer,
+    name: str,
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    position: Float[np.ndarray, "T 3"],
+    nodes: Mapping[int, int],
+    position_node: int,
+    rate: float,
 ) -> None:
-    """Add an animation to the document. Curves with the same keys share their times.
+    """Add an animation to the document, with a key in every frame, or a single one of a rotation that does not change.
 
     Args:
         buffer: The buffer and the document.
         name: Name of the animation.
-        keys: The curves and their keys.
-        nodes: Node of each curve of rotations.
+        local_rotations: Axes of each bone to its parent's.
+        position: Of `position_node`, in the unit of its parent.
+        nodes: Bone to node, of the bones that get a curve.
         position_node: Node of the curve of positions.
-        position_scale: Metres in a unit of its parent.
         rate: Frames per second.
     """
-    times: dict[bytes, int] = {}
+    frame_count = len(position)
+    times: dict[int, int] = {}
 
-    def add_times(kept: Bool[np.ndarray, " T"]) -> int:
-        key = kept.tobytes()
-        if key not in times:
-            times[key] = buffer.add_array(np.flatnonzero(kept) / rate, "SCALAR", has_bounds=True)
-        return times[key]
+    def add_curve(node: int, path: str, kind: str, values: Float[np.ndarray, "K N"]) -> None:
+        if len(values) not in times:
+            times[len(values)] = buffer.add_array(np.arange(len(values)) / rate, "SCALAR", has_bounds=True)
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+        output = buffer.add_array(values, kind)
+        samplers.append({"input": times[len(values)], "output": output, "interpolation": "LINEAR"})
 
-    position = keys.position[keys.position_keys] / position_scale
-    samplers = [{"input": add_times(keys.position_keys), "output": buffer.add_array(position, "VEC3")}]
-    channels = [{"sampler": 0, "target": {"node": position_node, "path": "translation"}}]
-    for node, rotation, kept in zip(nodes, keys.rotations, keys.rotation_keys, strict=True):
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": "rotation"}})
-        samplers.append({"input": add_times(kept), "output": buffer.add_array(rotation[kept], "VEC4")})
-    samplers = [each | {"interpolation": "LINEAR"} for each in samplers]
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    add_curve(position_node, "translation", "VEC3", position)
+    for bone, node in nodes.items():
+        rotation = lie.extract_joint_quaternions(local_rotations, bone, np.ones(frame_count, bool))
+        is_constant = bool((np.linalg.norm(rotation - rotation[0], axis=1) <= MAX_CONSTANT_CHORD).all())
+        add_curve(node, "rotation", "VEC4", rotation[:1] if is_constant else rotation)
     buffer.document.setdefault("animations", []).append({"name": name, "channels": channels, "samplers": samplers})
 
 
@@ -134,26 +141,8 @@ def _build_pyramid(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"])
     return (start + PYRAMID_CORNERS @ axes)[PYRAMID_FACES].reshape(-1, 3)
 
 
-def write_gltf(
-    target: Path,
-    skeleton: Skeleton,
-    motion: Motion,
-    rate: float,
-    key_error_rad: float | None = None,
-    contacts: "BodyContacts | None" = None,
-) -> KeyReduction | None:
-    """Write a motion at `rate` frames per second.
-
-    With `key_error_rad` only the keys are written that keep rotations within this angle, and the root within the distance that
-    it means at half the height of the skeleton, and standing feet where they are. `contacts` of the motion, at their own rate,
-    have when the feet stand; without any, slow feet stand.
-
-    Returns:
-        The errors of the reduction, None without one.
-
-    Raises:
-        WriteError: If `target` is not writable.
-    """
+def write_gltf(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> None:
+    """Write a motion at `rate` frames per second. Raises WriteError if `target` is not writable."""
     count, positions = len(skeleton.names), skeleton.rest_positions
     nodes: list[dict[str, Any]] = [
         {"name": name, "translation": offset.tolist()} for name, offset in zip(skeleton.names, skeleton.offsets, strict=True)
@@ -169,24 +158,7 @@ def write_gltf(
     }
     buffer = GltfBuffer(document)
     add_test_skin(buffer, skeleton.parents, positions, np.tile(np.eye(3), (count, 1, 1)), positions + skeleton.ends)
-    leg_length_m = float(np.ptp(positions[:, 1])) / 2
-    legs = None
-    if key_error_rad is not None:
-        from mocapfix.characters.character import build_cmu31_character, convert_motion  # few cleanings need them
-        from mocapfix.io.key_reduction import build_leg_curves
-
-        legs = build_leg_curves(build_cmu31_character(skeleton), convert_motion(motion, rate), contacts)
-    keys = select_motion_keys(range(count), motion.local_rotations, motion.root_position, key_error_rad, leg_length_m, legs)
-    add_animation(buffer, target.stem, keys, range(count), 0, 1.0, rate)
+    nodes_of_joints = dict(enumerate(range(count)))
+    add_animation(buffer, target.stem, motion.local_rotations, motion.root_position, nodes_of_joints, 0, rate)
     with replace_atomically(Path(target)) as part:
         part.write_bytes(build_glb(GlbContent(document, buffer.finish())))
-    if key_error_rad is None:
-        return None
-
-    def compute_points(root: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T P 3"]:
-        offsets = np.tile(skeleton.offsets, (len(root), 1, 1))
-        offsets[:, 0] = root
-        heads, axes = compose_transforms(skeleton.parents, offsets, rotations)
-        return np.concatenate([heads, heads + (axes @ np.nan_to_num(skeleton.ends)[..., None])[..., 0]], axis=1)
-
-    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points, legs)

@@ -16,8 +16,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io import rig
@@ -85,14 +83,12 @@ class ExportedMotion:
         motion: The motion at the output rate, with the floor at height 0.
         rate: Frames per second.
         floor_height_m: Height of the floor in the take.
-        key_error_deg: Largest error of a rotation in files with reduced keys; None for a key in every frame.
     """
 
     subject: Subject
     motion: Motion
     rate: float
     floor_height_m: float = 0.0
-    key_error_deg: float | None = None
 
     @property
     def skeleton(self) -> Skeleton:
@@ -168,19 +164,16 @@ def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion 
     write_bvh(target, exported.skeleton, exported.motion, exported.rate)
 
 
-def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     exported = _require_motion(exported)
-    key_error_rad = None if exported.key_error_deg is None else float(np.deg2rad(exported.key_error_deg))
-    reduction = write_gltf(target, exported.skeleton, exported.motion, exported.rate, key_error_rad, result.contacts)
-    return [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
+    write_gltf(target, exported.skeleton, exported.motion, exported.rate)
 
 
 def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
     from mocapfix.io.character_files import write_skeleton_fbx
 
     exported = _require_motion(exported)
-    details = exported.rate, exported.key_error_deg, result.contacts
-    return write_skeleton_fbx(target, exported.skeleton, exported.motion, *details)
+    return write_skeleton_fbx(target, exported.skeleton, exported.motion, exported.rate)
 
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
@@ -189,7 +182,7 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     from mocapfix.io.character_files import CharacterFiles
 
     character = load_character(name_or_path, options.character_map)
-    files = CharacterFiles(character, options.key_error_deg, has_fbx="fbx" in options.extra_formats)
+    files = CharacterFiles(character, has_fbx="fbx" in options.extra_formats)
 
     def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
         exported = _require_motion(exported)
@@ -335,4 +328,4 @@ def build_exported_motion(
     if floor_height_m:
         motion = replace(motion, root_position=motion.root_position - [0.0, floor_height_m, 0.0])
     resampled = resample_motion(motion, rate, output_rate)
-    return ExportedMotion(subject, resampled, output_rate, floor_height_m, options.key_error_deg)
+    return ExportedMotion(subject, resampled, output_rate, floor_height_m)

@@ -16,7 +16,6 @@ from mocapfix.characters.character import Character, CharacterMotion, compute_ch
 from mocapfix.characters.character_choice import load_character_preset, read_character
 from mocapfix.io.character_files import write_character_bvh, write_character_glb
 from mocapfix.io.fbx import BLENDER_VARIABLE, write_character_fbx
-from mocapfix.io.key_reduction import KeyReduction
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
 
@@ -30,8 +29,6 @@ MAX_HEAD_ERROR_M = 1e-4
 USER_FILES = {"user-mixamo": build_mixamo_glb, "user-vrm": lambda: build_vrm(1)}
 CHARACTERS = (*USER_FILES, "figure", *CHARACTER_PRESETS)
 FILES = [f"{name}.{suffix}" for name in CHARACTERS for suffix in ("glb", "bvh")]
-REDUCED = "user-vrm.reduced.glb"
-KEY_ERROR_RAD = np.radians(5)
 FBX_CHARACTERS = ("user-mixamo", "unreal")
 
 
@@ -80,25 +77,16 @@ def written(tmp_path_factory) -> dict[str, WrittenCharacter]:
 
 
 @pytest.fixture(scope="module")
-def reduction(written) -> KeyReduction:
-    """What the reduction of the keys of REDUCED came to."""
-    each = written["user-vrm"]
-    reduction = write_character_glb(each.folder / REDUCED, each.character, each.motion, "take", KEY_ERROR_RAD)
-    assert reduction is not None
-    return reduction
-
-
-@pytest.fixture(scope="module")
-def opened(written, reduction) -> dict[str, dict]:
+def opened(written) -> dict[str, dict]:
     """Blender's scene of every file. One process imports all: its start takes longer than an import."""
     folder = written["figure"].folder
-    files = [*FILES, REDUCED, *(f"{name}.fbx" for name in FBX_CHARACTERS)]
+    files = [*FILES, *(f"{name}.fbx" for name in FBX_CHARACTERS)]
     jobs = [
         {
             "path": str(folder / file),
             "scale": written[file.partition(".")[0]].bvh_unit_m,
             "rate": RATE_HZ,
-            "frames": range(FRAME_COUNT) if file == REDUCED else FRAMES,
+            "frames": FRAMES,
             "take": "take",
         }
         for file in files
@@ -150,16 +138,3 @@ def test_fbx_has_the_armature_the_mesh_and_the_take_alone(opened, name):
     assert each["objects"] == ["ARMATURE", "MESH"]
     assert each["meshes"] == 1
     assert each["action"].endswith("|take")
-
-
-def test_reduced_keys_keep_the_stated_distance_in_blender(opened, written, reduction):
-    """Blender interpolates the components of quaternions and normalises them."""
-    each = written["user-vrm"]
-    positions, _ = compute_character_poses(each.character, each.motion)
-    largest = 0.0
-    for frame, heads in enumerate(opened[REDUCED]["heads"]):
-        for name, head in heads.items():
-            x, y, z = positions[frame, each.character.find_bone(name)]
-            largest = max(largest, float(np.linalg.norm(np.array(head) - [x, -z, y])))
-    assert 1e-3 < largest <= reduction.max_distance_m + MAX_HEAD_ERROR_M
-    assert reduction.key_count < 0.8 * reduction.sample_count

@@ -36,7 +36,6 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
         (("--character", "maya"), "There is no character 'maya'; choose one of daz-g8"),
         (("--character", "nowhere.glb"), "nowhere.glb: "),
         (("--feet", "glued"), "--feet must be one of off, soft, lock, not 'glued'"),
-        (("--key-reduce", "0"), "--key-reduce must be greater than 0 degrees"),
         (("--bvh-for", "maya"), "There is no rig 'maya'; choose one of 3dsmax, blender, cmu, motionbuilder"),
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
         (("--fps", "1"), "--fps must be at least 5 Hz and at most 1000 Hz, not 1"),

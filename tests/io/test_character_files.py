@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character_choice import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.contacts.contacts import HeldFeet, build_no_contacts
+from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.errors import WriteError
 from mocapfix.io.capture import read_capture
 from mocapfix.io.character_files import CharacterFiles
@@ -38,13 +38,12 @@ def solved(cleaned):
 
 
 def test_all_files_of_each_character_are_written(solved, tmp_path):
-    options = OutputOptions(characters=("mixamo", "smpl"), key_error_deg=0.5)
+    options = OutputOptions(characters=("mixamo", "smpl"))
     outputs = solved.write(tmp_path, options=options)
     for name in ("mixamo", "smpl"):
         assert {f"{name}.{suffix}" for suffix in ("glb", "bvh", "npz", "map.yaml")} <= set(outputs)
     notes = json.loads(outputs["report.json"].read_text())["notes"]
     assert any("walk.mixamo.glb" in note and "ratio of the legs' lengths" in note for note in notes)
-    assert any("walk.smpl.glb" in note and "keys are kept" in note for note in notes)
 
 
 def test_bvh_of_a_character_moves_like_its_arrays(solved, tmp_path):
@@ -94,17 +93,6 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
     np.testing.assert_allclose(rotations, expected.local_rotations[:, foot], atol=1e-5)
     assert np.abs(rotations - other.local_rotations[:, foot]).max() > 1e-3
     assert (on_zero.pelvis_position[:, 1] > pelvis[:, 1] + 0.02).all()
-
-
-def test_the_contacts_of_the_motion_keep_feet_when_keys_are_reduced(tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr("mocapfix.io.character_files.build_leg_curves", lambda *arguments: given.append(arguments[2]))
-    _, motion = load_walk()
-    contacts = build_no_contacts(motion.frame_count, RATE)
-    solved = motion_of(motion.local_rotations, motion.pelvis_position)
-    files = CharacterFiles(load_character("mixamo"), key_error_deg=1.0)
-    files.write(tmp_path / "walk.mixamo.glb", load_cmu31_skeleton(), solved, RATE, contacts)
-    assert given == [contacts]
 
 
 def test_file_names_are_checked_before_anything_is_cleaned():
