@@ -151,9 +151,10 @@ def fill_take(
 
 
 def join_gap_estimates(estimate: MarkerEstimate, markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerEstimate:
-    """Return the estimates, in the gaps that they leave uncertain combined with those that hidden stretches weight for each gap.
+    """Combine estimates of the whole take with estimates of single gaps, in the gaps where the former are uncertain.
 
-    Those of a gap are uncertain where the take shows no stretch that long. The body is then known better.
+    The estimates of a single gap are weighted by their errors in stretches of its length, hidden where the marker is visible.
+    If the take has no such stretch they are uncertain too, and the body has more weight.
 
     estimate  from all methods over the whole take
     markers   in metres, NaN if not visible or an outlier
