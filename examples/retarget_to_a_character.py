@@ -4,7 +4,7 @@ from pathlib import Path
 
 import mocapfix
 from mocapfix.characters.character import build_cmu31_character, compute_character_poses, convert_motion
-from mocapfix.characters.character_choice import load_character
+from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.options import OutputOptions
 from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take

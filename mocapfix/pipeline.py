@@ -20,6 +20,7 @@ from mocapfix.errors import TakeError, join_names
 from mocapfix.fill.computed_points import update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.io.capture import read_capture
+from mocapfix.io.changes_file import NO_REVIEW, Review, build_review_filter
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
 from mocapfix.labels.requested_labels import describe_missing_labels, label_capture, label_take
@@ -34,7 +35,6 @@ from mocapfix.report.report import InspectionReport
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.review.apply_decisions import apply_decisions
-from mocapfix.review.changes_file import NO_REVIEW, Review, build_review_filter
 from mocapfix.solve.initial_motion import initialise_body
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body

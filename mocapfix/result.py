@@ -16,6 +16,7 @@ from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.contacts.plate_contacts import is_file_event_wrong
 from mocapfix.errors import WriteError
 from mocapfix.io.c3d_events import add_c3d_events
+from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.io.output_formats import (
     BVH_FORMAT,
@@ -35,7 +36,6 @@ from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
-from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.review.clean_arguments import build_clean_arguments
 
 if TYPE_CHECKING:

@@ -14,13 +14,13 @@ from jaxtyping import Bool, Float, Int, Shaped
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.detect.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.detect.trajectory_segments import find_namesakes
+from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.model.changes import Change, UnfilledRun
 from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import Motion, PoseEvidence
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.solve.frame_windows import FrameChanges
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_groups import RigidGroup

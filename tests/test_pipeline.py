@@ -12,11 +12,10 @@ import pytest
 
 from mocapfix import pipeline, synthetic
 from mocapfix.errors import OptionError, TakeError, WriteError
-from mocapfix.io import capture
+from mocapfix.io import capture, changes_file
 from mocapfix.io.patches import patch_c3d
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.review import changes_file
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import subject_file

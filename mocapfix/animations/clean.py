@@ -5,7 +5,7 @@
     repair    = repair_animation(..., faults, ...)     by the method that suits each kind of fault
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected
 
-All other values stay as they are. Faults and changes refer to the joint tips (see `joint_points.build_tip_take`).
+All other values stay as they are. Faults and changes refer to the joint tips (see `joint_mapping.build_tip_take`).
 
 Contacts of an animation's body with the floor, and events of gait, from its joints.
 
@@ -24,9 +24,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import joint_mapping, retarget
-from mocapfix.animations.apply_repairs import apply_repairs
+from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
-from mocapfix.animations.foot_lock import lock_feet
 from mocapfix.animations.joint_mapping import build_joint_skeleton, find_ancestor
 from mocapfix.animations.repair import repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
@@ -36,9 +35,11 @@ from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_fill_options
+from mocapfix.io.changes_file import read_changes_files
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation
+from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import load_cmu31_body
@@ -51,7 +52,6 @@ from mocapfix.report.report import InspectionReport, Report
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
-from mocapfix.review.changes_file import read_changes_files, serialize_changes
 from mocapfix.solve import kinematics
 from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.kinematics import compute_world_poses
@@ -187,7 +187,7 @@ class MappedPriorConditioner(PriorConditioner):
 class AnimationResult(CleaningResult):
     """A cleaned animation.
 
-    The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `joint_points.build_tip_take`). Subject and
+    The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `joint_mapping.build_tip_take`). Subject and
     motion are those of the 31-joint skeleton, None if the joint names are not those of a body.
 
     input_animation, animation  as read, and cleaned

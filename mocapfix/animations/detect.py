@@ -253,7 +253,7 @@ EVIDENCE_AT_ZERO_CONFIDENCE = 10.0  # evidence of an offset at which its confide
 def detect_animation_faults(animation: Animation) -> list[Fault]:
     """Detect the faults of an animation, ordered by joint and first frame.
 
-    The markers of the faults are indices of tracks, and of points in `joint_points.build_tip_take`.
+    The markers of the faults are indices of tracks, and of points in `joint_mapping.build_tip_take`.
     """
     local_rotations = animation.compute_local_rotations()
     root_position = animation.compute_local_positions()[:, animation.moving_joint]

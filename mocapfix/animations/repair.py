@@ -1,8 +1,13 @@
 """Repair of an animation's faults, keeping what each kind of fault leaves of the original motion.
 
-A pop or a flip only adds an offset, which is removed. Jitter is smoothed. Lost joints are inferred from neighbouring frames, from
-frames with a similar body state and from a trained pose model; a lost whole body is interpolated. Everything outside faults is
-left unchanged.
+The motion inside a pop or flip is correct but for an offset. It is corrected by the offset for which the signal continues most
+smoothly at both edges. Frames with jitter are additional, inaccurate training frames of a Gaussian process over the take. Lost
+joints are inferred from neighbouring frames, from frames with a similar body state and from a trained pose model.
+
+A body that is lost as a whole is interpolated by its world rotations, which vary less than local ones: the legs compensate the
+motion of the pelvis. Each signal is a Gaussian process in time alone (Matern-5/2) about an unknown mean. Its bias is estimated
+from the take: every stretch as long as the gap shows the error that the interpolation would have there. A Gaussian process over
+these stretches, with the state of the body at both edges as input, predicts the error in the gap.
 """
 
 from collections.abc import Sequence
@@ -10,11 +15,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import body_interpolation
-from mocapfix.animations.body_interpolation import FrameSpan, InterpolatedBody
 from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.solve import occluded_joints
@@ -25,7 +28,326 @@ from mocapfix.solve.gap_combination import (
     compute_prediction_weight,
 )
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats import constant_offsets
+from mocapfix.stats.constant_offsets import OffsetModel
+from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
+from mocapfix.stats.rigid_alignment import compose_transforms
+from mocapfix.stats.sequences import find_runs, sample_evenly, select_training_frames
+
+MIN_STEADY_FRAMES = 3
+"""Frames without jitter that the smoothing requires."""
+QUATERNION_VARIANCE_RATIO = 0.75
+"""Variance of a number of twice a quaternion over the variance of the rotation per axis: four numbers for three axes."""
+OFFSET_CONTEXT_S = 0.3
+"""Time on either side of each edge over which the smoothness is evaluated."""
+MIN_CONTEXT_FRAMES = 4
+"""The same in frames, at low frame rates."""
+
+
+class FrameSpan(NamedTuple):
+    """The frames first..last of a signal with a given frame rate in Hz."""
+
+    first: int
+    last: int
+    rate: float
+
+    @property
+    def frames(self) -> Int[np.ndarray, " n"]:
+        """The indices of the frames."""
+        return np.arange(self.first, self.last + 1)
+
+
+def smooth_joint_jitter(
+    root_position: Float[np.ndarray, "T 3"],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    quaternions: Float[np.ndarray, "T 4"],
+    joints: Int[np.ndarray, " O"],
+    is_steady: Bool[np.ndarray, " T"],
+    span: FrameSpan,
+    jitter_sd_rad: float,
+) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"]]:
+    """Return the quaternions of one joint over a span without jitter, and their variance in rad^2 per axis.
+
+    quaternions    of the joint, without sign changes
+    joints         the other joints whose state is used
+    is_steady      known frames without jitter
+    jitter_sd_rad  standard deviation of the jitter per axis
+    """
+    rate, frames = span.rate, span.frames
+    steady = select_training_frames(is_steady & ~np.isin(np.arange(len(is_steady)), frames), span.first, span.last, rate)
+    training = np.sort(np.r_[steady, frames])
+    has_jitter = np.isin(training, frames)
+    noise = np.where(has_jitter, QUATERNION_VARIANCE_RATIO * jitter_sd_rad**2, 0.0)
+    states = occluded_joints.compute_joint_state_features(root_position, local_rotations, joints, training, rate)
+    process = fit_gaussian_process(
+        2 * quaternions[training], states, training / rate, noise, occluded_joints.RECORDED_ROTATION_KERNEL
+    )
+    smoothed, variance = process.predict(states[has_jitter], frames / rate)
+    return smoothed / np.linalg.norm(smoothed, axis=1, keepdims=True), variance * process.signal_power.sum() / 3
+
+
+def remove_rotation_offset(
+    quaternions: Float[np.ndarray, "T 4"], is_sound: Bool[np.ndarray, " T"], span: FrameSpan, rotation_order: str
+) -> tuple[Float[np.ndarray, "n 4"], float]:
+    """Return one joint's quaternions over a span without its offset, and the variance of the offset in rad^2 per axis.
+
+    is_sound        frames without faults
+    rotation_order  the joint's axes of rotation, such as "ZYX"
+    """
+    inside = make_quaternions_continuous(quaternions[span.first : span.last + 1])
+    context = _find_offset_context(is_sound, span)
+    known = make_quaternions_continuous(quaternions[context])
+    models = constant_offsets.build_rotation_offset_models(inside, rotation_order)
+    corrected, variance = _solve_offset(2 * known, context, models, span)
+    return corrected / np.linalg.norm(corrected, axis=1, keepdims=True), variance
+
+
+def remove_position_offset(
+    positions: Float[np.ndarray, "T 3"], is_sound: Bool[np.ndarray, " T"], span: FrameSpan
+) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Return the root positions over a span without their offset, and its variance in m^2 per axis."""
+    context = _find_offset_context(is_sound, span)
+    models = constant_offsets.build_position_offset_models(positions[span.first : span.last + 1])
+    return _solve_offset(positions[context], context, models, span)
+
+
+def make_quaternions_continuous(quaternions: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 4"]:
+    """Return the same rotations without sign changes from frame to frame."""
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)
+    return quaternions * np.cumprod(np.r_[1.0, signs])[:, None]
+
+
+def _count_context_frames(span: FrameSpan) -> int:
+    return max(MIN_CONTEXT_FRAMES, round(OFFSET_CONTEXT_S * span.rate))
+
+
+def _find_offset_context(is_sound: np.ndarray, span: FrameSpan) -> np.ndarray:
+    """Return the sound frames near the span."""
+    count = _count_context_frames(span)
+    context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_sound), span.last + 1 + count)]
+    return context[is_sound[context]]
+
+
+def _solve_offset(
+    known: np.ndarray, context_frames: np.ndarray, models: tuple[OffsetModel, ...], span: FrameSpan
+) -> tuple[np.ndarray, float]:
+    """Return the corrected samples (n, C) and the variance of the offset, given the samples (N, C) in the context."""
+    count, length = _count_context_frames(span), span.last - span.first + 1
+    near_edges = np.unique(np.r_[: min(count, length), max(0, length - count) : length])
+    return constant_offsets.fit_smoothest_offset(known, context_frames / span.rate, models, span.frames / span.rate, near_edges)
+
+
+INTERPOLATION_TIMESCALE_S = 0.45
+"""Time scale of the interpolated signals."""
+INTERPOLATION_NOISE_VARIANCE = 1e-4
+"""Variance of a sample relative to the power of the signal."""
+MIN_QUATERNION_NORM = 1e-9  # of an interpolated quaternion: a smaller one is no rotation
+INTERPOLATION_MEAN_VARIANCE = 100.0
+"""Variance of the mean of a signal relative to its power."""
+INTERPOLATION_CONTEXT_S = 0.6
+"""Time on either side of a gap from which it is interpolated."""
+MAX_TRAINING_STRETCHES = 250
+"""Stretches from which the bias is learned."""
+MIN_TRAINING_STRETCHES = 8
+"""Stretches that learning the bias requires."""
+GAP_BIAS_KERNEL = StateCovariance(
+    time_scale_s=1.0, similarity_rate=0.5, time_power=0.0, recurrence_power=1.6, linear_power=0.0, noise_power=0.05
+)
+"""Covariance of the bias between stretches."""
+DISPLACEMENT_UNIT_M = 1.0
+"""Difference of the displacements between the edges that counts as one."""
+
+
+class InterpolatedBody(NamedTuple):
+    """An interpolated body over n frames.
+
+    root_position      (n, 3) m;  local_rotations  (n, J, 3, 3)
+    root_variance      (n,) m^2 per axis;  rotation_variance  (n, J) rad^2 per axis
+    """
+
+    root_position: np.ndarray
+    local_rotations: np.ndarray
+    root_variance: np.ndarray
+    rotation_variance: np.ndarray
+
+
+class GapBias(NamedTuple):
+    """The predicted error of an interpolation over n frames.
+
+    rotation_vectors  (n, J, 3) radians in the axes of the segments
+    displacement      (n, 3) m in the heading before the gap
+    variance_ratio    remaining variance over that of the interpolation
+    """
+
+    rotation_vectors: np.ndarray
+    displacement: np.ndarray
+    variance_ratio: float
+
+
+class BodyMotion(NamedTuple):
+    """The motion of a body: root (T, 3) m, local and world rotations (T, J, 3, 3), and (T,) the frames in which it is known."""
+
+    root_position: np.ndarray
+    local_rotations: np.ndarray
+    world_rotations: np.ndarray
+    is_known: np.ndarray
+
+
+def interpolate_body(
+    parents: Int[np.ndarray, " J"],
+    root_position: Float[np.ndarray, "T 3"],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    is_known: Bool[np.ndarray, " T"],
+    span: FrameSpan,
+) -> InterpolatedBody:
+    """Return the interpolated body over a span.
+
+    root_position  in metres
+    is_known       frames in which the whole body is known
+    """
+    frame_count, joint_count = local_rotations.shape[:2]
+    context = find_context_frames(is_known, span)
+    if not len(context):  # at low rates, or far from the nearest known frames
+        known = np.flatnonzero(is_known)
+        context = np.r_[known[known < span.first][-1:], known[known > span.last][:1]]
+    world_rotations = compose_transforms(parents, np.zeros((frame_count, joint_count, 3)), local_rotations)[1]
+    root, root_variance = interpolate_values(root_position[context], context, span)
+    length = span.last - span.first + 1
+    rotations, rotation_variance = np.empty((length, joint_count, 3, 3)), np.empty((length, joint_count))
+    for j in range(joint_count):
+        rotations[:, j], rotation_variance[:, j] = interpolate_rotations(world_rotations[context, j], context, span)
+    weights = compute_interpolation_weights(context, span)[0]
+    motion = BodyMotion(root_position, local_rotations, world_rotations, is_known)
+    if bias := predict_gap_bias(motion, weights, context, span):
+        correction = Rotation.from_rotvec(bias.rotation_vectors.reshape(-1, 3)).as_matrix()
+        rotations = rotations @ correction.reshape(rotations.shape)
+        root = root + bias.displacement @ extract_heading(world_rotations[span.first - 1, 0]).T
+        root_variance, rotation_variance = root_variance * bias.variance_ratio, rotation_variance * bias.variance_ratio
+    has_parent = parents >= 0
+    rotations[:, has_parent] = np.swapaxes(rotations[:, parents[has_parent]], -1, -2) @ rotations[:, has_parent]
+    return InterpolatedBody(root, rotations, root_variance, rotation_variance)
+
+
+def find_context_frames(is_known: Bool[np.ndarray, " T"], span: FrameSpan) -> Int[np.ndarray, " N"]:
+    """Return the known frames near a span."""
+    count = round(INTERPOLATION_CONTEXT_S * span.rate)
+    context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_known), span.last + 1 + count)]
+    return context[is_known[context]]
+
+
+def compute_interpolation_weights(
+    frames: Int[np.ndarray, " N"], span: FrameSpan
+) -> tuple[Float[np.ndarray, "n N"], Float[np.ndarray, " n"]]:
+    """Return the weights of known frames in a signal over a span, and its variance relative to the power of the signal."""
+    covariance = _compute_covariance(frames, span.rate)
+    cross = INTERPOLATION_MEAN_VARIANCE + compute_matern_52(
+        (span.frames[:, None] - frames) / span.rate, INTERPOLATION_TIMESCALE_S
+    )
+    weights = np.linalg.solve(covariance, cross.T).T
+    variance = INTERPOLATION_MEAN_VARIANCE + 1 - (weights * cross).sum(1)
+    return weights, np.maximum(variance, INTERPOLATION_NOISE_VARIANCE)
+
+
+def interpolate_values(
+    known: Float[np.ndarray, "N C"], frames: Int[np.ndarray, " N"], span: FrameSpan
+) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
+    """Return a signal over a span, given its values in known frames, and its variance per number."""
+    weights, variance = compute_interpolation_weights(frames, span)
+    covariance = _compute_covariance(frames, span.rate)
+    power = float((known * np.linalg.solve(covariance, known)).sum() / known.size)
+    return weights @ known, variance * power
+
+
+def interpolate_rotations(
+    rotations: Float[np.ndarray, "N 3 3"], frames: Int[np.ndarray, " N"], span: FrameSpan
+) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
+    """Return a rotation over a span, given its values in known frames, and its variance in rad^2 per axis."""
+    known = 2 * make_quaternions_continuous(Rotation.from_matrix(rotations).as_quat())
+    interpolated, variance = interpolate_values(known, frames, span)
+    is_undefined = np.linalg.norm(interpolated, axis=1) < MIN_QUATERNION_NORM  # between opposite rotations
+    interpolated[is_undefined] = known[:1]
+    return Rotation.from_quat(interpolated).as_matrix(), variance * 4 / 3
+
+
+def predict_gap_bias(
+    motion: BodyMotion, weights: Float[np.ndarray, "n N"], context_frames: Int[np.ndarray, " N"], span: FrameSpan
+) -> GapBias | None:
+    """Return the predicted error of the interpolation with these weights of context frames, None if it cannot be learned."""
+    length = span.last - span.first + 1
+    half_span = max(1, round(occluded_joints.VELOCITY_HALF_SPAN_S * span.rate))
+    offsets = context_frames - span.first
+    required = np.unique(np.r_[offsets, -1 - 2 * half_span, length + 2 * half_span, np.arange(-1, length + 1)])
+    starts = np.arange(-required.min(), len(motion.root_position) - required.max())
+    starts = starts[[bool(motion.is_known[start + required].all()) for start in starts]]
+    has_edges = 2 * half_span < span.first < len(motion.root_position) - length - 2 * half_span
+    if len(starts) < MIN_TRAINING_STRETCHES or not has_edges:
+        return None
+    starts = starts[sample_evenly(len(starts), MAX_TRAINING_STRETCHES)]
+    biases = np.array([_measure_gap_bias(motion, weights, offsets, start, length) for start in starts.tolist()])
+    features = compute_edge_features(motion, np.r_[starts, span.first], length, half_span, span.rate)
+    no_time = np.zeros(len(starts))
+    process = fit_gaussian_process(biases, features[:-1], no_time, no_time, GAP_BIAS_KERNEL)
+    predicted, variance = process.predict(features[-1:], np.zeros(1))
+    bias = predicted.reshape(length, -1, 3)
+    variance_ratio = float(variance[0] / (GAP_BIAS_KERNEL.recurrence_power + GAP_BIAS_KERNEL.noise_power))
+    return GapBias(bias[:, :-1], bias[:, -1], variance_ratio)
+
+
+def compute_edge_features(
+    motion: BodyMotion, start_frames: Int[np.ndarray, " S"], length: int, half_span: int, rate: float
+) -> Float[np.ndarray, "S F"]:
+    """Return the state features at both edges of stretches, and the displacement and rotation of the root between the edges.
+
+    length     frames of a stretch
+    half_span  frames between a stretch and the states at its edges
+    """
+    before, after = start_frames - 1 - half_span, start_frames + length + half_span
+    root_position, local_rotations = motion.root_position, motion.local_rotations
+    joints = np.arange(1, local_rotations.shape[1])
+    world_to_heading = np.swapaxes(extract_heading(local_rotations[before, 0]), -1, -2)
+    displacement = (world_to_heading @ (root_position[after] - root_position[before])[..., None])[..., 0] / DISPLACEMENT_UNIT_M
+    rotation = np.swapaxes(local_rotations[before, 0], -1, -2) @ local_rotations[after, 0]
+    states = [
+        occluded_joints.compute_joint_state_features(root_position, local_rotations, joints, frames, rate)
+        for frames in (before, after)
+    ]
+    return np.concatenate([*states, displacement, rotation.reshape(len(start_frames), 9) / np.sqrt(2)], axis=1)
+
+
+def extract_heading(rotations: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the rotations about the vertical that bring Z below the direction to which the given rotations bring it."""
+    angle = np.arctan2(rotations[..., 0, 2], rotations[..., 2, 2])
+    return Rotation.from_euler("y", angle.reshape(-1, 1)).as_matrix().reshape(rotations.shape)
+
+
+def _compute_covariance(frames: np.ndarray, rate: float) -> np.ndarray:
+    """Return the covariance (N, N) of a signal's samples relative to its power."""
+    return (
+        INTERPOLATION_MEAN_VARIANCE
+        + compute_matern_52((frames[:, None] - frames) / rate, INTERPOLATION_TIMESCALE_S)
+        + INTERPOLATION_NOISE_VARIANCE * np.eye(len(frames))
+    )
+
+
+def _measure_gap_bias(
+    motion: BodyMotion, weights: np.ndarray, context_offsets: np.ndarray, start: int, length: int
+) -> np.ndarray:
+    """Return the error (n * (J + 1) * 3,) of the interpolation over a known stretch of `length` frames."""
+    root_position, world_rotations = motion.root_position, motion.world_rotations
+    frames, context_count = np.r_[start + context_offsets, start : start + length], len(context_offsets)
+    quaternions = Rotation.from_matrix(world_rotations[frames].reshape(-1, 3, 3)).as_quat()
+    quaternions = quaternions.reshape(-1, world_rotations.shape[1], 4)
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    context, actual = quaternions[:context_count].copy(), quaternions[context_count:]
+    context[1:] *= np.cumprod(signs[: context_count - 1], axis=0)
+    interpolated = np.einsum("gn,njc->gjc", weights, context)
+    interpolated /= np.linalg.norm(interpolated, axis=-1, keepdims=True)
+    error = constant_offsets.multiply_quaternions(interpolated * [-1, -1, -1, 1], actual)
+    rotation_vectors = 2 * error[..., :3] * np.where(error[..., 3:] < 0, -1.0, 1.0)
+    displacement = root_position[start : start + length] - weights @ root_position[start + context_offsets]
+    displacement = displacement @ extract_heading(world_rotations[start - 1, 0])
+    return np.concatenate([rotation_vectors.reshape(length, -1), displacement], axis=1).ravel()
+
 
 EXACT_VARIANCE_RAD2 = 1e-8
 """Variance of rotations without a fault."""
@@ -122,10 +444,10 @@ def _remove_offset(
     j, frames, is_sound = fault.marker, fault.frame_slice, ~is_faulty[:, fault.marker]
     span = FrameSpan(fault.first, fault.last, rate)
     if fault.kind == "spike":
-        repair.root_position[frames], variance = body_interpolation.remove_position_offset(repair.root_position, is_sound, span)
+        repair.root_position[frames], variance = remove_position_offset(repair.root_position, is_sound, span)
     else:
         joint = lie.extract_joint_quaternions(repair.local_rotations, j, is_sound)
-        corrected, variance = body_interpolation.remove_rotation_offset(joint, is_sound, span, rotation_orders[j])
+        corrected, variance = remove_rotation_offset(joint, is_sound, span, rotation_orders[j])
         repair.local_rotations[frames, j] = Rotation.from_quat(corrected).as_matrix()
     repair.variance[frames, j], repair.method[frames, j] = variance, RepairMethod.OFFSET_REMOVED
 
@@ -138,9 +460,9 @@ def _smooth_jitter(repair: AnimationRepair, fault: Fault, is_faulty: np.ndarray,
     joint = lie.extract_joint_quaternions(repair.local_rotations, j, np.ones(len(is_sound), bool))
     is_steady = is_sound & ~is_faulty[:, other_joints].any(1)
     is_steady[frames] = True
-    if is_steady.sum() - (fault.last - fault.first + 1) < body_interpolation.MIN_STEADY_FRAMES:
+    if is_steady.sum() - (fault.last - fault.first + 1) < MIN_STEADY_FRAMES:
         return
-    smoothed, variance = body_interpolation.smooth_joint_jitter(
+    smoothed, variance = smooth_joint_jitter(
         repair.root_position,
         repair.local_rotations,
         joint,
@@ -192,9 +514,7 @@ def _interpolate_gaps(
     is_known = np.logical_not(is_lost.any(axis=1))
     for first, last in find_runs(is_body_lost) if np.any(is_known) else ():
         frames, mask = slice(first, last + 1), remaining[first : last + 1]
-        body = body_interpolation.interpolate_body(
-            parents, repair.root_position, repair.local_rotations, is_known, FrameSpan(first, last, rate)
-        )
+        body = interpolate_body(parents, repair.root_position, repair.local_rotations, is_known, FrameSpan(first, last, rate))
         if conditioner:
             context = GapContext(
                 repair.root_position, repair.local_rotations, ~is_lost[:, :-1] & ~is_lost[:, -1:], first, last, rate
@@ -209,15 +529,15 @@ def _interpolate_gaps(
     for n in np.flatnonzero(remaining.any(0) & ~is_lost.all(0)):
         for first, last in find_runs(remaining[:, n]):
             span, frames = FrameSpan(first, last, rate), slice(first, last + 1)
-            context = body_interpolation.find_context_frames(~is_lost[:, n], span)
+            context = find_context_frames(~is_lost[:, n], span)
             if not len(context):
                 continue
             if n == repair.local_rotations.shape[1]:
-                values, variance = body_interpolation.interpolate_values(repair.root_position[context], context, span)
+                values, variance = interpolate_values(repair.root_position[context], context, span)
                 repair.root_position[frames] = values
             else:
                 rotations = repair.local_rotations[context, n]
-                values, variance = body_interpolation.interpolate_rotations(rotations, context, span)
+                values, variance = interpolate_rotations(rotations, context, span)
                 repair.local_rotations[frames, n] = values
             repair.variance[frames, n], repair.method[frames, n] = variance, RepairMethod.GAP_INTERPOLATED
 

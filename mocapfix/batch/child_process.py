@@ -1,25 +1,309 @@
 """One job in a child process, with limits of time and memory.
 
-Each thread that runs jobs has a fork server (`fork_server.py`), which is started on first use and kept. The thread watches the
-child: it is killed at its limits.
+Each thread that runs jobs has a fork server, a process that has imported mocapfix and loaded its compiled kernels, once for all
+jobs. It has one thread, so that a fork copies everything. For each `ForkRequest` on its standard input it replies with the number
+of the child that runs the job, and at the job's end with a `JobEnd`. The thread watches the child, and kills it at its limits.
+
+A child runs one job after the other: the memory that it has used is faster to use than new memory. It is replaced after an error,
+or when it holds much memory. When the server's standard input ends, because the worker has ended, the server kills the child and
+ends. A message is its length in four bytes, and a pickle.
 """
 
 import atexit
+import ctypes
+import gc
 import os
 import pickle
+import resource
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import BinaryIO, Literal, cast
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import BinaryIO, Literal, NamedTuple, cast
 
-from mocapfix.batch.fork_server import ChildReply, ForkRequest, JobEnd, kill_group, read_message, write_message
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, describe_error
+from mocapfix.io.files import return_free_memory
+
+LENGTH_FORMAT = ">I"
+
+
+@dataclass(frozen=True)
+class ForkRequest:
+    """A job for a child.
+
+    function   "module:name" of a function
+    arguments  its arguments by name, pickled
+    memory_mb  limit of its resident memory
+    new_child  whether a child that has run other jobs is not used: the last one was killed
+    """
+
+    function: str
+    arguments: bytes
+    memory_mb: float
+    new_child: bool = False
+
+
+@dataclass(frozen=True)
+class JobEnd:
+    """How a job ended.
+
+    wait_status     of os.waitpid, if its process ended with it; 0 otherwise
+    peak_memory_mb  greatest resident memory, if its process ended with it
+    reply           what the child wrote: a pickled ChildReply; empty if it was killed
+    """
+
+    wait_status: int
+    peak_memory_mb: float
+    reply: bytes
+
+
+@dataclass(frozen=True)
+class ChildReply:
+    """What a child reports.
+
+    value           the function's result
+    error           the sentence of an error; "" if there was none
+    is_memory       whether the error is that no memory was left
+    peak_memory_mb  greatest resident memory during the job, with that of the libraries which the child shares with the server
+    """
+
+    value: object = None
+    error: str = ""
+    is_memory: bool = False
+    peak_memory_mb: float = 0.0
+
+
+def write_message(stream: BinaryIO, message: object) -> None:
+    """Write one message."""
+    data = pickle.dumps(message)
+    stream.write(struct.pack(LENGTH_FORMAT, len(data)) + data)
+    stream.flush()
+
+
+def read_message(stream: BinaryIO) -> object:
+    """Read one message. Raises EOFError if the stream has ended."""
+    return pickle.loads(read_message_bytes(stream))
+
+
+def read_message_bytes(stream: BinaryIO) -> bytes:
+    """Read the pickle of one message. Raises EOFError if the stream has ended."""
+    (length,) = struct.unpack(LENGTH_FORMAT, _read_exactly(stream, struct.calcsize(LENGTH_FORMAT)))
+    return _read_exactly(stream, length)
+
+
+def _read_exactly(stream: BinaryIO, count: int) -> bytes:
+    data = bytearray()
+    while len(data) < count:
+        part = stream.read(count - len(data))
+        if not part:
+            raise EOFError
+        data += part
+    return bytes(data)
+
+
+MAXRSS_UNIT_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3  # bytes; kibibytes
+PR_SET_PDEATHSIG = 1  # of Linux: a signal to the child when its parent ends
+MEMORY_BACKSTOP_FACTOR = 2  # data that a child may reserve beyond that of the server, relative to its limit of resident memory
+STATUS_FILE = "/proc/self/statm"
+RESIDENT_PAGES_COLUMN, DATA_PAGES_COLUMN = 1, 5
+PEAK_RESET_FILE, PEAK_RESET_COMMAND = "/proc/self/clear_refs", b"5"
+MAX_CHILD_JOBS = 20  # rerun keeps 2 to 3 MB of each recording
+MAX_KEPT_MEMORY_SHARE = (
+    0.1  # of the memory limit: what a child may hold beyond the memory of the server and still run another job
+)
+
+
+@dataclass(frozen=True)
+class _Child:
+    """A child process, and the ends of the pipes to it and from it."""
+
+    process: int
+    requests: BinaryIO
+    replies: BinaryIO
+
+    def end(self) -> tuple[int, float]:
+        """Kill the process with all that it started, if it runs; return its wait status and peak memory in MB."""
+        kill_group(self.process)
+        return self.wait()
+
+    def wait(self) -> tuple[int, float]:
+        """Wait until the process has ended; return its wait status and peak memory in MB."""
+        with suppress(BrokenPipeError):
+            self.requests.close()
+        self.replies.close()
+        _, wait_status, usage = os.wait4(self.process, 0)
+        return wait_status, usage.ru_maxrss * MAXRSS_UNIT_MB
+
+
+def kill_group(process: int) -> None:
+    """Kill a child with all processes that it started."""
+    for kill in (os.killpg, os.kill):  # its group exists a moment later than itself
+        with suppress(ProcessLookupError, PermissionError):
+            kill(process, signal.SIGKILL)
+
+
+def serve_forks() -> None:
+    """Fork a child for each request on standard input until that ends."""
+    requests, replies = os.fdopen(os.dup(0), "rb", buffering=0), os.fdopen(os.dup(1), "wb")
+    for number, flags in ((0, os.O_RDONLY), (1, os.O_WRONLY), (2, os.O_WRONLY)):  # what a library prints is not shown
+        os.dup2(os.open(os.devnull, flags), number)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the worker decides when to end
+    if len(sys.argv) > 1 and sys.argv[1]:
+        module, _, name = sys.argv[1].partition(":")
+        getattr(import_module(module), name)()
+    gc.disable()
+    gc.freeze()  # the children share these objects' memory
+    write_message(replies, os.getpid())
+    child: _Child | None = None
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            request = read_message(requests)
+            assert isinstance(request, ForkRequest)
+            child = _serve_one(request, child, requests, replies)
+    if child:
+        child.end()
+    os._exit(0)
+
+
+def _serve_one(request: ForkRequest, child: _Child | None, requests: BinaryIO, replies: BinaryIO) -> _Child | None:
+    """Run a job in a child and reply with its end; return the child if it can run another. End with the worker."""
+    if child and (request.new_child or not _send(child, request)):
+        child.end()
+        child = None
+    if child is None:
+        child = _fork_child()
+        _send(child, request)
+    write_message(replies, child.process)
+    ready, _, _ = select.select([child.replies, requests], [], [])
+    if requests in ready:  # no request comes before the reply: the stream has ended
+        child.end()
+        os._exit(0)
+    try:
+        reply = read_message_bytes(child.replies)
+    except EOFError:
+        write_message(replies, JobEnd(*child.end(), b""))
+        return None
+    write_message(replies, JobEnd(0, 0.0, reply))
+    with suppress(EOFError):
+        if read_message(child.replies):
+            return child
+    child.wait()
+    return None
+
+
+def _send(child: _Child, request: ForkRequest) -> bool:
+    """Send a request to a child; return whether it has not ended."""
+    try:
+        write_message(child.requests, request)
+    except BrokenPipeError:
+        return False
+    return True
+
+
+def _fork_child() -> _Child:
+    """Fork a child that waits for requests."""
+    request_end, request_source = os.pipe()
+    reply_source, reply_end = os.pipe()
+    server = os.getpid()
+    process = os.fork()
+    if not process:
+        os.close(request_source)
+        os.close(reply_source)
+        _run_child(server, os.fdopen(request_end, "rb", buffering=0), os.fdopen(reply_end, "wb"))
+    os.close(request_end)
+    os.close(reply_end)
+    return _Child(process, os.fdopen(request_source, "wb"), os.fdopen(reply_source, "rb", buffering=0))
+
+
+def _run_child(server: int, requests: BinaryIO, replies: BinaryIO) -> None:
+    """Run jobs in the child until it is not used any more, and end the process."""
+    try:
+        os.setsid()  # with all processes that it starts it can be killed as a group
+        _end_with_parent(server)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        first_memory = _read_memory()
+        for count in range(1, MAX_CHILD_JOBS + 1):
+            request = read_message(requests)
+            assert isinstance(request, ForkRequest)
+            with suppress(OSError, ValueError, OverflowError):
+                _limit_data(first_memory.data_bytes + int(MEMORY_BACKSTOP_FACTOR * request.memory_mb * 1e6))
+            reply = _run_job(request)
+            write_message(
+                replies, replace(reply, peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB)
+            )
+            return_free_memory()
+            held_bytes = _read_memory().resident_bytes - first_memory.resident_bytes
+            is_small = held_bytes < MAX_KEPT_MEMORY_SHARE * request.memory_mb * 1e6
+            is_kept = is_small and not reply.error and count < MAX_CHILD_JOBS and _reset_peak_memory()
+            write_message(replies, is_kept)
+            if not is_kept:
+                break
+    finally:
+        os._exit(0)
+
+
+def _run_job(request: ForkRequest) -> ChildReply:
+    """Call the function of a request."""
+    module, _, name = request.function.partition(":")
+    try:
+        reply = ChildReply(getattr(import_module(module), name)(**pickle.loads(request.arguments)))
+        pickle.dumps(reply)
+    except MemoryError:
+        return ChildReply(error="The memory limit was reached.", is_memory=True)
+    except BaseException as error:  # the server goes on
+        return ChildReply(error=describe_error(error))
+    return reply
+
+
+def _end_with_parent(server: int) -> None:
+    """Let the kernel kill this process when the server ends, however it ends."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != server:
+            os._exit(1)
+
+
+class _Memory(NamedTuple):
+    """Resident memory of this process, and what it has reserved for data."""
+
+    resident_bytes: int
+    data_bytes: int
+
+
+def _read_memory() -> _Memory:
+    """Return the memory of this process; zeros where the system does not tell."""
+    try:
+        with open(STATUS_FILE) as file:  # noqa: PTH123
+            pages = [int(word) for word in file.read().split()]
+    except FileNotFoundError:
+        return _Memory(0, 0)
+    size = resource.getpagesize()
+    return _Memory(pages[RESIDENT_PAGES_COLUMN] * size, pages[DATA_PAGES_COLUMN] * size)
+
+
+def _reset_peak_memory() -> bool:
+    """Let the peak memory of this process count from now; return whether the system can do so."""
+    try:
+        with open(PEAK_RESET_FILE, "wb") as file:  # noqa: PTH123
+            file.write(PEAK_RESET_COMMAND)
+    except OSError:
+        return False
+    return True
+
+
+def _limit_data(limit_bytes: int) -> None:
+    """Limit the memory that this process can reserve, in case it grows faster than it is watched."""
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard_limit))
+
 
 WATCH_INTERVAL_S = 0.1
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6 if hasattr(os, "sysconf") else 0.004
@@ -72,7 +356,7 @@ class ForkServer:
 
     def __init__(self, warm_up: str = DEFAULT_WARM_UP) -> None:
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
-            [sys.executable, "-m", "mocapfix.batch.fork_server", warm_up],
+            [sys.executable, "-c", f"from {__name__} import serve_forks; serve_forks()", warm_up],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocapfix.batch.child_process import JobLimits
-from mocapfix.batch.cluster import ClusterOptions, has_dashboard, open_client
+from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
 from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, sort_by_size, try_to_hash
 from mocapfix.batch.records import TakeRecord, get_record_path, lock_batch_folder, read_record, resolve_option_files
 from mocapfix.batch.session_people import assign_subjects, forget_results
 from mocapfix.batch.take_list import BatchTake
-from mocapfix.batch.task_window import BatchProgress, Task, run_tasks
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.options import CleanOptions
 

@@ -11,12 +11,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from mocapfix.batch.job_files import build_job_model, build_job_options, expand_paths, has_wildcards
 from mocapfix.batch.records import ATTEMPTS_SUFFIX, RECORD_SUFFIX
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.file_content import check_path_encoding
 from mocapfix.io.files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths, has_wildcards
 from mocapfix.options import CleanOptions
 
 TAKE_SUFFIXES = (".c3d", ".trc", ".tsv", ".csv", ".bvh", ".amc")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.characters.character import SIDES
+from mocapfix.characters.character import SIDES, find_common_ancestor, list_path
 from mocapfix.characters.limb_geometry import (
     MAX_AXIS_DISTANCE_SHARE,
     MIN_TWIST_SHARE,
@@ -23,7 +23,6 @@ from mocapfix.characters.limb_geometry import (
     find_arm_places,
     find_leg_places,
 )
-from mocapfix.characters.segment_bones import find_common_ancestor, list_path
 
 MIN_LIMB_DISTANCE_SHARE = 0.03
 """horizontal distance between the left and the right knee or elbow, as a share of the skeleton's height"""

@@ -13,9 +13,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.characters.bone_geometry import find_segments_by_shape
-from mocapfix.characters.character import REQUIRED_SEGMENTS, SIDES, BoneMapping, Character
+from mocapfix.characters.character import (
+    REQUIRED_SEGMENTS,
+    SEGMENT_CHAINS,
+    SIDES,
+    BoneMapping,
+    Character,
+    find_common_ancestor,
+    is_below,
+    list_path,
+)
 from mocapfix.characters.limb_geometry import find_side_twists
-from mocapfix.characters.segment_bones import SEGMENT_CHAINS, find_common_ancestor, is_below, list_path
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
 from mocapfix.options import CHARACTER_PRESETS

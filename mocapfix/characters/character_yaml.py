@@ -16,8 +16,7 @@ from jaxtyping import Float, Int
 from pydantic import BeforeValidator, Field, FiniteFloat, PositiveFloat
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMapping, Character, CharacterSource
-from mocapfix.characters.segment_bones import build_bone_mapping
+from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMapping, Character, CharacterSource, build_bone_mapping
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineMapping, InlineSequence, StrictModel, dump_yaml, read_yaml_model

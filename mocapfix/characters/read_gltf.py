@@ -26,7 +26,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, compute_tail
+from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, build_bone_mapping, compute_tail
 from mocapfix.characters.gltf_nodes import (
     GltfNodes,
     are_numbers,
@@ -36,7 +36,6 @@ from mocapfix.characters.gltf_nodes import (
     read_indices,
 )
 from mocapfix.characters.limb_geometry import find_side_twists
-from mocapfix.characters.segment_bones import build_bone_mapping
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.glb import MAX_GLB_BYTES, GlbContent, build_glb, is_glb, parse_glb, parse_gltf_document
 

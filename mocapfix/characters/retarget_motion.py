@@ -21,15 +21,25 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import LIMB_DIRECTIONS, OUTER_BONE_SEGMENTS, BodyFrame, build_body_frame
+from mocapfix.characters.body_frames import (
+    LIMB_DIRECTIONS,
+    OUTER_BONE_SEGMENTS,
+    BodyFrame,
+    SegmentMotion,
+    build_body_frame,
+    compute_segment_motion,
+    keep_chain_direction,
+    resample_chain,
+)
 from mocapfix.characters.character import SIDES, Character, CharacterMotion
-from mocapfix.characters.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.characters.kept_positions import (
+    compute_hand_targets,
     compute_kept_positions,
     hold_kept_feet,
     keep_feet_within_reach,
     level_feet,
     measure_flat_feet,
+    move_hands_out_of_thighs,
     resample_foot_contacts,
 )
 from mocapfix.characters.pose_segments import (
@@ -39,7 +49,6 @@ from mocapfix.characters.pose_segments import (
     compute_rotations_to_parents,
     solve_segments,
 )
-from mocapfix.characters.segment_motion import SegmentMotion, compute_segment_motion, keep_chain_direction, resample_chain
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.options import FEET_LOCK
 from mocapfix.solve.kinematics import Poses, compute_tree_poses

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
-from mocapfix.batch.task_window import BatchProgress
+from mocapfix.batch.cluster import BatchProgress
 from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options, split_names
 from mocapfix.cli.clean import STAGES, describe_laboratory
 from mocapfix.cli.console import (

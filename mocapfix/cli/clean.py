@@ -343,8 +343,8 @@ def run_scene(
 def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
     """Clean the takes of the job at `path`; return the exit status."""
     from mocapfix import pipeline
+    from mocapfix.batch.job_files import read_cleaning_job
     from mocapfix.io.files import make_output_folder
-    from mocapfix.jobs.cleaning_job import read_cleaning_job
 
     job = read_cleaning_job(path)
     takes = job.list_takes(output_folder)

@@ -20,6 +20,7 @@ from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.errors import TakeError
+from mocapfix.io.changes_file import list_label_corrections, list_marked_faults
 from mocapfix.labels import label_swaps
 from mocapfix.labels.fragments import detect_fragments
 from mocapfix.labels.label_swaps import detect_label_swaps
@@ -41,7 +42,6 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions
-from mocapfix.review.changes_file import list_label_corrections, list_marked_faults
 from mocapfix.state import BodyFit, CleaningState, DetectionState
 
 # A marker's place after a shift must differ from its place before by at least this part of the measured shift.

@@ -16,7 +16,7 @@ from mocapfix.fill.spline_fill import (
     group_gap_patterns,
     measure_spline_error,
 )
-from mocapfix.review.changes_file import Correction, RequestedFill
+from mocapfix.io.changes_file import Correction, RequestedFill
 
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"

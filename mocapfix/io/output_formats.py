@@ -22,6 +22,7 @@ from mocapfix.io import rig
 from mocapfix.io.amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
 from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.changes_file import CHANGES_SUFFIX, write_changes_file
 from mocapfix.io.files import get_source_suffixes, replace_atomically
 from mocapfix.io.gltf import write_gltf
 from mocapfix.io.npz import write_npz
@@ -34,7 +35,6 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import OutputOptions
-from mocapfix.review.changes_file import CHANGES_SUFFIX, write_changes_file
 from mocapfix.subject import subject_file
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion 
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
     """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
-    from mocapfix.characters.character_choice import load_character  # few cleanings need it
+    from mocapfix.characters.load_character import load_character  # few cleanings need it
     from mocapfix.io.character_files import CharacterFiles
 
     character = load_character(name_or_path, options.character_map)

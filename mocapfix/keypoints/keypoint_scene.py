@@ -1,38 +1,238 @@
-"""Scenes of 2-D keypoints: read the scene file, or compose an example film, solve it, and write the result."""
+"""Scenes of 2-D keypoints: read the scene file, solve it, and write the motion, a page, a report and a rerun recording.
 
-from __future__ import annotations
+Entities of the recording:
+
+    image          pixels: the camera's view, with the edge of the image if its size is known
+      keypoints    detected keypoints; opacity is confidence
+      skeleton     projection of the body
+    world          Y up, metres
+      skeleton     one line from each joint to its parent
+"""
 
 import json
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal, TypedDict
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from markupsafe import Markup
 from pydantic import Field, PositiveFloat
-from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.errors import SceneError
 from mocapfix.io.files import check_outputs_absent, make_output_folder, replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.keypoints.film_solver import solve_film
-from mocapfix.keypoints.keypoint_file import Keypoints, load_detector, read_keypoints
-from mocapfix.keypoints.reprojection_problem import build_camera, build_camera_rotation
+from mocapfix.keypoints.film_solver import build_camera_rotation, solve_film
+from mocapfix.keypoints.keypoint_file import Keypoints, read_keypoints
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.report.change_list import Figure
+from mocapfix.report.html_report import write_page
+from mocapfix.report.recording import check_recording_complete
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.single_pose import Camera, resolve_pose_model
 from mocapfix.subject.subject_file import read_subject
 
-if TYPE_CHECKING:
-    from mocapfix.report.keypoint_report import KeypointReport
-
-
 KEYPOINT_OUTPUT_KINDS = ("bvh", "report.html", "report.json", "rrd")
+
+
+STILL_IMAGE_RATE_HZ = 30.0  # rate of the BVH of a single image
+
+
+class KeypointSceneSettings(StrictModel):
+    """The keys of the scene file; paths are relative to its folder.
+
+    title        one line, for the page
+    keypoints    a file, or the folder that OpenPose wrote; see `keypoint_file`
+    rate         Hz, if the keypoints' file does not contain it
+    looks_down   degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
+    subject      a subject file with this person's bone lengths; null for the average body, for which the scale is then estimated
+    prior        a trained model of poses, or "none"
+    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
+    """
+
+    kind: Literal["keypoints-2d"]
+    title: str
+    keypoints: Path
+    rate: PositiveFloat | None = None
+    looks_down: float = Field(default=0.0, gt=-90, lt=90)
+    subject: Path | None = None
+    prior: str
+    prior_scale: PositiveFloat = 1.0
+
+
+def read_keypoint_scene(path: Path) -> KeypointSceneSettings:
+    """Return the scene's settings. Raises SceneError that names the file and the invalid key."""
+    return read_yaml_model(KeypointSceneSettings, path)
+
+
+KEYPOINT_FIGURE_COUNT = 4  # frames on the page, evenly spaced
+KEYPOINT_FIGURE_MARGIN = 0.12  # around the body, relative to its height
+KEYPOINT_RGB = (255, 180, 84)
+KEYPOINT_BONE_RGB = (79, 143, 214)
+KEYPOINT_RADIUS = 0.012  # relative to the height of the body
+BONE_WIDTH = 0.016  # relative to the height of the body
+MIN_OPACITY = 0.25  # of a keypoint with confidence 0
+
+
+class CameraEntry(TypedDict):
+    """The estimated camera."""
+
+    pixels_per_metre: float
+    origin_px: list[float]
+    pitch_down_deg: float
+
+
+class ReprojectionSummary(TypedDict):
+    """Distances of the keypoints from the projected body in pixels."""
+
+    mean: float
+    p95: float
+    by_keypoint: dict[str, float | None]
+
+
+class KeypointReport(TypedDict):
+    """The JSON report of a motion fitted to keypoints.
+
+    order   keypoint order of the detector
+    status  number of frames by final status of the solver
+    """
+
+    scene: str
+    frames: int
+    rate_hz: float
+    order: str
+    prior: str
+    camera: CameraEntry
+    reprojection_px: ReprojectionSummary
+    status: dict[str, int]
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class KeypointFilm:
+    """Keypoints of a film and the body fitted to them.
+
+    image_size_px         width and height in pixels; None if unknown
+    keypoint_px           (T, V, 2) detected keypoints
+    confidence            (T, V), 0 for missing keypoints
+    joint_position_world  (T, J, 3) m
+    joint_px              (T, J, 2) projections of the joints
+    """
+
+    title: str
+    rate_hz: float
+    image_size_px: tuple[float, float] | None
+    keypoint_px: Float[np.ndarray, "T V 2"]
+    confidence: Float[np.ndarray, "T V"]
+    skeleton: Skeleton
+    joint_position_world: Float[np.ndarray, "T J 3"]
+    joint_px: Float[np.ndarray, "T J 2"]
+
+    @property
+    def bones(self) -> Int[np.ndarray, "B 2"]:
+        """Parent and child of each bone."""
+        child = np.flatnonzero(self.skeleton.parents >= 0)
+        return np.stack([self.skeleton.parents[child], child], axis=1)
+
+
+def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
+    """Write a rerun recording (.rrd).
+
+    Raises WriteError if `target` cannot be written.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    found, frames = film.confidence > 0, np.arange(len(film.joint_position_world))
+    time = [rr.TimeColumn("time", duration=frames / film.rate_hz), rr.TimeColumn("frame", sequence=frames)]
+    opacity = np.round(255 * film.confidence[found])[:, None]
+    colours = np.concatenate([np.tile(KEYPOINT_RGB, (found.sum(), 1)), opacity], axis=1)
+    bones_px, bones_world = (joints[:, film.bones].astype(np.float32) for joints in (film.joint_px, film.joint_position_world))
+    bone_counts = np.full(len(frames), len(film.bones))
+    views = rrb.Horizontal(rrb.Spatial2DView(origin="image", name=film.title), rrb.Spatial3DView(origin="world"))
+    with replace_atomically(target) as part:
+        recording = rr.RecordingStream("mocapfix")
+        try:
+            recording.save(part, default_blueprint=rrb.Blueprint(views, collapse_panels=True))
+            recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+            if film.image_size_px:
+                edge = rr.Boxes2D(mins=[[0, 0]], sizes=[film.image_size_px], colors=KEYPOINT_BONE_RGB)
+                recording.log("image", edge, static=True)
+            recording.log("image/keypoints", rr.Points2D.from_fields(radii=3.0), static=True)
+            style_px = rr.LineStrips2D.from_fields(radii=1.0, colors=KEYPOINT_BONE_RGB)
+            recording.log("image/skeleton", style_px, static=True)
+            style_world = rr.LineStrips3D.from_fields(radii=0.007, colors=KEYPOINT_BONE_RGB)
+            recording.log("world/skeleton", style_world, static=True)
+            points = rr.Points2D.columns(positions=film.keypoint_px[found], colors=colours.astype(np.uint8))
+            rr.send_columns("image/keypoints", time, points.partition(found.sum(axis=1)), recording=recording)
+            lines = rr.LineStrips2D.columns(strips=bones_px.reshape(-1, 2, 2)).partition(bone_counts)
+            rr.send_columns("image/skeleton", time, lines, recording=recording)
+            body = rr.LineStrips3D.columns(strips=bones_world.reshape(-1, 2, 3)).partition(bone_counts)
+            rr.send_columns("world/skeleton", time, body, recording=recording)
+        finally:
+            recording.disconnect()
+        check_recording_complete(part)
+
+
+def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport) -> None:
+    """Write a page with some frames as seen by the camera, keypoints over the body, and the same frames from the side.
+
+    Raises WriteError if `target` cannot be written.
+    """
+    frame_count = len(film.joint_position_world)
+    frames = np.unique(np.linspace(0, frame_count - 1, KEYPOINT_FIGURE_COUNT + 2)[1:-1].round().astype(int))
+    write_page(
+        target,
+        "keypoint_report.html.jinja",
+        title=film.title,
+        subtitle=f"{frame_count} frames at {film.rate_hz:g} Hz, keypoint order {report['order']}",
+        facts=_build_facts(report),
+        figures=[figure for frame in frames for figure in _draw_frame(film, int(frame))],
+    )
+
+
+def _build_facts(report: KeypointReport) -> list[tuple[str, str]]:
+    """Return the key numbers: value and text."""
+    error_px = report["reprojection_px"]
+    return [
+        (f"{report['camera']['pixels_per_metre']:.1f}", "pixels per metre, estimated"),
+        (f"{error_px['mean']:.1f} px", "mean reprojection error"),
+        (f"{error_px['p95']:.1f} px", "95th percentile"),
+    ]
+
+
+def _draw_frame(film: KeypointFilm, frame: int) -> tuple[Figure, Figure]:
+    """Return the view of the camera and the view from the side, with the same height of the body."""
+    height_px = np.ptp(film.joint_px[frame, :, 1])
+    joints = film.joint_position_world[frame]
+    side_px = joints[:, [2, 1]] * [1, -1] * height_px / max(np.ptp(joints[:, 1]), 1e-9)
+    found = film.confidence[frame] > 0
+    keypoints = "".join(
+        f'<circle class="suspect" cx="{x:.1f}" cy="{y:.1f}" r="{KEYPOINT_RADIUS * height_px:.1f}" '
+        f'opacity="{MIN_OPACITY + (1 - MIN_OPACITY) * confidence:.2f}"/>'
+        for (x, y), confidence in zip(film.keypoint_px[frame][found], film.confidence[frame][found], strict=True)
+    )
+    name = f"{frame / film.rate_hz:.2f} s"
+    return (
+        Figure(_draw_skeleton(film.joint_px[frame], film.bones, keypoints, height_px), name, "camera view"),
+        Figure(_draw_skeleton(side_px, film.bones, "", height_px), name, "side view, from the left of the image"),
+    )
+
+
+def _draw_skeleton(
+    joint_px: Float[np.ndarray, "J 2"], bones: Int[np.ndarray, "B 2"], keypoint_svg: str, body_height_px: float
+) -> Markup:
+    """Return an SVG of bones and keypoints; line widths are proportional to the height of the body."""
+    margin = KEYPOINT_FIGURE_MARGIN * max(body_height_px, 1.0)
+    (left, top), (right, bottom) = joint_px.min(axis=0) - margin, joint_px.max(axis=0) + margin
+    path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in joint_px[bones])
+    lines = f'<path class="bones" style="stroke-width:{BONE_WIDTH * body_height_px:.1f}" d="{path}"/>'
+    box = f"{left:.1f} {top:.1f} {right - left:.1f} {bottom - top:.1f}"
+    return Markup(f'<svg class="figure" viewBox="{box}" role="img">{lines}{keypoint_svg}</svg>')
 
 
 @dataclass(frozen=True)
@@ -97,7 +297,6 @@ class KeypointResult:
         Raises WriteError if one exists already (and overwrite is False), or cannot be written.
         """
         from mocapfix.io.bvh import write_bvh
-        from mocapfix.report.keypoint_report import KeypointFilm, write_keypoint_page, write_keypoint_recording
 
         outputs = {kind: folder / f"{self.name}.{kind}" for kind in KEYPOINT_OUTPUT_KINDS}
         check_outputs_absent(outputs.values(), overwrite)
@@ -114,75 +313,6 @@ class KeypointResult:
         with replace_atomically(outputs["report.json"]) as part:
             part.write_text(json.dumps(self.report, indent=1) + "\n", encoding="utf-8")
         return outputs
-
-
-IMAGE_WIDTH_PX = 1280
-IMAGE_HEIGHT_PX = 720
-CAMERA_SCALE_PX_M = 180.0  # pixels per metre
-FLOOR_HEIGHT_PX = 600.0  # row of the floor in the image
-SUBJECT_HEADING_RAD = np.radians(60)  # 0: facing the camera
-KEYPOINT_NOISE_SD_M = 0.012  # of a keypoint of confidence 1; inversely proportional to the confidence
-MISSING_KEYPOINT_SHARE = 0.05  # of the keypoints
-
-
-def compose_example_film(
-    detector_name: str, seconds: float, rate: float, seed: int = 0
-) -> tuple[dict[str, Any], Float[np.ndarray, "T J 3"], Camera]:
-    """Return the contents of a JSON file for `keypoint_file.read_keypoints`, the true joints in metres and the true camera."""
-    rng, take = np.random.default_rng(seed), synthetic.compose_take(seed=seed, seconds=seconds, rate=rate)
-    skeleton = take.subject.skeleton
-    detector = load_detector(detector_name, skeleton)
-    joints, rotations = compute_world_poses(skeleton, _rotate_heading(take.motion))
-    positions = detector.compute_point_positions(joints, rotations)
-    middle = CAMERA_SCALE_PX_M * (joints[:, 0, 0].min() + joints[:, 0, 0].max()) / 2
-    camera = build_camera(build_camera_rotation(0.0), CAMERA_SCALE_PX_M, np.array([IMAGE_WIDTH_PX / 2 - middle, FLOOR_HEIGHT_PX]))
-    confidence = rng.uniform(0.5, 1.0, positions.shape[:2])
-    noise = rng.normal(size=positions.shape[:2] + (2,))
-    pixels = camera.project(positions) + CAMERA_SCALE_PX_M * KEYPOINT_NOISE_SD_M / confidence[..., None] * noise
-    points = np.concatenate([pixels.round(1), confidence.round(2)[..., None]], axis=-1)
-    points[rng.random(confidence.shape) < MISSING_KEYPOINT_SHARE] = 0.0
-    frames = [{"people": [{detector.json_key: frame.ravel().tolist()}]} for frame in points]
-    film = {"order": detector_name, "rate": rate, "image": [IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX], "frames": frames}
-    return film, joints, camera
-
-
-def _rotate_heading(motion: Motion) -> Motion:
-    """Return the motion, rotated about the vertical."""
-    rotation = Rotation.from_euler("y", SUBJECT_HEADING_RAD).as_matrix()
-    local = motion.local_rotations.copy()
-    local[:, 0] = rotation @ local[:, 0]
-    root = motion.root_position @ rotation.T
-    return Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
-
-
-STILL_IMAGE_RATE_HZ = 30.0  # rate of the BVH of a single image
-
-
-class KeypointSceneSettings(StrictModel):
-    """The keys of the scene file; paths are relative to its folder.
-
-    title        one line, for the page
-    keypoints    a file, or the folder that OpenPose wrote; see `keypoint_file`
-    rate         Hz, if the keypoints' file does not contain it
-    looks_down   degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
-    subject      a subject file with this person's bone lengths; null for the average body, for which the scale is then estimated
-    prior        a trained model of poses, or "none"
-    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
-    """
-
-    kind: Literal["keypoints-2d"]
-    title: str
-    keypoints: Path
-    rate: PositiveFloat | None = None
-    looks_down: float = Field(default=0.0, gt=-90, lt=90)
-    subject: Path | None = None
-    prior: str
-    prior_scale: PositiveFloat = 1.0
-
-
-def read_keypoint_scene(path: Path) -> KeypointSceneSettings:
-    """Return the scene's settings. Raises SceneError that names the file and the invalid key."""
-    return read_yaml_model(KeypointSceneSettings, path)
 
 
 def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> KeypointResult:

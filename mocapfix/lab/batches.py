@@ -27,8 +27,8 @@ import numpy as np
 import psutil
 
 from mocapfix.batch.jobs import CleanRequest, clean_recorded_take
-from mocapfix.batch.people_jobs import RECORDS_FOLDER
 from mocapfix.batch.records import BATCH_LOCK_NAME, RECORD_SUFFIX, TakeRecord, list_record_paths, read_records
+from mocapfix.batch.session_people import RECORDS_FOLDER
 from mocapfix.review.take_files import JSON_REPORT_SUFFIX
 from mocapfix.synthetic import compose_take, write_synthetic_take
 

@@ -57,8 +57,7 @@ from mocapfix.subject.refinement import (
     linearise_frames,
 )
 from mocapfix.synthetic import SyntheticTake
-from mocapfix.synthetic.motions import compose_motion
-from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, draw_gaps, draw_subject, simulate_markers
+from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, compose_motion, draw_gaps, draw_subject, simulate_markers
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult

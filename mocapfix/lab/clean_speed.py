@@ -49,8 +49,7 @@ from mocapfix.lab.compared_solvers import solve_with_mocapfix
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.report.stage_timer import ProgressCallback
-from mocapfix.synthetic.motions import compose_motion
-from mocapfix.synthetic.synthetic_takes import SyntheticTake, draw_subject, simulate_markers
+from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_motion, draw_subject, simulate_markers
 
 KIB_PER_MIB = 1024
 BYTES_PER_MIB = 1024 * 1024

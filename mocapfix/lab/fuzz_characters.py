@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character
-from mocapfix.characters.character_choice import load_character, read_character
+from mocapfix.characters.load_character import load_character, read_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.errors import ReadError
 from mocapfix.io.character_files import write_character_bvh, write_character_glb

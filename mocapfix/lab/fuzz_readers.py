@@ -22,28 +22,27 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.joint_mapping import load_naming_convention
+from mocapfix.batch.job_files import read_cleaning_job
 from mocapfix.errors import SceneError
 from mocapfix.io.amc import read_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d_writer import write_c3d
 from mocapfix.io.capture import read_capture
+from mocapfix.io.changes_file import read_changes_file
 from mocapfix.io.rig import load_rig
 from mocapfix.io.shipped import read_yaml
 from mocapfix.io.source_file import write_csv, write_trc
-from mocapfix.jobs.cleaning_job import read_cleaning_job
 from mocapfix.keypoints.keypoint_scene import read_keypoint_scene
 from mocapfix.lab.fuzz_files import SEED_FRAME_COUNT, SEED_RATE_HZ, SeedFile, choose_mutations, list_seed_files
 from mocapfix.lab.fuzz_process import FuzzLimits
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, build_clean_options
-from mocapfix.review.changes_file import read_changes_file
 from mocapfix.solve.prior_files import load_pose_model
 from mocapfix.solve.twist_regressor import read_twist_regressor
 from mocapfix.subject.library import load_marker_set
 from mocapfix.subject.subject_file import read_subject
-from mocapfix.synthetic.motions import compose_motion
-from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_take, draw_subject
+from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_motion, compose_take, draw_subject
 
 READER_FUZZ_LIMITS = FuzzLimits(slow_s=3.0, timeout_s=30.0)
 MAX_MUTATIONS = 4

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.characters.body_frames import BodyFrame, build_body_frame
+from mocapfix.characters.body_frames import BodyFrame, build_body_frame, compute_segment_motion
 from mocapfix.characters.character import (
     SIDES,
     Character,
@@ -25,8 +25,8 @@ from mocapfix.characters.character import (
     compute_character_poses,
     convert_motion,
 )
-from mocapfix.characters.character_choice import load_character_preset
-from mocapfix.characters.kept_hands import find_nearest_point
+from mocapfix.characters.kept_positions import find_nearest_point
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.pose_segments import build_solve_tree, compute_rotations_to_parents
 from mocapfix.characters.retarget_motion import (
     build_retarget_problem,
@@ -35,7 +35,6 @@ from mocapfix.characters.retarget_motion import (
     solve_retarget_problem,
     spread_rotations,
 )
-from mocapfix.characters.segment_motion import compute_segment_motion
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.lab.sound_takes import iterate_sound_takes, read_performed_motions

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import TakeError, format_name_list, join_names
+from mocapfix.io.changes_file import Review, read_changes_files
 from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_labels
-from mocapfix.model.changes import Change
+from mocapfix.model.changes import Change, serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.take import ComputedPoints, Take
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.result import CleaningResult
-from mocapfix.review.changes_file import Review, read_changes_files, serialize_changes
 from mocapfix.subject.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 
 MIN_UNASSIGNED_MARKERS = 3

@@ -28,12 +28,12 @@ from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 from mocapfix.detect.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
 from mocapfix.errors import format_name_list
 from mocapfix.fill.gap_filling import compute_editable_mask
+from mocapfix.io.changes_file import Review
 from mocapfix.labels.tracklets import link_points
 from mocapfix.model.changes import Change, build_changes
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.review.changes_file import Review
 from mocapfix.solve.parallel import map_in_processes
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT

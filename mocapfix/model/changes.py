@@ -2,8 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import groupby
+from typing import TypedDict, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -61,6 +62,35 @@ class Change:
     after: SampleState
     predicted_mm: float | None
     decision: Decision = "accept"
+
+
+class SampleStateEntry(TypedDict):
+    """Missing samples of an interval, and the median distance of the others from the body (None if unknown)."""
+
+    missing: int
+    off_body_mm: float | None
+
+
+class ChangeEntry(TypedDict):
+    """A `Change` in the changes file and the JSON report."""
+
+    id: str
+    kind: str
+    markers: list[str]
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: SampleStateEntry
+    after: SampleStateEntry
+    predicted_mm: float | None
+    decision: Decision
+
+
+def serialize_changes(changes: Iterable[Change]) -> list[ChangeEntry]:
+    """Return the changes as plain data, as in the changes file and the JSON report."""
+    return [cast("ChangeEntry", asdict(change) | {"markers": list(change.markers)}) for change in changes]
 
 
 def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
 from mocapfix.errors import join_words
 from mocapfix.labels.label_summary import build_labelling_section
-from mocapfix.model.changes import UnfilledRun
+from mocapfix.model.changes import UnfilledRun, serialize_changes
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.subject import Subject
@@ -39,7 +39,6 @@ from mocapfix.report.report import (
     UnfilledEntry,
 )
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
-from mocapfix.review.changes_file import serialize_changes
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.state import CleaningState
 

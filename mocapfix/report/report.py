@@ -6,7 +6,8 @@ The report's keys of contacts with the floor.
 from typing import NotRequired, TypedDict
 
 from mocapfix.labels.label_summary import LabellingSection
-from mocapfix.model.faults import Decision, FaultKind
+from mocapfix.model.changes import ChangeEntry
+from mocapfix.model.faults import FaultKind
 from mocapfix.model.take import ComputedEvidence
 
 
@@ -184,30 +185,6 @@ class FaultEntry(TypedDict):
     severity_deg: NotRequired[float | None]
     confidence: float
     reason: str
-
-
-class SampleStateEntry(TypedDict):
-    """Missing samples of an interval, and the median distance of the others from the body (None if unknown)."""
-
-    missing: int
-    off_body_mm: float | None
-
-
-class ChangeEntry(TypedDict):
-    """A change, as in the review file; see mocapfix.model.changes.Change."""
-
-    id: str
-    kind: str
-    markers: list[str]
-    first: int
-    last: int
-    samples: int
-    why: str
-    method: str
-    before: SampleStateEntry
-    after: SampleStateEntry
-    predicted_mm: float | None
-    decision: Decision
 
 
 class SubjectSection(TypedDict):

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from mocapfix.fill.gap_filling import compute_editable_mask
+from mocapfix.io.changes_file import ReviewIndex, list_label_corrections
 from mocapfix.labels.relabel import relabel_samples
 from mocapfix.model.changes import (
     affects_labels,
@@ -28,7 +29,6 @@ from mocapfix.model.faults import (
 )
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.review.changes_file import ReviewIndex, list_label_corrections
 from mocapfix.state import CleaningState, DetectionState
 
 # A fill of another program stays as it is if it agrees with the estimate within either of these.

@@ -24,7 +24,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
-from mocapfix.review.decision_store import EditConflictError
+from mocapfix.review.take_files import EditConflictError
 
 if TYPE_CHECKING:
     from mocapfix.review.review_session import Event, ReviewSession

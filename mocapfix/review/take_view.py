@@ -13,13 +13,13 @@ from mocapfix.animations.joint_mapping import build_tip_take
 from mocapfix.errors import MocapfixError, ReadError
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
+from mocapfix.io.changes_file import ChangeModel
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.files import return_free_memory
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
 from mocapfix.options import ReadOptions
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
-from mocapfix.review.changes_file import ChangeModel
 from mocapfix.review.clean_arguments import find_argument, parse_read_options
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly

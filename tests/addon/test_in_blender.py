@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))

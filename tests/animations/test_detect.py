@@ -11,7 +11,7 @@ from mocapfix.animations.detect import TrackMotion
 from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.synthetic import motions
+from mocapfix.synthetic import synthetic_takes as motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 
 RATE = 60.0

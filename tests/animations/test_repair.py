@@ -18,7 +18,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.synthetic import motions
+from mocapfix.synthetic import synthetic_takes as motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 
 RATE = 30.0

@@ -9,11 +9,10 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mocapfix.batch.cluster import ClusterOptions
+from mocapfix.batch.cluster import BatchProgress, ClusterOptions
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.run_session import BatchSettings, run_session
 from mocapfix.batch.take_list import find_takes
-from mocapfix.batch.task_window import BatchProgress
 from mocapfix.errors import MocapfixError
 from mocapfix.lab.batches import hash_outputs
 from mocapfix.options import CleanOptions

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
-from mocapfix.characters.character_choice import load_character_preset, read_character
+from mocapfix.characters.load_character import load_character_preset, read_character
 from mocapfix.io.character_files import write_character_bvh, write_character_glb
 from mocapfix.io.fbx import BLENDER_VARIABLE, write_character_fbx
 from mocapfix.options import CHARACTER_PRESETS

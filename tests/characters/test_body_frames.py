@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import LIMB_DIRECTIONS, build_body_frame
 from mocapfix.characters.character import SIDES
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.walking_body import load_walk, scale_limbs, turn_axes
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.characters.bone_geometry import find_segments_by_shape
 from mocapfix.characters.bone_mapping import find_segments_by_name, map_bones
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
 from mocapfix.options import CHARACTER_PRESETS
 

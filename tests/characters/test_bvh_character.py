@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from mocapfix.characters.character_choice import read_character
+from mocapfix.characters.load_character import read_character
 from mocapfix.errors import ReadError
 from mocapfix.io.bvh import write_bvh
 from mocapfix.model.motion import Motion

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, Character
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
 from mocapfix.options import CHARACTER_PRESETS
 

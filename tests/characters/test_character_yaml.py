@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character
-from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.character_yaml import read_character_yaml, write_character_yaml
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.options import CHARACTER_PRESETS

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import SIDES, CharacterMotion, compute_character_poses
-from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.characters.segment_motion import compute_segment_motion
 from mocapfix.contacts.contacts import Floor, build_no_contacts
 from tests.characters.walking_body import load_walk
 

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import SIDES, compute_character_poses
-from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.kept_positions import hold_kept_feet, resample_foot_contacts
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.characters.segment_motion import compute_segment_motion
 from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.motion import Motion

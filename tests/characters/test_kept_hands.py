@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import CharacterMotion
-from mocapfix.characters.kept_hands import (
+from mocapfix.characters.kept_positions import (
     NEAR_DISTANCE,
     compute_hand_targets,
     compute_nearness,
@@ -20,7 +20,6 @@ from mocapfix.characters.kept_hands import (
     move_hands_out_of_thighs,
     split_along_line,
 )
-from mocapfix.characters.segment_motion import compute_segment_motion
 from tests.characters.walking_body import load_walk, scale_limbs
 
 

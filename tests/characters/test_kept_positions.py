@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import SIDES, CharacterMotion
 from mocapfix.characters.kept_positions import compute_kept_positions, measure_flat_feet, scale_positions
-from mocapfix.characters.segment_motion import compute_segment_motion
 from tests.characters.walking_body import load_walk, scale_limbs
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
-from mocapfix.characters.character_choice import load_character_preset
 from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_file
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.options import CHARACTER_PRESETS
 

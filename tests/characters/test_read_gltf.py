@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character_choice import read_character, read_character_skeletons
+from mocapfix.characters.load_character import read_character, read_character_skeletons
 from mocapfix.errors import ReadError
 from mocapfix.io.glb import parse_glb
 from tests.characters.character_files import (

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, Character, CharacterSource, build_cmu31_character
-from mocapfix.characters.character_choice import load_character_preset
-from mocapfix.characters.rest_poses import are_soles_flat, check_sides, describe_posed_limbs
+from mocapfix.characters.load_character import are_soles_flat, check_sides, describe_posed_limbs, load_character_preset
 from mocapfix.errors import SceneError
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS

@@ -14,7 +14,7 @@ from mocapfix.characters.character import (
     CharacterMotion,
     compute_character_poses,
 )
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import build_retarget_problem, retarget_motion, solve_retarget_problem
 from mocapfix.contacts.contacts import Floor, build_no_contacts
 from mocapfix.options import CHARACTER_PRESETS

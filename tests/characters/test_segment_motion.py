@@ -5,15 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame
-from mocapfix.characters.character import CharacterMotion, compute_character_poses
-from mocapfix.characters.segment_motion import (
+from mocapfix.characters.body_frames import (
+    build_body_frame,
     compute_segment_motion,
     compute_shortest_rotations,
     keep_chain_direction,
     resample_chain,
     turn_by_share,
 )
+from mocapfix.characters.character import CharacterMotion, compute_character_poses
 from tests.characters.walking_body import load_walk, turn_axes
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame
-from mocapfix.characters.character_choice import load_character_preset
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import compute_twist_angle, compute_twisted_bones
 
 

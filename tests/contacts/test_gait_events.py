@@ -11,7 +11,7 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, ContactPositions, Floor
 from mocapfix.contacts.find_contacts import find_foot_contacts
 from mocapfix.contacts.foot_points import FootPoints, build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events, find_foot_near_floor, find_rise, remove_repeated_contacts
-from mocapfix.synthetic.motions import STEP_SCHEDULE
+from mocapfix.synthetic.synthetic_takes import STEP_SCHEDULE
 from tests.contacts.walking_feet import find_true_stances, make_path, walk
 
 SECONDS = 5.5

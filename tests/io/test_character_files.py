@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character_choice import load_character
+from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.errors import WriteError

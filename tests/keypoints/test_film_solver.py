@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.keypoints import film_solver, keypoint_file, keypoint_scene
-from mocapfix.keypoints.reprojection_problem import ReprojectionProblem, build_camera_rotation
+from mocapfix.keypoints import film_solver, keypoint_file
+from mocapfix.keypoints.film_solver import ReprojectionProblem, build_camera_rotation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import prior_files
+from tests.keypoints.example_film import compose_example_film
 
 RATE = 10.0
 SKELETON = load_cmu31_body().skeleton
@@ -24,7 +25,7 @@ def compute_error_m(found, truth):
 @pytest.fixture(scope="module")
 def composed(tmp_path_factory):
     """Keypoints, true joints and true camera."""
-    film, joints, camera = keypoint_scene.compose_example_film("openpose", 1.0, RATE)
+    film, joints, camera = compose_example_film("openpose", 1.0, RATE)
     path = tmp_path_factory.mktemp("film") / "film.json"
     path.write_text(json.dumps(film), encoding="utf-8")
     return keypoint_file.read_keypoints(path, SKELETON), joints, camera

@@ -9,6 +9,8 @@ from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.keypoints import keypoint_file, keypoint_scene
 from mocapfix.model.skeleton import load_cmu31_body
+from tests.keypoints import example_film
+from tests.keypoints.example_film import compose_example_film
 
 TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 
@@ -17,7 +19,7 @@ TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 def folder(tmp_path_factory):
     """A folder with a scene of half a second."""
     folder = tmp_path_factory.mktemp("scene")
-    film, _, _ = keypoint_scene.compose_example_film("coco", 0.5, 10.0)
+    film, _, _ = compose_example_film("coco", 0.5, 10.0)
     (folder / "film.json").write_text(json.dumps(film), encoding="utf-8")
     (folder / "mine.yaml").write_text(TEXT, encoding="utf-8")
     return folder
@@ -32,11 +34,11 @@ def test_shipped_scene_is_valid_and_matches_the_example_film():
     path = find_shipped_folder("scenes") / "keypoints-2d.yaml"
     film = keypoint_scene.read_keypoint_scene(path)
     found = keypoint_file.read_keypoints(path.parent / film.keypoints, load_cmu31_body().skeleton)
-    composed, _, _ = keypoint_scene.compose_example_film("openpose", 6.0, 30.0)
+    composed, _, _ = compose_example_film("openpose", 6.0, 30.0)
     people = [frame["people"][0]["pose_keypoints_2d"] for frame in composed["frames"]]
     points = np.array(people).reshape(180, 25, 3)
     np.testing.assert_allclose(found.position_px, points[..., :2], atol=0.11)  # rounding differs between processors
-    assert (found.rate_hz, found.image_size_px) == (30.0, (keypoint_scene.IMAGE_WIDTH_PX, keypoint_scene.IMAGE_HEIGHT_PX))
+    assert (found.rate_hz, found.image_size_px) == (30.0, (example_film.IMAGE_WIDTH_PX, example_film.IMAGE_HEIGHT_PX))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.keypoints.reprojection_problem import (
+from mocapfix.keypoints.film_solver import (
     build_camera,
     build_camera_rotation,
     fit_camera_scale,

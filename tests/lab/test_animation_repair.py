@@ -13,7 +13,7 @@ from mocapfix.lab.animation_repair import (
     inject_animation_faults,
 )
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.synthetic import motions
+from mocapfix.synthetic import synthetic_takes as motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 
 SKELETON = load_cmu31_body().skeleton

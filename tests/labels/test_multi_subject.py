@@ -11,6 +11,7 @@ import pytest
 from mocapfix import pipeline, synthetic
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.io.capture import read_take
+from mocapfix.io.changes_file import NO_REVIEW, read_changes_files
 from mocapfix.labels import multi_subject
 from mocapfix.labels.requested_labels import label_take
 from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_labels
@@ -20,7 +21,6 @@ from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.report.stage_timer import StageTimer, omit_stage_times
 from mocapfix.result import CleaningResult
-from mocapfix.review.changes_file import NO_REVIEW, read_changes_files
 from mocapfix.subject import subject_file
 from mocapfix.subject.library import SubjectChoice, find_subject_prefixes, load_marker_set, load_shipped_marker_sets
 from tests.conftest import build_c3d

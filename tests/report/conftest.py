@@ -9,12 +9,12 @@ import pytest
 
 from mocapfix.labels.relabel import join_fragments, undo_label_exchanges
 from mocapfix.model import changes
+from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.report.report import ErrorSummary, Report
 from mocapfix.report.sample_states import CleaningComparison
-from mocapfix.review.changes_file import serialize_changes
 
 FRAMES, RATE, FIRST_FRAME = 240, 120.0, 101
 LABELS = tuple(f"M{n:02d}" for n in range(29)) + ("<b>&\"'", "never")  # 31 markers, one on each joint

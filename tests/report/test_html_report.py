@@ -9,9 +9,9 @@ import pytest
 
 from mocapfix.errors import WriteError
 from mocapfix.model import changes
+from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.report.html_report import write_html_report
-from mocapfix.review.changes_file import serialize_changes
 
 VOID_TAGS = {"meta", "br", "img", "link", "input"}
 

@@ -10,16 +10,15 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.fill.gap_filling import fill_gaps
-from mocapfix.io import capture
+from mocapfix.io import capture, changes_file
+from mocapfix.io.changes_file import Review
 from mocapfix.io.patches import patch_c3d
-from mocapfix.model.changes import compare_samples
+from mocapfix.model.changes import compare_samples, serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
 from mocapfix.report.stage_timer import StageTimer
-from mocapfix.review import changes_file
 from mocapfix.review.apply_decisions import apply_decisions
-from mocapfix.review.changes_file import Review
 from mocapfix.state import CleaningState, DetectionState, FillProposal
 from mocapfix.stats.sequences import find_runs
 from tests.faulty_take import (
@@ -203,7 +202,7 @@ def test_gap_within_a_rejected_burst_is_filled():
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
-    entry = changes_file.ChangeModel.model_validate(changes_file.serialize_changes([change])[0] | {"decision": "reject"})
+    entry = changes_file.ChangeModel.model_validate(serialize_changes([change])[0] | {"decision": "reject"})
     rejected = changes_file.ReviewedChange(entry, (0,), 5, 14)
     after, changes = decide(before, detection, repaired, reviewed=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.errors import MocapfixError, SceneError
+from mocapfix.io.changes_file import ChangesFileModel, read_changes_file, write_changes_file
 from mocapfix.io.yaml_files import read_yaml_model
-from mocapfix.review.changes_file import ChangesFileModel, read_changes_file, write_changes_file
-from mocapfix.review.decision_store import DecisionStore, EditConflictError
-from tests.review.test_changes_file import build_change, build_take
+from mocapfix.review.take_files import DecisionStore, EditConflictError
+from tests.io.test_changes_file import build_change, build_take
 
 SPIKE, GAP = "spike-C7-110", "gap-RBAC-120"
 WRONG = {"kind": "wrong", "markers": ["C7"], "first": 110, "last": 119}

@@ -13,11 +13,11 @@ import pytest
 import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from mocapfix.review.changes_file import write_changes_file
+from mocapfix.io.changes_file import write_changes_file
 from mocapfix.review.review_session import ReviewSession
 from mocapfix.review.server import ReviewServer
+from tests.io.test_changes_file import build_change
 from tests.review.conftest import RunningServer
-from tests.review.test_changes_file import build_change
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 SOFTWARE_RENDERING = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

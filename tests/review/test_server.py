@@ -18,7 +18,7 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.capture import read_take
-from mocapfix.review.changes_file import read_changes_file
+from mocapfix.io.changes_file import read_changes_file
 from mocapfix.review.review_session import ReviewSession
 from mocapfix.review.server import ReviewServer
 from mocapfix.review.take_files import find_cleaned_takes

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from mocapfix import pipeline
 from mocapfix.errors import ReadError
 from mocapfix.io.capture import read_capture
+from mocapfix.io.changes_file import ChangeModel
 from mocapfix.model.animation import Animation
+from mocapfix.model.changes import serialize_changes
 from mocapfix.report.sample_states import SampleOutcome, classify_samples
-from mocapfix.review.changes_file import ChangeModel, serialize_changes
-from mocapfix.review.open_take import OpenTake
+from mocapfix.review.review_session import OpenTake
 from mocapfix.review.take_files import find_cleaned_takes
 from mocapfix.review.take_view import NO_INPUT_NOTE, classify_shown_samples, load_take_view, replace_unstored_sd
-from tests.review.test_changes_file import build_change
+from tests.io.test_changes_file import build_change
 
 
 def test_states_are_those_of_the_cleaning(faulty, tmp_path: Path) -> None:

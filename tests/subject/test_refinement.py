@@ -9,7 +9,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.subject import refinement
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic import motions
+from mocapfix.synthetic import synthetic_takes as motions
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)

@@ -15,7 +15,8 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic import motions, synthetic_takes
+from mocapfix.synthetic import synthetic_takes
+from mocapfix.synthetic import synthetic_takes as motions
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))

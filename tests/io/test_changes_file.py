@@ -11,10 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError
-from mocapfix.model.changes import Change, Decision, SampleState
-from mocapfix.model.faults import Fault, Fragment, MarkerShift
-from mocapfix.model.take import Take
-from mocapfix.review.changes_file import (
+from mocapfix.io.changes_file import (
     Review,
     ReviewedChange,
     ReviewIndex,
@@ -22,6 +19,9 @@ from mocapfix.review.changes_file import (
     read_changes_file,
     write_changes_file,
 )
+from mocapfix.model.changes import Change, Decision, SampleState
+from mocapfix.model.faults import Fault, Fragment, MarkerShift
+from mocapfix.model.take import Take
 
 FIRST_FRAME = 101
 

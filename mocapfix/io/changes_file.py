@@ -1,12 +1,6 @@
 """The changes file: all changes of a take as YAML, with a decision for each and the reviewer's own corrections.
 
 It is written by a cleaning, edited by hand or in the browser, and read by the next cleaning.
-
-The models of a changes file: the changes of a take with a decision for each, and the corrections of the reviewer.
-
-Corrections by a reviewer: faults that mocapfix did not detect, and how gaps are to be filled.
-
-Changes that a reviewer declined, and the faults to which they belong.
 """
 
 from bisect import bisect_left, bisect_right
@@ -23,10 +17,9 @@ from pydantic import Field, model_validator
 from mocapfix.errors import SceneError, format_name_list
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, dump_yaml_list, read_yaml_model
-from mocapfix.model.changes import Change, SampleState, list_affected_markers
+from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, Fragment
 from mocapfix.model.take import Take
-from mocapfix.report.report import ChangeEntry
 
 CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
 RequestedFill = Literal["spline", "cluster", "body", "empty"]
@@ -350,27 +343,6 @@ def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes
 def _format_entries(changes: Sequence[Mapping[str, Any]]) -> str:
     entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in changes]
     return dump_yaml_list(CHANGES_KEY, entries, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
-
-
-def serialize_changes(changes: Sequence[Change]) -> list[ChangeEntry]:
-    """Return the changes as plain data, as in the changes file and the JSON report."""
-    return [
-        {
-            "id": change.id,
-            "kind": change.kind,
-            "markers": list(change.markers),
-            "first": change.first,
-            "last": change.last,
-            "samples": change.samples,
-            "why": change.why,
-            "method": change.method,
-            "before": {"missing": change.before.missing, "off_body_mm": change.before.off_body_mm},
-            "after": {"missing": change.after.missing, "off_body_mm": change.after.off_body_mm},
-            "predicted_mm": change.predicted_mm,
-            "decision": change.decision,
-        }
-        for change in changes
-    ]
 
 
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:

@@ -10,8 +10,7 @@ from mocapfix import pipeline
 from mocapfix.errors import SceneError
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.requested_fills import EMPTY_REASON, FillRequest, explain_requested_fills, use_requested_methods
-from mocapfix.model.faults import Fault, Fragment
-from mocapfix.review.changes_file import (
+from mocapfix.io.changes_file import (
     CorrectionKind,
     CorrectionModel,
     Review,
@@ -20,8 +19,9 @@ from mocapfix.review.changes_file import (
     read_changes_file,
     write_changes_file,
 )
+from mocapfix.model.faults import Fault, Fragment
 from mocapfix.synthetic import compose_take, write_synthetic_take
-from tests.review.test_changes_file import build_change, build_take
+from tests.io.test_changes_file import build_change, build_take
 
 SEED, DURATION_S, RATE_HZ = 4, 3.0, 60.0
 

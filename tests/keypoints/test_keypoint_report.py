@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocapfix.keypoints.keypoint_scene import KEYPOINT_FIGURE_COUNT, KeypointFilm, write_keypoint_page, write_keypoint_recording
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.report.keypoint_report import KEYPOINT_FIGURE_COUNT, KeypointFilm, write_keypoint_page, write_keypoint_recording
 
 FRAMES = 6
 REPORT: Any = {"order": "coco", "camera": {"pixels_per_metre": 123.4}, "reprojection_px": {"mean": 2.5, "p95": 6.0}}

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
+from mocapfix.batch.job_files import JOB_MODEL, expand_paths, read_cleaning_job
 from mocapfix.errors import SceneError
 from mocapfix.io import shipped
-from mocapfix.jobs.cleaning_job import JOB_MODEL, expand_paths, read_cleaning_job
 from mocapfix.options import CleanOptions, FillOptions, list_options, list_stages
 
 SHIPPED = shipped.find_shipped_folder("scenes")

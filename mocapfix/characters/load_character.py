@@ -1,0 +1,311 @@
+"""Load the character that an option names, and check its rest pose: a shipped figure of scenes/rigs, or a file of any format.
+
+The format of a file is detected from the content, only YAML from the extension. BVH has no rest rotations: in the rest pose the
+axes of all bones are the file's.
+"""
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.characters.bone_mapping import map_bones
+from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, compute_tail
+from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
+from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
+from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.bvh import is_bvh, read_bvh
+from mocapfix.io.capture import extract_head
+from mocapfix.io.file_content import read_file_bytes
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.options import CHARACTER_PRESETS
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+
+MAX_BACKWARD_COSINE = -0.5
+"""cosine of the horizontal angle between a foot and the front, below which it points backwards"""
+MIN_HORIZONTAL_FOOT_SHARE = 0.3
+"""horizontal length of a foot, as a share of its length, from which it points anywhere; on high heels it may not"""
+MAX_REST_TILT_DEG = 40.0
+"""angle of the trunk, the thighs and the shins from the vertical in T- and A-poses"""
+MAX_REST_DIFFERENCE_DEG = 25.0
+"""angle between a limb and the mirrored one of the other side in T- and A-poses"""
+MIN_SPREAD_RAD, MAX_SPREAD_RAD = np.deg2rad(12.0), np.deg2rad(30.0)
+"""of the shins from the vertical, in skeletons like those of CMU's recordings, whose legs are spread by 20 degrees"""
+MAX_SPREAD_DIFFERENCE_RAD = np.deg2rad(3.0)
+MAX_STRAIGHT_YAW_RAD = np.deg2rad(2.0)
+"""angle between the front and a foot that points straight ahead"""
+LIMB_SEGMENTS = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
+"""segments of limbs, and the segments at which they end"""
+
+
+def check_sides(character: Character, name: str) -> None:
+    """Raise SceneError, which begins with `name`, if left and right are swapped.
+
+    The front follows from left and right. They are swapped if both feet point backwards, or if the arms give another front than
+    the legs. Feet without toes point nowhere, and a rest pose that is not upright shows no front.
+    """
+    if _measure_trunk_tilt_deg(character) > MAX_REST_TILT_DEG:
+        return
+    position, _ = character.compute_rest_pose()
+    bones = character.mapping.bones
+    what_to_do = "exchange the bones of both sides in a mapping file (--character-map) or in their names"
+    legs, arms = (position[bones[f"left_{each}"][0]] - position[bones[f"right_{each}"][0]] for each in ("thigh", "upper_arm"))
+    if legs @ arms < 0:
+        pairs = " and ".join(repr(character.names[bones[f"left_{each}"][0]]) for each in ("thigh", "upper_arm"))
+        raise SceneError(f"{name}: {pairs}, both of the left, are on different sides of the body; {what_to_do}.")
+    axes = _compute_body_axes(character)
+    toes: list[str] = []
+    for side in SIDES:
+        if toe := bones.get(f"{side}_toe"):
+            foot = axes.T @ (position[toe[0]] - position[bones[f"{side}_foot"][0]])
+            length = float(np.hypot(foot[0], foot[2]))
+            is_horizontal = length > MIN_HORIZONTAL_FOOT_SHARE * np.linalg.norm(foot)
+            if is_horizontal and foot[2] < MAX_BACKWARD_COSINE * length:
+                toes.append(repr(character.names[toe[0]]))
+    if len(toes) == len(SIDES):
+        problem = "point backwards, so the bones of left and right are swapped, or the feet are"
+        raise SceneError(f"{name}: the toes {' and '.join(toes)} {problem}; {what_to_do}.")
+
+
+def describe_posed_limbs(character: Character) -> str:
+    """Return a sentence if the limbs of the rest pose are neither those of a T-pose nor of an A-pose, otherwise nothing.
+
+    The rest pose is then one of an animation, as exporters may write it, and rotations relative to it are wrong.
+    """
+    axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
+    tilted: list[tuple[float, str]] = []
+    different: list[tuple[float, str]] = []
+    if (tilt := _measure_trunk_tilt_deg(character)) > MAX_REST_TILT_DEG:
+        tilted.append((tilt, f"trunk {tilt:.0f} degrees from the vertical"))
+    for segment, _ in LIMB_SEGMENTS:
+        pair = [axes.T @ vectors[f"{side}_{segment}"] for side in SIDES if f"{side}_{segment}" in vectors]
+        if len(pair) < len(SIDES):
+            continue
+        label = segment.replace("_", " ")
+        angle = _measure_angle_deg(pair[0], pair[1] * [-1, 1, 1])
+        if angle > MAX_REST_DIFFERENCE_DEG:
+            different.append((angle, f"{label}s differ by {angle:.0f} degrees"))
+        for side, vector in zip(SIDES, pair, strict=True):
+            angle = _measure_angle_deg(vector, np.array([0.0, -1.0, 0.0]))
+            if segment in ("thigh", "shin") and angle > MAX_REST_TILT_DEG:
+                tilted.append((angle, f"{side} {label} {angle:.0f} degrees from the vertical"))
+    if not (found := tilted or different):
+        return ""
+    worst = max(found)[1]
+    return f"Its bones are not in a T- or A-pose ({worst}), so its limbs may be turned wrongly: export it in its rest pose."
+
+
+def are_soles_flat(character: Character) -> bool:
+    """Return whether the soles lie flat in the rest pose of a character that is no YAML file, which has this itself.
+
+    They do, except in skeletons like those of CMU's recordings: their legs are spread to the sides, and the feet are turned with
+    the shins, straight ahead only when the shins are vertical. A mesh in a glTF stands on its soles; that of a solved skeleton,
+    which shows its 31 joints, does not.
+    """
+    kind = character.source.kind if character.source else "yaml"
+    is_bare = kind == "bvh" or (kind == "gltf" and set(load_cmu31_skeleton().names) <= set(character.names))
+    bones = character.mapping.bones
+    if not is_bare or not all(bones.get(f"{side}_toe") for side in SIDES):
+        return True
+    position, _ = character.compute_rest_pose()
+    axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
+    spreads: list[float] = []
+    for side, outward in zip(SIDES, (1.0, -1.0), strict=True):
+        shin = axes.T @ vectors[f"{side}_shin"]
+        foot = axes.T @ (position[bones[f"{side}_toe"][0]] - position[bones[f"{side}_foot"][0]])
+        turned = compute_shortest_rotation(shin, np.array([0.0, -1.0, 0.0])) @ foot
+        yaw, turned_yaw = (float(np.arctan2(outward * each[0], each[2])) for each in (foot, turned))
+        spreads.append(float(np.arctan2(outward * shin[0], -shin[1])))
+        if not MIN_SPREAD_RAD < spreads[-1] < MAX_SPREAD_RAD or abs(turned_yaw) > min(MAX_STRAIGHT_YAW_RAD, abs(yaw)):
+            return True
+    return bool(np.ptp(spreads) > MAX_SPREAD_DIFFERENCE_RAD)
+
+
+def _compute_body_axes(character: Character) -> Float[np.ndarray, "3 3"]:
+    """Return the axes of the body in the world: to its left, up, and to its front, as left and right give them."""
+    position, _ = character.compute_rest_pose()
+    leftward = np.zeros(3)
+    for segment in ("thigh", "upper_arm"):
+        left, right = (position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES)
+        leftward += (left - right) * [1.0, 0.0, 1.0]
+    length = float(np.linalg.norm(leftward))
+    x = leftward / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    return np.stack([x, [0.0, 1.0, 0.0], [-x[2], 0.0, x[0]]], axis=1)
+
+
+def _measure_trunk_tilt_deg(character: Character) -> float:
+    """Return the angle between the vertical and the direction from the hips to the shoulders."""
+    position, _ = character.compute_rest_pose()
+    hips, shoulders = (
+        np.mean([position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES], axis=0)
+        for segment in ("thigh", "upper_arm")
+    )
+    return _measure_angle_deg(shoulders - hips, np.array([0.0, 1.0, 0.0]))
+
+
+def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"]]:
+    """Return the vector along each segment of a limb in the world, of those that end at another segment."""
+    position, _ = character.compute_rest_pose()
+    bones = character.mapping.bones
+    return {
+        f"{side}_{segment}": position[bones[f"{side}_{end}"][0]] - position[bones[f"{side}_{segment}"][0]]
+        for side in SIDES
+        for segment, end in LIMB_SEGMENTS
+        if bones.get(f"{side}_{end}")
+    }
+
+
+def _measure_angle_deg(one: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+
+
+@cache
+def load_character_preset(name: str) -> Character:
+    """Load a shipped character by its name, one of CHARACTER_PRESETS.
+
+    Its bones, tree, axes and unit are those of the program; its lengths are those of an adult of about 1.75 m.
+
+    Raises:
+        SceneError: If there is no preset of the name. The message lists the presets.
+    """
+    if name not in CHARACTER_PRESETS:
+        raise SceneError(f"There is no character preset {name!r}; choose one of {', '.join(CHARACTER_PRESETS)}, or give a file.")
+    return read_character_yaml(find_shipped_folder("scenes") / "rigs" / f"{name}.yaml")
+
+
+def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Character:
+    """Return the bones of a BVH as a character. Its mapping is empty.
+
+    Args:
+        path: The file.
+        data: Its bytes.
+        animation: Its content, with the unit and the up axis that `read_bvh` inferred.
+    """
+    count, unit_m = len(animation.names), animation.unit_m
+    positions = np.where(animation.is_below_body_root[:, None], animation.bone_offsets, animation.offsets) * unit_m
+    positions[0] = animation.rotation_y_up_file @ positions[0]
+    rotations = np.tile(np.eye(3), (count, 1, 1))
+    rotations[0] = animation.rotation_y_up_file
+    tails = np.full((count, 3), np.nan)
+    for joint, ends in enumerate(animation.end_sites):
+        tails[joint] = compute_tail(np.concatenate([animation.bone_offsets[animation.parents == joint], ends]) * unit_m)
+    return Character(
+        name=path.stem,
+        names=make_names_unique(animation.names),
+        parents=animation.parents,
+        rest_positions=positions,
+        rest_rotations=rotations,
+        tails=tails,
+        mapping=BoneMapping({}),
+        scales=np.full(count, unit_m),
+        root_scale=unit_m,
+        rotation_y_up_file=animation.rotation_y_up_file,
+        source=CharacterSource(str(path), data, np.zeros(0, int), "bvh"),
+    )
+
+
+def make_names_unique(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names with a number behind each that was used before."""
+    used: dict[str, None] = {}
+    for index, name in enumerate(names):
+        unique = name
+        while unique in used:
+            unique = f"{unique}#{index}"
+        used[unique] = None
+    return tuple(used)
+
+
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+def read_character(path: str | Path) -> Character:
+    """Read a character: glTF 2.0 (.glb, .gltf), VRM 0.x and 1.0 (.vrm), BVH, or YAML of the form of the presets.
+
+    A VRM or YAML gives the bones of the segments of the body. The mapping of another file is empty. Of several skeletons in a
+    glTF the one with the most joints is read.
+
+    Raises:
+        ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file.
+        SceneError: If a YAML file is invalid. The message names the file and the key.
+    """
+    return read_character_skeletons(path)[0]
+
+
+def read_character_skeletons(path: str | Path) -> list[Character]:
+    """Read all skeletons of a character's file, the one with the most joints first. Raises as `read_character` does."""
+    path = Path(path)
+    data = read_file_bytes(path)
+    if is_bvh(extract_head(data)):
+        return [build_bvh_character(path, data, read_bvh(path, data))]
+    if path.suffix.lower() in YAML_SUFFIXES:
+        return [read_character_yaml(path)]
+    if is_gltf(data):
+        return read_gltf_skeletons(path, data)
+    raise ReadError(f"{path}: is no character that mocapfix reads; give a .glb, .gltf, .vrm, .bvh or .yaml file.")
+
+
+UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")
+"""in the name of a character, which is part of the names of files"""
+MIN_LIMB_LENGTH_M = 1e-6
+
+
+def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None) -> Character:
+    """Load a preset by its name, or the character in a file, with all segments that retargeting needs.
+
+    Of several skeletons in a file, the first is taken whose bones form a body, or are those of the mapping.
+
+    mapping_path  an edited mapping of its bones, in place of the one that the character has
+
+    Raises:
+        ReadError, SceneError: If there is no such character, its file is invalid, or its bones do not form a body.
+    """
+    if str(name_or_path) in CHARACTER_PRESETS:
+        skeletons = [load_character_preset(str(name_or_path))]
+    else:
+        path = Path(name_or_path)
+        if not path.suffix and not path.exists():
+            choices = ", ".join(CHARACTER_PRESETS)
+            raise SceneError(f"There is no character {str(name_or_path)!r}; choose one of {choices}, or give a file.")
+        name = UNUSABLE_CHARACTERS.sub("-", path.stem).strip("-") or "character"
+        skeletons = [replace(character, name=name) for character in read_character_skeletons(path)]
+    character = _choose_skeleton(skeletons, None if mapping_path is None else Path(mapping_path))
+    check_lengths(character, str(name_or_path))
+    check_sides(character, str(name_or_path))
+    if posed := describe_posed_limbs(character):
+        reason = f"{character.mapping.reason} {posed}"
+        character = replace(character, mapping=replace(character.mapping, reason=reason))
+    is_given = mapping_path is not None and read_feet_flat(mapping_path) is not None
+    return character if is_given else replace(character, has_feet_flat=character.has_feet_flat and are_soles_flat(character))
+
+
+def _choose_skeleton(skeletons: list[Character], mapping_path: Path | None) -> Character:
+    """Return the first skeleton of a file that has a mapping, with it. Raises what is wrong with the first if none has."""
+    first_error: SceneError | None = None
+    for character in skeletons:
+        try:
+            if mapping_path is not None:
+                return apply_mapping_file(mapping_path, character)
+            return replace(character, mapping=map_bones(character)) if character.mapping.missing_segments else character
+        except SceneError as error:
+            first_error = first_error or error
+    raise first_error or SceneError("The file of the character has no skeleton; export it with its armature.")
+
+
+def check_lengths(character: Character, name: str) -> None:
+    """Raise SceneError, which begins with `name`, if a thigh, shin, upper arm or forearm has no length in the rest pose."""
+    position, _ = character.compute_rest_pose()
+    bones = character.mapping.bones
+    for side in SIDES:
+        for start, end in (("thigh", "shin"), ("shin", "foot"), ("upper_arm", "forearm"), ("forearm", "hand")):
+            first, last = bones[f"{side}_{start}"][0], bones.get(f"{side}_{end}", ())
+            if last and not np.linalg.norm(position[last[0]] - position[first]) > MIN_LIMB_LENGTH_M:
+                pair = f"{character.names[first]!r} and {character.names[last[0]]!r}"
+                raise SceneError(
+                    f"{name}: the bones {pair} ({side} {start.replace('_', ' ')}) are at one place, so the character cannot be "
+                    "posed; correct its rest pose or the mapping (--character-map)."
+                )

@@ -1,1 +1,0 @@
-"""Jobs: YAML files that name takes and the options with which they are cleaned."""
