@@ -20,7 +20,7 @@ from typing import Any, Literal, cast
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from mocapfix.batch.take_figures import SubjectFigures
-from mocapfix.io.files import LOCK_TEXT_ENCODING, hold_process_lock, lock_open_file, make_output_folder, replace_atomically
+from mocapfix.io.files import LOCK_TEXT_ENCODING, build_lock, hold_process_lock, make_output_folder, replace_atomically
 from mocapfix.io.yaml_files import StrictModel
 from mocapfix.options import STAGE_OF_OPTION, CleanOptions
 
@@ -106,6 +106,7 @@ def list_record_paths(output_folder: Path) -> list[Path]:
 
 BATCH_LOCK_NAME = ".batch.lock"
 ATTEMPTS_SUFFIX = ".attempts"
+ATTEMPTS_LOCK_SUFFIX = ".lock"
 
 
 @contextmanager
@@ -155,22 +156,13 @@ def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
     folder = get_take_folder(output_folder, take)
     make_output_folder(folder)
     path = folder / f".{PurePosixPath(take).stem}{ATTEMPTS_SUFFIX}"
-    while True:
-        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            lock_open_file(number, wait=True)
-            try:
-                is_current = os.fstat(number).st_ino == path.stat().st_ino
-            except FileNotFoundError:  # the process that held the lock before has removed the file
-                is_current = False
-            if is_current:
-                attempts = TakeAttempts(path, path.read_text(encoding=LOCK_TEXT_ENCODING).splitlines())
-                yield attempts
-                if not attempts.count_all():
-                    attempts.clear()
-                return
-        finally:
-            os.close(number)
+    with build_lock(path.with_suffix(ATTEMPTS_LOCK_SUFFIX)) as lock:
+        lines = path.read_text(encoding=LOCK_TEXT_ENCODING).splitlines() if path.exists() else []
+        attempts = TakeAttempts(path, lines)
+        yield attempts
+        if not attempts.count_all():
+            attempts.clear()
+            Path(lock.lock_file).unlink(missing_ok=True)
 
 
 FILE_OPTION_NAMES = ("marker_set", "subject", "like", "hierarchy", "review_files", "rigs", "characters", "character_map")

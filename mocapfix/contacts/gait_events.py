@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, binary_opening
-from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from mocapfix.contacts.contacts import MAX_LEVEL_DEVIATION_M, Floor, GaitEvent
 from mocapfix.contacts.find_contacts import compute_speed
@@ -180,6 +179,8 @@ def _build_point_motion(path: Float[np.ndarray, "T 3"], rate: float) -> PointMot
 
 def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, "T 3"]:
     """Return the acceleration in m/s^2 of a path in metres, filtered without delay."""
+    from scipy.signal import butter, sosfiltfilt  # slow to import
+
     cutoff_hz = min(LOWPASS_HZ, MAX_LOWPASS_SHARE * rate)
     sections = butter(2, cutoff_hz / (rate / 2), output="sos")
     smooth = sosfiltfilt(sections, path, axis=0)
@@ -191,6 +192,8 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
 
     Without an impact, or where the laboratory has smoothed it away, it is where the point stops sliding. NaN if it does neither.
     """
+    from scipy.signal import find_peaks  # slow to import
+
     (path, speed, acceleration, swing_m_s), (first, last) = motion, contact
     start = max(1, first - round(STRIKE_WINDOW_S[0] * rate))
     stop = min(len(path) - 2, first + round(STRIKE_WINDOW_S[1] * rate))
@@ -212,6 +215,8 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
 
 def find_off(toe_acceleration: Float[np.ndarray, "T 3"], last: int, rate: float) -> float:
     """Return the time in seconds at which the toes' acceleration reaches most of its peak, about the end of a contact."""
+    from scipy.signal import find_peaks  # slow to import
+
     size = np.linalg.norm(toe_acceleration, axis=1)
     start = max(1, last - round(OFF_WINDOW_S[0] * rate))
     peaks = start + find_peaks(size[start : last + 1 + round(OFF_WINDOW_S[1] * rate)])[0]

@@ -23,6 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import gettempdir, mkdtemp, mkstemp
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from mocapfix.errors import WriteError
 
@@ -30,6 +31,9 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 HOST_DIGEST_LENGTH = 8
 TEMPORARY_PREFIX = ".mocapfix-" + hashlib.sha256(socket.gethostname().encode()).hexdigest()[:HOST_DIGEST_LENGTH] + "-"
@@ -261,11 +265,6 @@ def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
     return {"amc": ("amc", "asf"), "json": ("csv",)}.get(suffix, (suffix,))
 
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
-
 LOCK_TEXT_ENCODING = "utf-8"
 
 
@@ -277,30 +276,32 @@ def hold_process_lock(path: Path, describe_refusal: Callable[[str], str]) -> Gen
 
     Raises WriteError then, and if the file cannot be written.
     """
+    from filelock import Timeout  # slow to import
+
+    lock = build_lock(path)
     try:
-        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        lock.acquire(blocking=False)
+    except Timeout:
+        holder = ""
+        with suppress(OSError):  # on Windows a locked file cannot be read
+            holder = path.read_text(encoding=LOCK_TEXT_ENCODING).strip()
+        raise WriteError(describe_refusal(holder or "unknown process")) from None
     except OSError as error:
         raise WriteError(describe_lock_failure(path, error)) from error
     try:
-        try:
-            lock_open_file(number, wait=False)
-            text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
-            os.ftruncate(number, 0)
-            os.write(number, text.encode(LOCK_TEXT_ENCODING))
-        except BlockingIOError:
-            holder = path.read_text(encoding=LOCK_TEXT_ENCODING).strip() or "unknown process"
-            raise WriteError(describe_refusal(holder)) from None
-        except OSError as error:
-            raise WriteError(describe_lock_failure(path, error)) from error
+        text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
+        with suppress(PermissionError):  # Windows
+            path.write_text(text, encoding=LOCK_TEXT_ENCODING)
         yield
     finally:
-        os.close(number)
+        lock.release()
 
 
-def lock_open_file(number: int, *, wait: bool) -> None:
-    """Lock an open file for this process; raise BlockingIOError if another has it and `wait` is false."""
-    if fcntl is not None:
-        fcntl.flock(number, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+def build_lock(path: Path) -> "FileLock":
+    """Return the lock of a file, which ends with its process; acquiring it raises OSError where the file system has no locks."""
+    from filelock import FileLock  # slow to import
+
+    return FileLock(path, fallback_to_soft=False)
 
 
 def describe_lock_failure(path: Path, error: OSError) -> str:
