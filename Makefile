@@ -4,21 +4,26 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test bench docs install addon blender browser gltf-validator lint clean
+.PHONY: demo test test-lab test-lab-slice bench docs install addon blender browser gltf-validator lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
-# Every test once, in two processes, each with one thread for linear algebra: with two each, threads wait for one another. The
-# kernels are compiled before: each process of tests would compile most of them itself. A file is run by one process, which then
-# compiles its kernels and cleans its takes once.
-# Annotated types and array shapes are checked in the folders where every test passes with them. These tests take twice as long.
-CHECKED_TESTS := $(addprefix tests/,fill jobs synthetic)
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile
+# The tests of the product, in two processes, each with one thread for linear algebra: with two each, threads wait for one another.
+# The kernels are compiled before: each process of tests would compile most of them itself. A file is run by one process, which
+# then composes and cleans its takes once.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile \
+	--durations 20
 test: $(VENV)/installed-dev
 	$(VENV)/bin/python -m mocapfix.kernels.precompilation
-	$(PYTEST) $(addprefix --ignore=,$(CHECKED_TESTS))
-	MOCAPFIX_CHECK_TYPES=1 $(PYTEST) $(CHECKED_TESTS)
+	$(PYTEST) --ignore tests/lab
+
+# The tests of benchmarks, training and fuzzing; test-lab-slice is the part of them that every change must pass.
+LAB_SLICE := $(addprefix tests/lab/test_,baseline.py damaged_take.py fuzz.py settings.py stage_takes.py)
+test-lab: $(VENV)/installed-dev
+	$(PYTEST) tests/lab
+test-lab-slice: $(VENV)/installed-dev
+	$(PYTEST) $(LAB_SLICE)
 
 # Accuracy, speed and memory against scenes/bench/baseline.json. Fails if anything became worse than its tolerance.
 bench: $(VENV)/installed-dev
