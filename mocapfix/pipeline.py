@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
 from mocapfix.contacts.body_contacts import hold_standing_feet
-from mocapfix.detect.contradictions import check_contradictions
+from mocapfix.detect.contradictions import check_contradictions, try_learned_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError, join_names
 from mocapfix.fill.computed_points import update_computed_points
@@ -45,7 +45,6 @@ from mocapfix.solve.prior_files import build_pose_model_loader
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject.calibration import CalibrationFrames, calibrate_body, place_moved_markers, select_calibration_frames
 from mocapfix.subject.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
-from mocapfix.subject.own_set import try_learned_set
 from mocapfix.subject.person_calibration import calibrate_person
 
 DEFAULT_OPTIONS = CleanOptions()

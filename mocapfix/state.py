@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.detect.moved_markers import MarkerEpochs, split_moved_markers
-from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.io.changes_file import NO_REVIEW, Review
+from mocapfix.labels.trajectory_segments import find_namesakes
 from mocapfix.model.changes import Change, UnfilledRun
 from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.model.marker_set import MarkerSet
@@ -23,7 +23,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve.frame_windows import FrameChanges
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.rigid_groups import RigidGroup
+from mocapfix.stats.marker_distances import RigidGroup
 
 
 def _accept_every_fault(fault: Fault) -> bool:

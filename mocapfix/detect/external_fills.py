@@ -25,7 +25,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mocapfix.detect.marker_distances import estimate_distance_changes
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
@@ -231,6 +230,14 @@ def _remove_overlapping_fills(faults: list[Fault]) -> list[Fault]:
     return sorted(kept, key=lambda fault: (fault.marker, fault.first))
 
 
+# Number of pairs of frames, evenly spread, from which the changes of distances are learned.
+MAX_FRAME_PAIRS = 300
+# Number of these pairs in which both markers must be visible.
+MIN_VISIBLE_FRAME_PAIRS = 20
+# Time between the frames of a pair, or half the take if that is shorter.
+DISTANCE_CHANGE_INTERVAL_S = 1.0
+# Quantile of the changes that is returned: about one standard deviation of a normal distribution.
+DISTANCE_CHANGE_QUANTILE = 0.84
 MAX_COMPARED_NEIGHBOURS = 3
 # Number of samples of the shortest stretch.
 MIN_FROZEN_SAMPLES = 4
@@ -293,3 +300,31 @@ def _build_frozen_fault(
     reason = f"{label} keeps one value for {duration_s:.2f} s while its neighbours move by {severity * 1e3:.0f} mm."
     confidence = 1 - min_travel_m / (min_travel_m + float(neighbour_travel_m.min()))
     return Fault("stuck", marker, first, last, severity, reason, confidence)
+
+
+def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, "M M"]:
+    """Estimate by how much the distances between markers change within a second.
+
+    Unlike the standard deviation of a distance, this ignores a marker that moves on its segment once, and responds to
+    joints and skin.
+
+    Args:
+        markers: World positions in metres, NaN where missing or not an inlier.
+        rate: Frame rate in Hz.
+
+    Returns:
+        The usual change in metres. Infinite for markers that are hardly ever visible together, and for a marker and itself.
+    """
+    frames, count = markers.shape[:2]
+    usual_change = np.full((count, count), np.inf)
+    lag = min(round(DISTANCE_CHANGE_INTERVAL_S * rate), frames // 2)
+    starts = np.unique(np.linspace(0, frames - lag - 1, MAX_FRAME_PAIRS).astype(int)) if lag else np.zeros(0, int)
+    before, after = markers[starts], markers[starts + lag]
+    for i in range(1, count):
+        old, new = (np.linalg.norm(sample[:, :i] - sample[:, i, None], axis=-1) for sample in (before, after))
+        change = np.sort(np.abs(new - old), axis=0)  # NaN sorts last
+        visible_count = (~np.isnan(change)).sum(0)
+        others = np.flatnonzero(visible_count >= min(MIN_VISIBLE_FRAME_PAIRS, max(2, len(starts))))
+        row = np.rint(DISTANCE_CHANGE_QUANTILE * (visible_count[others] - 1)).astype(int)
+        usual_change[i, others] = usual_change[others, i] = change[row, others]
+    return usual_change

@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
-from mocapfix.detect.trajectory_segments import build_trajectories
 from mocapfix.kernels.label_evidence import (
     CONTRADICTION_S_PER_LEAP,
     MAX_SMOOTH_LEAP,
@@ -26,6 +24,7 @@ from mocapfix.kernels.label_evidence import (
 )
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
+from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 # Fraction of the take in which a marker is assumed to be in place. It is larger than for swaps: a rare pose is no ghost.

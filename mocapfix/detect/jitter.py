@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
-from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.shared_motion import compute_weighted_deviations, remove_shared_noise
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
+from mocapfix.stats.marker_distances import estimate_distances
 from mocapfix.stats.sequences import find_runs
 
 # The neighbours of a sample through which the cubic goes.

@@ -28,7 +28,7 @@ from scipy.ndimage import uniform_filter1d
 
 from mocapfix.detect import gaps
 from mocapfix.fill.gap_filling import compute_editable_mask
-from mocapfix.labels.relabel import undo_label_exchanges
+from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.faults import Fault, FaultKind, Faults
 from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body

@@ -16,16 +16,13 @@ import numpy as np
 from mocapfix.detect import body_outliers, external_fills, gaps, ghosts, jitter, marker_shifts, spikes
 from mocapfix.detect.body_outliers import is_body_wrong
 from mocapfix.detect.keypoints import detect_on_keypoints
-from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
-from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.errors import TakeError
 from mocapfix.io.changes_file import list_label_corrections, list_marked_faults
-from mocapfix.labels import label_swaps
-from mocapfix.labels.fragments import detect_fragments
-from mocapfix.labels.label_swaps import detect_label_swaps
+from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
+from mocapfix.labels.label_swaps import detect_label_swaps, undo_label_exchanges
 from mocapfix.labels.mislabelled import detect_mislabelled
-from mocapfix.labels.relabel import join_fragments, relabel_samples, undo_label_exchanges
+from mocapfix.labels.trajectory_segments import find_namesakes
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
     LABEL_KINDS,
@@ -43,6 +40,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions
 from mocapfix.state import BodyFit, CleaningState, DetectionState
+from mocapfix.stats.marker_distances import estimate_distances
 
 # A marker's place after a shift must differ from its place before by at least this part of the measured shift.
 MIN_CONFIRMED_SHIFT_FRACTION = 0.6
@@ -75,7 +73,7 @@ def detect_body_faults(
     """
     residuals = body_outliers.compute_body_residuals(subject_take, solver_mask, subject, motion)
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)
-    swaps = label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
+    swaps = body_outliers.detect_body_label_swaps(residuals, outliers, subject_take)
     distances = estimate_distances(subject_take.markers)
     has_swap = np.any(build_fault_mask(swaps, subject_take.visible.shape), axis=1)
     single_outliers = [

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.shared_motion import compute_weighted_deviations, find_rigid_deviations, find_shared_deviations
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
+from mocapfix.stats.marker_distances import estimate_distances
 from mocapfix.stats.sequences import find_runs
 
 # Measurement noise of the local fit, per axis.

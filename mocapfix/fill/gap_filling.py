@@ -24,7 +24,7 @@ from mocapfix.model.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
-from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS, RigidGroup
+from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
 MAX_SETTLED_GAP_SD_M = 0.002

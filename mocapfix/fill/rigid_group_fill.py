@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
+from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, CommonShape, align_to_shape, fit_common_shape
-from mocapfix.stats.rigid_groups import RigidGroup
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MAX_SHAPE_FRAMES = 600

@@ -9,23 +9,24 @@ and its samples help to decide about the next segment.
 Classification of trajectory segments: what each one is, and why, in a sentence for a technician.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.detect.marker_distances import RigidSignatures
-from mocapfix.detect.trajectory_segments import (
+from mocapfix.labels.label_swaps import undo_label_exchanges
+from mocapfix.labels.trajectory_segments import (
     MAX_DUPLICATE_DISTANCE_M,
     MAX_SCREENED_SAMPLES,
+    RigidSignatures,
     TrajectorySegment,
     compute_join_cost,
     find_loose_segments,
     is_smoother,
 )
-from mocapfix.model.faults import Fragment, FragmentRelation, overlap_in_time
+from mocapfix.model.faults import JOINED_RELATIONS, Fault, Fragment, FragmentRelation, overlap_in_time
 from mocapfix.model.take import Take
 
 # A point with a smaller extent in each axis is stationary.
@@ -319,3 +320,43 @@ def _join_segments(candidates: dict[int, list[MarkerMatch]], segments: list[Traj
             is_free = np.isnan(markers[segment.frames, marker, 0])
             markers[segment.frames[is_free], marker] = segment.points[is_free]
     return joined
+
+
+def join_fragments(take: Take, faults: Iterable[Fault]) -> Take:
+    """Join the fragments that belong to a marker to it, and remove their samples from the trajectories they came from.
+
+    A fragment that continues a marker fills it where it is missing. One that replaces a marker takes its place. One that only
+    doubles a marker stays where it is.
+    """
+    fragments = [fault for fault in faults if isinstance(fault, Fragment) and fault.relation in JOINED_RELATIONS]
+    if not fragments:
+        return take
+    count, loose = len(take.labels), take.unlabelled
+    markers, sources, computed = take.markers.copy(), take.source_points.copy(), take.measured != take.visible
+    uncaptured = np.zeros(take.visible.shape, bool) if take.uncaptured is None else take.uncaptured.copy()
+    unlabelled = None if loose is None else loose.markers.copy()
+    for fragment in fragments:
+        frames = np.arange(fragment.first, fragment.last + 1)
+        if fragment.donor < count:
+            path, point = markers[:, fragment.donor], sources[:, fragment.donor].copy()
+        elif loose is not None and unlabelled is not None:
+            path, point = unlabelled[:, fragment.donor - count], loose.source_points[:, fragment.donor - count]
+        else:
+            continue
+        joined = frames[~np.isnan(path[frames, 0])]
+        if fragment.relation == "continues":
+            joined = joined[np.isnan(markers[joined, fragment.marker, 0])]
+        markers[joined, fragment.marker], sources[joined, fragment.marker] = path[joined], point[joined]
+        computed[joined, fragment.marker] = uncaptured[joined, fragment.marker] = False
+        path[joined] = np.nan
+    if loose is not None and unlabelled is not None:
+        loose = loose.replace_markers(unlabelled)
+    return replace(take, markers=markers, relabelled_points=sources, computed=computed, uncaptured=uncaptured, unlabelled=loose)
+
+
+def relabel_samples(take: Take, faults: Iterable[Fault]) -> Take:
+    """Join fragments and undo exchanges of labels, one after the other in the given order."""
+    for are_fragments, group in groupby(faults, key=lambda fault: isinstance(fault, Fragment)):
+        repair = join_fragments if are_fragments else undo_label_exchanges
+        take = repair(take, group)
+    return take

@@ -53,8 +53,8 @@ from mocapfix.labels.tracklets import (
     measure_tracklets,
     select_lasting_tracklets,
 )
+from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
-from mocapfix.stats.rigid_groups import measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly
 
 MAX_REFERENCE_CANDIDATES = 150

@@ -25,7 +25,6 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
-from mocapfix.detect.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
 from mocapfix.errors import format_name_list
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.io.changes_file import Review
@@ -35,6 +34,7 @@ from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.parallel import map_in_processes
+from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.io.changes_file import ReviewIndex, list_label_corrections
-from mocapfix.labels.relabel import relabel_samples
+from mocapfix.labels.fragments import relabel_samples
 from mocapfix.model.changes import (
     affects_labels,
     build_affected_mask,

@@ -24,7 +24,7 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import find_common_joint, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
-from mocapfix.stats.rigid_groups import find_rigid_groups, measure_distance_spread
+from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.grouped_markers import guess_from_rigid_groups
 from mocapfix.subject.label_words import guess_marker_set_from_words, names_object

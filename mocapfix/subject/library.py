@@ -25,7 +25,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SubjectOptions
-from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS
+from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS
 from mocapfix.subject import subject_file
 
 LANDMARK_FILE = "skeletons/landmarks.yaml"

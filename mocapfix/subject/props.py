@@ -13,7 +13,7 @@ from jaxtyping import Bool
 
 from mocapfix.model.marker_set import fold_label
 from mocapfix.model.take import Take
-from mocapfix.stats.rigid_groups import (
+from mocapfix.stats.marker_distances import (
     MAX_RIGID_SPREAD_M,
     MIN_GROUP_MARKERS,
     MIN_GROUP_MOTION_M,

@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.detect.marker_distances import estimate_distance_changes
+from mocapfix.detect.external_fills import estimate_distance_changes
 from tests.detect.filled import walking
 
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.detect.body_outliers import BodyOutlier, BodyResiduals, carry_rigidly, is_body_wrong, measure_leaps_from_neighbours
-from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.stats.marker_distances import estimate_distances
 from tests.detect.bodies import turning
 
 FIRST, LAST = 200, 207

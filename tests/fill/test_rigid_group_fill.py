@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, fill_rigid_group, prefer_rigid_groups
-from mocapfix.stats.rigid_groups import find_rigid_groups
+from mocapfix.stats.marker_distances import find_rigid_groups
 
 FRAMES, NOISE_M = 300, 0.0005
 SHAPE = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.1, 0.1, 0.25], [0.25, 0.2, 0.1]])

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from mocapfix.errors import WriteError
 from mocapfix.io import capture
 from mocapfix.io.patches import patch_table
-from mocapfix.labels.relabel import relabel_samples
+from mocapfix.labels.fragments import relabel_samples
 from mocapfix.model.faults import Fragment
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import ReadOptions

@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.detect.marker_distances import estimate_distances
-from mocapfix.detect.trajectory_segments import build_trajectories
 from mocapfix.io import capture
 from mocapfix.kernels import label_evidence
 from mocapfix.labels import label_swaps
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
+from mocapfix.stats.marker_distances import build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_runs
 from tests.detect.bodies import exchanged, hidden, turning
 

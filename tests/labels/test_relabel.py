@@ -2,7 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.labels.relabel import relabel_samples, undo_label_exchanges
+from mocapfix.labels.fragments import relabel_samples
+from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.faults import Fault, Fragment
 from mocapfix.model.take import Take
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocapfix.labels.relabel import join_fragments, undo_label_exchanges
+from mocapfix.labels.fragments import join_fragments
+from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model import changes
 from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.stats.rigid_groups import find_prop_groups, find_rigid_groups, measure_distance_spread
+from mocapfix.stats.marker_distances import find_prop_groups, find_rigid_groups, measure_distance_spread
 
 FRAMES = 120
 

@@ -8,7 +8,7 @@ import pytest
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import load_joint_limits
-from mocapfix.stats.rigid_groups import measure_distance_spread
+from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.subject.learning import (
     LearnedBody,
     count_segments_between,

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect import marker_distances
-from mocapfix.detect.marker_distances import MarkerDistances, RigidSignatures, _compute_known_medians, compute_plane_heights
 from mocapfix.kernels.label_evidence import compute_contradiction, compute_own_contradictions
+from mocapfix.labels.trajectory_segments import RigidSignatures, _compute_known_medians, compute_plane_heights
+from mocapfix.stats import marker_distances
+from mocapfix.stats.marker_distances import MarkerDistances
 from tests.detect.bodies import hidden, turning
 
 NONE_EXCLUDED = np.zeros(3, bool)

@@ -1,25 +1,23 @@
-"""Trajectory segments: unbroken parts of trajectories that may belong to another label, and what continues them.
+"""Trajectory segments: unbroken parts of trajectories that may belong to another label, and how well one continues a marker.
 
 These are the unlabelled trajectories, and those whose label is another label with a number appended (`RBAC-1` beside `RBAC`) or
 a repetition of it. Cameras lose a point and pick up another one under the same label, so a trajectory is split at pauses
-and leaps.
+and leaps. `compute_join_cost` compares a segment with the trajectory that precedes and follows it.
 
-Leaps (`kernels.label_evidence.compute_leap`) compare two samples. Both are extrapolated with their own velocities to the
-moment half way between them, where a constant acceleration cancels. As a velocity may be corrupted by a leap of its own,
-extrapolating one of them all the way is tried as well, and the smallest mismatch counts. After some tenths of a second
-nothing can be concluded.
-
-`compute_join_cost` compares a trajectory segment with the trajectory that precedes and follows it.
+The rigid signature of a marker is its distances to the markers of its segment, and on which side of them it lies. Distances do
+not distinguish a position from its mirror image. The signed height above the plane of three of the markers does.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.model.take import Take
+from mocapfix.stats.marker_distances import estimate_distance_statistics, estimate_distances_from, sample_coordinates
 
 # A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
 NUMBERED_LABEL = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")
@@ -123,30 +121,6 @@ JOIN_TOLERANCE_M_PER_S2 = 2.5
 MAX_END_DEVIATION_SD = 3.5
 
 
-class MarkerTrajectories(NamedTuple):
-    """The trajectories of M labels over T frames.
-
-    Attributes:
-        markers: World positions (T, M, 3) in metres, NaN where missing.
-        previous_frame: Index (T, M) of the latest earlier frame in which the label is visible, -1 if there is none.
-        rate: Frame rate in Hz.
-    """
-
-    markers: np.ndarray
-    previous_frame: np.ndarray
-    rate: float
-
-
-def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerTrajectories:
-    """Build the trajectories of markers at world positions in metres (NaN where missing), at `rate` Hz."""
-    markers = np.ascontiguousarray(markers, float)
-    visible = ~np.isnan(markers[..., 0])
-    latest = np.maximum.accumulate(np.where(visible, np.arange(len(visible))[:, None], -1), axis=0)
-    previous_frame = np.full(visible.shape, -1)
-    previous_frame[1:] = latest[:-1]
-    return MarkerTrajectories(markers, previous_frame, float(rate))
-
-
 def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float, max_gap_s: float) -> float:
     """Compute the cost of joining a trajectory segment to a marker's path.
 
@@ -222,3 +196,152 @@ def is_smoother(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate
         ends.append((into, out))
     (into, out), (own_into, own_out) = ends
     return max(own_into, own_out) > JOIN_TOLERANCE_M and into < own_into and out < own_out
+
+
+MAX_SIGNATURE_FRAMES = 300
+# Number of these frames, or all of them if there are fewer, in which a plane's corners and the marker must be visible.
+MIN_CORNER_FRAMES = 20
+# Standard deviation of a distance even on a rigid segment.
+MIN_SIGNATURE_SD_M = 0.004
+# Standard deviation relative to the distance, for motion that the take rarely shows: near markers weigh more.
+RELATIVE_DISTANCE_SD = 0.04
+# A distance with a larger standard deviation does not identify a marker.
+MAX_SIGNATURE_SD_M = 0.04
+# Number of partners whose distances are compared, and of those from which three form a plane.
+MAX_SIGNATURE_PARTNERS = 4
+MAX_PLANE_CANDIDATES = 5
+# With a larger deviation of the distances, in standard deviations, the side is not computed.
+MAX_DISTANCE_FOR_SIDE_SD = 10.0
+# Fraction of the compared frames in which a partner must be visible.
+MIN_PARTNER_VISIBLE_FRACTION = 0.8
+# Fraction of the frames from which the spread of a distance is estimated: limbs bend only in a part of a take.
+SIGNATURE_COVERAGE_FRACTION = 0.9
+# Quantiles of the heights, and the number of standard deviations between them.
+LOW_HEIGHT_QUANTILE = 0.05
+HIGH_HEIGHT_QUANTILE = 0.95
+HEIGHT_QUANTILE_WIDTH_SD = 3.29
+# Number of samples, evenly spread, that are compared with a signature.
+MAX_COMPARED_SAMPLES = 60
+
+
+@dataclass(frozen=True)
+class SignatureMatch:
+    """How well samples match the signature of a marker.
+
+    Attributes:
+        distance_sd: Root mean square deviation of the distances to the partners, in standard deviations.
+        side_sd: Deviation of the height above the plane of three markers, in standard deviations. 0 if no plane is known,
+            or if the distances do not match at all.
+        distance_error_m: Root mean square deviation of the distances in metres.
+        partners: Indices of the partners.
+    """
+
+    distance_sd: float
+    side_sd: float
+    distance_error_m: float
+    partners: tuple[int, ...]
+
+
+class RigidSignatures:
+    """The signatures of the markers of a take."""
+
+    def __init__(self, markers: Float[np.ndarray, "T M 3"]):
+        """Estimate the signatures from world positions in metres, NaN where missing."""
+        self.markers = markers
+        self.sampled_frames = np.unique(np.linspace(0, len(markers) - 1, MAX_SIGNATURE_FRAMES).astype(int))
+        self.sampled_markers = markers[self.sampled_frames]
+        self.distance_m, sd_m = estimate_distance_statistics(self.sampled_markers, SIGNATURE_COVERAGE_FRACTION)
+        self.distance_sd_m = _add_motion_sd(self.distance_m, sd_m)
+
+    def update_markers(self, changed: Sequence[int]) -> Bool[np.ndarray, " M"]:
+        """Estimate the distances of markers again whose positions have changed in place.
+
+        Returns:
+            The markers of which a comparison may have another result than before: these, and those whose partners they were or
+            have become.
+        """
+        count = self.markers.shape[1]
+        self.sampled_markers[:, changed] = self.markers[self.sampled_frames][:, changed]
+        coordinates, is_affected = sample_coordinates(self.sampled_markers), np.isin(np.arange(count), changed)
+        for m in changed:
+            is_affected |= self.distance_sd_m[m] < MAX_SIGNATURE_SD_M
+            distance_m, sd_m = estimate_distances_from(m, coordinates, slice(count), SIGNATURE_COVERAGE_FRACTION)
+            distance_m[m] = sd_m[m] = np.inf
+            self.distance_m[m] = self.distance_m[:, m] = distance_m
+            self.distance_sd_m[m] = self.distance_sd_m[:, m] = _add_motion_sd(distance_m, sd_m)
+            is_affected |= self.distance_sd_m[m] < MAX_SIGNATURE_SD_M
+        return is_affected
+
+    def match_samples(
+        self, frames: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"], marker: int
+    ) -> SignatureMatch | None:
+        """Compare samples at the given frames with the signature of a marker; None if it has fewer than three partners."""
+        pick = np.unique(np.linspace(0, len(frames) - 1, MAX_COMPARED_SAMPLES).astype(int))
+        candidates = np.flatnonzero(self.distance_sd_m[marker] < MAX_SIGNATURE_SD_M)
+        candidates = candidates[np.argsort(self.distance_sd_m[marker, candidates], kind="stable")]
+        points, others = points[pick], self.markers[np.ix_(frames[pick], candidates)]
+        is_seen = (~np.isnan(others[..., 0])).mean(0) >= MIN_PARTNER_VISIBLE_FRACTION
+        candidates, others = candidates[is_seen], others[:, is_seen]
+        if len(candidates) < 3:
+            return None
+        partners = candidates[:MAX_SIGNATURE_PARTNERS]
+        offset = others[:, : len(partners)] - points[:, None]
+        error_m = np.linalg.norm(offset, axis=-1) - self.distance_m[marker, partners]
+        typical_m = _compute_known_medians(np.abs(error_m))  # the median over the frames ignores a partner's spikes
+        distance_sd = _compute_rms(typical_m / np.hypot(self.distance_sd_m[marker, partners], MIN_SIGNATURE_SD_M))
+        side_sd = 0.0
+        if distance_sd < MAX_DISTANCE_FOR_SIDE_SD:
+            side_sd = self._measure_side(points, others, marker, candidates[:MAX_PLANE_CANDIDATES])
+        return SignatureMatch(distance_sd, side_sd, _compute_rms(typical_m), tuple(partners.tolist()))
+
+    def _measure_side(self, points: np.ndarray, others: np.ndarray, marker: int, candidates: np.ndarray) -> float:
+        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best.
+
+        Args:
+            points: The samples (N, 3).
+            others: The positions (N, K, 3) of the candidates in their frames, and maybe of more.
+            marker: Index of the marker.
+            candidates: Indices of the markers that may be corners.
+        """
+        best_separation, side_sd = 0.0, 0.0
+        for corners in combinations(range(len(candidates)), 3):
+            heights = compute_plane_heights(self.sampled_markers[:, marker], self.sampled_markers[:, candidates[list(corners)]])
+            low, median, high = _compute_quantiles(heights[:, None])[:, 0]
+            sd = np.hypot((high - low) / HEIGHT_QUANTILE_WIDTH_SD, MIN_SIGNATURE_SD_M) if np.isfinite(high) else np.inf
+            if abs(median) > best_separation * sd:
+                best_separation = abs(median) / sd
+                height = float(_compute_known_medians(compute_plane_heights(points, others[:, corners])[:, None])[0])
+                side_sd = abs(height - median) / sd
+        return float(side_sd)
+
+
+def _add_motion_sd(distance_m: np.ndarray, sd_m: np.ndarray) -> np.ndarray:
+    """Add the deviations for motion that the take rarely shows to the standard deviations of distances."""
+    return np.hypot(sd_m, RELATIVE_DISTANCE_SD * np.where(np.isfinite(distance_m), distance_m, 0.0))
+
+
+def compute_plane_heights(points: Float[np.ndarray, "T 3"], corners: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, " T"]:
+    """Compute the heights in metres of points above planes of three corners, positive along the right-hand normal."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    return np.einsum("ta,ta->t", points - a, normal) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+
+
+def _compute_quantiles(values: np.ndarray) -> np.ndarray:
+    """Compute the low, middle and high quantile (3, N) of each column (T, N) without NaN; infinite with too few values."""
+    ordered = np.sort(values, axis=0)  # NaN sorts last
+    count = (~np.isnan(ordered)).sum(0)
+    rows = np.rint(np.outer([LOW_HEIGHT_QUANTILE, 0.5, HIGH_HEIGHT_QUANTILE], np.maximum(count - 1, 0))).astype(int)
+    return np.where(count >= min(MIN_CORNER_FRAMES, len(values)), ordered[rows, np.arange(values.shape[1])], np.inf)
+
+
+def _compute_known_medians(values: Float[np.ndarray, "T K"]) -> Float[np.ndarray, " K"]:
+    """Return what `np.nanmedian` does over the first axis, which takes ten times as long for few values."""
+    ordered = np.sort(values, axis=0)  # NaN sorts last
+    count = np.asarray((~np.isnan(ordered)).sum(0))
+    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2])
+    return np.take_along_axis(ordered, middle, axis=0).mean(0)
+
+
+def _compute_rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))

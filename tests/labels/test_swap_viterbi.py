@@ -1,13 +1,13 @@
 import pytest
 
-from mocapfix.detect import marker_distances, trajectory_segments
 from mocapfix.labels.label_swaps import find_exchanges
+from mocapfix.stats import marker_distances
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take, group):
     return find_exchanges(
-        group, trajectory_segments.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+        group, marker_distances.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     )
 
 

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import marker_distances, trajectory_segments
 from mocapfix.labels.label_swaps import find_swap_candidates
+from mocapfix.stats import marker_distances
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take):
     return find_swap_candidates(
-        trajectory_segments.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+        marker_distances.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     )
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import body_outliers
-from mocapfix.labels import label_swaps
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
 from tests.detect.bodies import exchanged, hidden
@@ -16,7 +15,7 @@ LABELS = solved().take.labels
 
 def detect_swaps(take: Take):
     residuals = body_outliers.compute_body_residuals(take, take.visible, solved().subject, solved().motion)
-    return label_swaps.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
+    return body_outliers.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
 
 
 def indices(*names):
@@ -58,7 +57,7 @@ def test_swap_extends_over_frames_in_which_the_misled_body_hides_it():
     turned[frames, 0] = turned[frames, 0] @ np.diag([-1.0, 1.0, -1.0])  # front is back, left is right
     wrong = replace(motion, local_rotations=turned)
     residuals = body_outliers.compute_body_residuals(take, take.visible, solved().subject, wrong)
-    (swap,) = label_swaps.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
+    (swap,) = body_outliers.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
     assert (set(swap.markers), swap.first, swap.last) == (set(indices("LFWT", "RBWT")), 100, 200)
 
 

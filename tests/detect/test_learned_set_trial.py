@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from mocapfix.detect.contradictions import SetTrial, compare_detections
 from mocapfix.model.take import Take
 from mocapfix.state import DetectionState
-from mocapfix.subject.own_set import SetTrial, compare_detections
 
 
 @pytest.mark.parametrize(("counts", "is_passed"), [((0, 0, 0), True), ((2, 4, 0), True), ((0, 7, 0), False)])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.labels.relabel import join_fragments
+from mocapfix.labels.fragments import join_fragments
 from mocapfix.model.faults import Fault, Fragment
 from mocapfix.model.take import Take
 

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.detect import trajectory_segments
 from mocapfix.kernels.label_evidence import compute_leap, compute_own_leaps, compute_velocity
+from mocapfix.stats import marker_distances
 
 RATE = 100.0
 
@@ -36,7 +36,7 @@ def test_velocities_next_to_gaps():
 def test_previous_frame_across_gaps():
     markers = falling(10)
     markers[:2, 0] = markers[5:8, 0] = np.nan
-    last = trajectory_segments.build_trajectories(markers, RATE).previous_frame
+    last = marker_distances.build_trajectories(markers, RATE).previous_frame
     assert last[:, 0].tolist() == [-1, -1, -1, 2, 3, 4, 4, 4, 4, 8]
     assert last[:, 1].tolist() == [-1, *range(9)]
 
@@ -45,14 +45,14 @@ def test_previous_frame_across_gaps():
 def test_constant_acceleration_is_no_leap(first, length):
     markers = falling()
     markers[first : first + length, 0] = np.nan
-    assert compute_own_leaps(trajectory_segments.build_trajectories(markers, RATE)).max() < 0.01
+    assert compute_own_leaps(marker_distances.build_trajectories(markers, RATE)).max() < 0.01
 
 
 def test_leap_grows_with_the_distance_up_to_one():
     for off, least, most in ((0.005, 0.01, 0.15), (0.018, 0.5, 1.0), (0.3, 1.0, 1.0)):
         markers = falling()
         markers[30:, 0] += [0, 0, off]
-        leaps = compute_own_leaps(trajectory_segments.build_trajectories(markers, RATE))[:, 0]
+        leaps = compute_own_leaps(marker_distances.build_trajectories(markers, RATE))[:, 0]
         assert least <= leaps[30] <= most
         assert leaps[np.r_[:29, 32:60]].max() < 0.01
 
@@ -60,7 +60,7 @@ def test_leap_grows_with_the_distance_up_to_one():
 def test_leap_to_another_trajectory_continues_that_one():
     markers = falling()
     markers[30:] = markers[30:, ::-1].copy()
-    trajectories = trajectory_segments.build_trajectories(markers, RATE)
+    trajectories = marker_distances.build_trajectories(markers, RATE)
     assert compute_leap(trajectories, 30, 0, 0) == compute_leap(trajectories, 30, 1, 1) == 1.0
     assert compute_leap(trajectories, 30, 0, 1) < 0.01
     assert compute_leap(trajectories, 30, 1, 0) < 0.01
@@ -70,7 +70,7 @@ def test_leap_is_zero_without_samples_to_compare():
     markers = falling()
     markers[10:50, 0] = np.nan  # 0.4 s: forgotten
     markers[50:, 0] += 1.0
-    trajectories = trajectory_segments.build_trajectories(markers, RATE)
+    trajectories = marker_distances.build_trajectories(markers, RATE)
     assert compute_leap(trajectories, 50, 0, 0) == 0.0
     assert compute_leap(trajectories, 0, 1, 1) == 0.0  # the take begins
     assert compute_leap(trajectories, 20, 1, 0) == 0.0  # not seen
@@ -84,12 +84,12 @@ def test_isolated_sample_has_a_larger_tolerance():
     known = falling()
     known[30:34, 0] = np.nan
     known[34:, 0] += [0.04, 0, 0]
-    alone, among = (compute_leap(trajectory_segments.build_trajectories(each, RATE), 34, 0, 0) for each in (markers, known))
+    alone, among = (compute_leap(marker_distances.build_trajectories(each, RATE), 34, 0, 0) for each in (markers, known))
     assert alone < among
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_trajectories_of_the_shortest_takes(frames):
-    trajectories = trajectory_segments.build_trajectories(np.zeros((frames, 3, 3)), RATE)
+    trajectories = marker_distances.build_trajectories(np.zeros((frames, 3, 3)), RATE)
     assert trajectories.previous_frame.shape == (frames, 3)
     assert compute_own_leaps(trajectories).shape == (frames, 3)
