@@ -1,7 +1,7 @@
 """Evidence for and against labels: leaps of trajectories, contradicted marker distances, and the costs of exchanges.
 
-The kernels take two named tuples of the detectors. `trajectories` is a `mocapfix.detect.trajectory_segments.MarkerTrajectories`,
-and `distances` a `mocapfix.detect.marker_distances.MarkerDistances`.
+The kernels take two named tuples of the detectors. `trajectories` is a `mocapfix.stats.marker_distances.MarkerTrajectories`,
+and `distances` a `mocapfix.stats.marker_distances.MarkerDistances`.
 """
 
 import numpy as np

@@ -20,7 +20,7 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.take import ComputedPoints, Take
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.result import CleaningResult
-from mocapfix.subject.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
+from mocapfix.subject.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject, select_subject
 
 MIN_UNASSIGNED_MARKERS = 3
 """the number of unassigned markers visible in one frame that is needed to fill them from each other"""
@@ -98,7 +98,7 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
         TakeError: where no subject has that name.
     """
     if subject_prefix is not None:
-        return (_select_subject(take, subject_prefix.strip().removesuffix(":")),)
+        return (select_subject(take, subject_prefix),)
     names = find_bodies(take, marker_set)
     if len(names) < 2:
         return (take,)
@@ -115,20 +115,6 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
 def format_subject_names(takes: Iterable[Take]) -> str:
     """Return the names of the subjects for a sentence: "Jim and Ann"."""
     return join_names([take.subject_name for take in takes if take.subject_name != UNASSIGNED_SUBJECT])
-
-
-def _select_subject(take: Take, subject_prefix: str) -> Take:
-    names = np.array([name.casefold() for name in take.marker_subjects], object)
-    selected = np.flatnonzero(names == subject_prefix.casefold())
-    if not subject_prefix or not len(selected):
-        known = list(dict.fromkeys(name for name in take.marker_subjects if name))
-        hint = f"its subjects are {format_name_list(known)}" if known else "its labels name no subjects"
-        raise TakeError(f"{take.name}: has no subject {subject_prefix!r}; {hint}.")
-    if len(selected) == len(names):
-        return take
-    part = take.extract_markers(selected, take.marker_subjects[selected[0]])
-    note = f"Only the markers of {part.subject_name} were cleaned: the rest of the file is unchanged."
-    return replace(part, notes=(*part.notes, note))
 
 
 def list_shared_data(takes: Sequence[Take]) -> list[object]:

@@ -289,6 +289,25 @@ def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = 
     return tuple(found)
 
 
+def select_subject(take: Take, subject_prefix: str) -> Take:
+    """Return the markers of one subject of a take, who is given by the beginning of the labels: "Jim" or "Jim:".
+
+    Raises TakeError where no subject has that name.
+    """
+    subject_prefix = subject_prefix.strip().removesuffix(":")
+    names = np.array([name.casefold() for name in take.marker_subjects], object)
+    selected = np.flatnonzero(names == subject_prefix.casefold())
+    if not subject_prefix or not len(selected):
+        known = list(dict.fromkeys(name for name in take.marker_subjects if name))
+        hint = f"its subjects are {format_name_list(known)}" if known else "its labels name no subjects"
+        raise TakeError(f"{take.name}: has no subject {subject_prefix!r}; {hint}.")
+    if len(selected) == len(names):
+        return take
+    part = take.extract_markers(selected, take.marker_subjects[selected[0]])
+    note = f"Only the markers of {part.subject_name} were cleaned: the rest of the file is unchanged."
+    return replace(part, notes=(*part.notes, note))
+
+
 def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
     """Return the shipped set that matches the most of a take's labels, among the sets that find a whole body in them.
 

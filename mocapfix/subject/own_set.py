@@ -11,13 +11,12 @@ import numpy as np
 
 from mocapfix.errors import TakeError, format_name_list
 from mocapfix.io.capture import read_take
-from mocapfix.labels import multi_subject
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.subject.learning import LearnedMarkerSet, learn_from_markers, select_subject_markers
-from mocapfix.subject.library import UNASSIGNED_SUBJECT, SubjectChoice, find_subject_prefixes
+from mocapfix.subject.library import UNASSIGNED_SUBJECT, SubjectChoice, find_subject_prefixes, select_subject
 from mocapfix.subject.props import find_props
 
 OWN_SET_NAME = "own"
@@ -69,7 +68,7 @@ def learn_marker_set(
     take = read_take(path, options)
     take = replace(take, subject_prefixes=find_subject_prefixes(take.labels))
     if subject_prefix is not None:
-        (take,) = multi_subject.split_subjects(take, None, subject_prefix)
+        take = select_subject(take, subject_prefix)
     selected = select_subject_markers(take.masked(take.measured))
     report_stage("learn")
     return add_props(learn_from_markers(selected, name, like), take)
