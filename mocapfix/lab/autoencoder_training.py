@@ -15,10 +15,10 @@ from jaxtyping import Float
 from torch import Generator, Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
+from mocapfix.lab.networks import AutoencoderNetwork
 from mocapfix.lab.settings import AutoencoderSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.pose_features import FEATURE_TYPES, PoseFeatures
-from mocapfix.solve.prior_network import AutoencoderNetwork, NetworkArchitecture, build_network
+from mocapfix.solve.autoencoder import FEATURE_COUNTS, NetworkArchitecture, compute_pose_features
 
 RATE_DECAY_INTERVAL_STEPS = 2000  # after so many steps a rate schedule's factor is applied (MNN-IK, appendix A)
 MAX_JOINT_NOISE_SD_RAD = 0.35  # standard deviation of the noise of all joints: at most this, drawn for each corrupted pose
@@ -84,10 +84,11 @@ def train_network(
     Raises ReadError if the checkpoint is not one.
     """
     architecture = NetworkArchitecture(**{field.name: getattr(settings, field.name) for field in fields(NetworkArchitecture)})
-    reference = torch.as_tensor(reference_rotations, dtype=torch.float32)
-    input_features = FEATURE_TYPES[architecture.input_features](reference)
-    output_features = FEATURE_TYPES[architecture.output_features](reference)
-    network, residual_model = initialise_network(output_features.feature_count, reference_rotations, architecture, settings)
+
+    def compute_features(kind: str, vectors: Tensor) -> Tensor:
+        return torch.as_tensor(compute_pose_features(kind, vectors.numpy(), reference_rotations), dtype=torch.float32)
+
+    network, residual_model = initialise_network(len(reference_rotations), architecture, settings)
     poses = torch.as_tensor(pose_vectors, dtype=torch.float32)
     weights = torch.as_tensor(sampling_weights)
     step_count = -(-len(poses) // settings.batch_poses)
@@ -105,11 +106,12 @@ def train_network(
         generator, total_loss = Generator().manual_seed(settings.seed * 1_000_003 + epoch), 0.0
         for batch in sample_epoch(weights, generator).split(settings.batch_poses):
             corrupted = corrupt_some_poses(poses[batch], settings.corrupted_share, limb_masks, generator)
-            inputs = input_features.compute_features(corrupted)
+            inputs = compute_features(architecture.input_features, corrupted)
+            outputs = compute_features(architecture.output_features, poses[batch])
             if settings.loss == "evidence":
-                loss = compute_evidence_loss(network, residual_model, inputs, poses[batch], output_features, generator)
+                loss = compute_evidence_loss(network, residual_model, inputs, outputs, generator)
             else:
-                residuals = network(inputs) - output_features.compute_features(poses[batch])
+                residuals = network(inputs) - outputs
                 loss = (residuals**2).sum(1).mean() + settings.norm_weight * compute_weight_norm(network)
             optimizer.zero_grad()
             loss.backward()
@@ -124,9 +126,8 @@ def train_network(
 def compute_evidence_loss(
     network: AutoencoderNetwork,
     residual_model: ResidualModel,
-    input_features: Tensor,
-    poses: Tensor,
-    output_features: PoseFeatures,
+    inputs: Tensor,
+    outputs: Tensor,
     generator: Generator,
 ) -> Tensor:
     """Return the negative evidence lower bound per pose, up to a constant (Kingma and Welling, 2014, Eq. 10).
@@ -135,13 +136,13 @@ def compute_evidence_loss(
     codes together are normally distributed, as the solver assumes. The standard deviations of code and residuals are learned with
     the network, so that joints that cannot be predicted have little weight.
 
-    input_features  (N, F) features of the poses, which may be corrupted
-    poses           (N, J, 3) the true poses
+    inputs   (N, F) features of the poses, which may be corrupted
+    outputs  (N, G) features of the true poses
     """
-    code = network.encoder(input_features)
+    code = network.encoder(inputs)
     sampled = code + residual_model.log_code_sd.exp() * torch.randn(code.shape, generator=generator)
     divergence = 0.5 * (code**2 + (2 * residual_model.log_code_sd).exp()) - residual_model.log_code_sd
-    residuals = network.decoder(sampled) - output_features.compute_features(poses)
+    residuals = network.decoder(sampled) - outputs
     return residual_model.compute_negative_log_likelihood(residuals).mean() + divergence.sum(1).mean()
 
 
@@ -151,15 +152,13 @@ def compute_weight_norm(network: AutoencoderNetwork) -> Tensor:
 
 
 def initialise_network(
-    output_count: int,
-    reference_rotations: Float[np.ndarray, "J 3 3"],
-    architecture: NetworkArchitecture,
-    settings: AutoencoderSettings,
+    joint_count: int, architecture: NetworkArchitecture, settings: AutoencoderSettings
 ) -> tuple[AutoencoderNetwork, ResidualModel]:
     """Return the untrained network and residual model, drawn with the seed of the settings."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = build_network(architecture, reference_rotations)
+        network = AutoencoderNetwork(architecture, joint_count)
+        output_count = FEATURE_COUNTS[architecture.output_features](joint_count)
         residual_model = ResidualModel(output_count, architecture.residual_directions, architecture.code_size)
         if settings.initial_weight_sd is not None:
             for weight in network.parameters():

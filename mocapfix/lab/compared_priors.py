@@ -12,11 +12,11 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.terms import PointTerm
 from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.naturalness import NaturalnessModel, solve_natural_poses
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.solve import kinematics, latent_solver, parallel, pose_solver
 from mocapfix.solve.autoencoder import AutoencoderModel
-from mocapfix.solve.naturalness import NaturalnessModel
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.pose_solver import PoseSolution
@@ -144,6 +144,8 @@ def solve_joint_task(
     tree, points = kinematics.build_kinematic_tree(task.skeleton), task.point_term
     if model is None:
         solution = solve_without_prior(tree, points, *start, max_iterations)
+    elif isinstance(model, NaturalnessModel):
+        solution = solve_natural_poses(tree, (points,), model, *start, max_iterations=max_iterations)
     else:
         solution = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=max_iterations)
     return place_solved_poses(task.skeleton, solution)

@@ -19,10 +19,10 @@ from torch import Tensor, nn
 
 from mocapfix.kernels.pose_transfer import TransferTree
 from mocapfix.lab.frame_pairs import IkBatch
+from mocapfix.lab.networks import build_layers
 from mocapfix.lab.settings import LearnedIkSettings
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.prior_network import build_layers
 
 
 class HumanFrame(NamedTuple):

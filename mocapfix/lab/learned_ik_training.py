@@ -22,11 +22,11 @@ from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses
 from mocapfix.lab.cards import build_acknowledgement, format_frame_counts, format_sources
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
 from mocapfix.lab.graph_ik import GraphModel, PoseTensors, TransferTensors, TreeLevels, compute_ik_loss, correct_pose_tensors
+from mocapfix.lab.networks import build_layers
 from mocapfix.lab.settings import LearnedIkSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.learned_ik import IkNetwork, build_transfer_tree, transfer_poses, write_ik_network, write_tensors
-from mocapfix.solve.prior_network import build_layers
 
 SCORED_OFFSETS = (1, 3, 5, 7, 9)  # frames between start and target
 MAX_SCORED_PAIRS = 4000  # for each offset, evenly over all trials

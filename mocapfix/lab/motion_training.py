@@ -26,6 +26,7 @@ from mocapfix.lab.motion_windows import (
     draw_training_windows,
     gather_motion_stretches,
 )
+from mocapfix.lab.networks import compute_rotation_tensor
 from mocapfix.lab.settings import MotionSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.solve.motion_prior import (
     INITIAL_LOG_SD,
@@ -46,7 +47,6 @@ from mocapfix.solve.motion_prior import (
     remove_window_heading,
     write_motion_prior,
 )
-from mocapfix.solve.pose_features import compute_rotation_tensor
 
 ROTATION_LOSS_M_RAD = 0.03
 """Weight of rotation errors compared with position errors."""

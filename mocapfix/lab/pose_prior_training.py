@@ -96,8 +96,8 @@ def fit_autoencoder(
 ) -> PoseModel:
     """Return a trained autoencoder with the distribution of its code; its residual standard deviations are yet to be measured."""
     from mocapfix.lab.autoencoder_training import train_network
+    from mocapfix.lab.networks import copy_weights
     from mocapfix.solve.autoencoder import AutoencoderModel
-    from mocapfix.solve.prior_network import copy_weights
 
     training_vectors, weights = poses.training_vectors, compute_pose_weights(settings, poses)
     trained = train_network(reference_rotations, training_vectors, weights, settings, checkpoint, progress)

@@ -72,8 +72,8 @@ def run_train_ik(
     """Train learned inverse kinematics (Learnable SMPLify). After an interruption, the same command continues the training."""
     from mocapfix.io.files import check_outputs_absent
     from mocapfix.lab.learned_ik_training import train_learned_ik
+    from mocapfix.lab.networks import use_one_torch_thread
     from mocapfix.lab.settings import read_ik_settings
-    from mocapfix.solve.prior_network import use_one_torch_thread
 
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
     with _show_training_progress(target) as progress, use_one_torch_thread():
@@ -92,8 +92,8 @@ def run_train_motion(
     """Train the motion prior, which predicts lost joints. After an interruption, the same command continues the training."""
     from mocapfix.io.files import check_outputs_absent
     from mocapfix.lab.motion_training import train_motion_prior
+    from mocapfix.lab.networks import use_one_torch_thread
     from mocapfix.lab.settings import read_motion_settings
-    from mocapfix.solve.prior_network import use_one_torch_thread
 
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
     with _show_training_progress(target) as progress, use_one_torch_thread():

@@ -20,12 +20,12 @@ from mocapfix.lab.frame_pairs import (
     compute_local_rotations,
     compute_twist_targets,
 )
+from mocapfix.lab.networks import build_layers
 from mocapfix.lab.pose_prior_training import SD_INFLATION, select_measured_poses
 from mocapfix.lab.settings import TwistSettings
 from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.solve.prior_network import build_layers
 from mocapfix.solve.twist_regressor import TwistRegressor, write_twist_regressor
 
 MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton

@@ -4,31 +4,24 @@ The scale of a network's code is arbitrary. Here the code is normalised by the c
 its cost is half its sum of squares. The residuals of decoded poses are correlated between joints, above all for subjects that the
 network was not trained on; further code dimensions are amplitudes along the directions of these residuals.
 
-The decoder of an autoencoder and its derivative, computed with numpy.
-
-A cleaning needs nothing else of a network, and importing torch takes longer than decoding the poses of a minute.
+The networks are evaluated with numpy; only training needs torch.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
 
 from mocapfix.solve.pose_prior import Header, PoseModel, Tensors, validate_tensors
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from mocapfix.solve.pose_features import PoseFeatures
-    from mocapfix.solve.prior_network import AutoencoderNetwork
-
-
 ENCODER, DECODER = "encoder.", "decoder."  # how the names of the weights begin
 SKIPPED_LAYERS, SKIP = "0.layers.", "0.skip."  # and how they go on in a decoder with a skip connection
+FEATURE_STEP = 1e-3  # times the derivative of the features: the difference from which that of Euler angles' poses is computed
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,40 @@ FEATURE_COUNTS: dict[str, Callable[[int], int]] = {
     "euler": lambda joint_count: 3 * joint_count,
     "vectors": lambda joint_count: 3 * joint_count,
 }
-"""The number of features of a pose, by the kind of features (see `pose_features`) and the number of joints."""
+"""The number of features of a pose, by the kind of features and the number of joints.
+
+continuous  two columns of each rotation matrix (Zhou et al., CVPR 2019), and the up vector in the axes of the root; they change
+            continuously with the rotations, unlike Euler angles
+euler       the Euler angles z, y, x of every joint, the root included, in radians (MNN-IK, 4.1: 93 numbers)
+vectors     the rotation vectors from the reference pose
+"""
+
+
+def compute_pose_features(
+    kind: str, pose_vectors: Float[np.ndarray, "N J 3"], reference_rotations: Float[np.ndarray, "J 3 3"]
+) -> Float[np.ndarray, "N F"]:
+    """Return the features of poses, given as rotation vectors from a reference pose in radians."""
+    pose_count, joint_count = pose_vectors.shape[:2]
+    if kind == "vectors":
+        return pose_vectors.reshape(pose_count, -1)
+    turns = Rotation.from_rotvec(pose_vectors.reshape(-1, 3)).as_matrix().reshape(pose_count, joint_count, 3, 3)
+    local = turns @ reference_rotations
+    if kind == "euler":
+        return Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler("ZYX").reshape(pose_count, -1)
+    columns = np.swapaxes(local[:, 1:, :, :2], -1, -2).reshape(pose_count, -1)
+    return np.concatenate([columns, local[:, 0, 1]], axis=1)
+
+
+def compute_feature_vectors(
+    kind: str, features: Float[np.ndarray, "... F"], reference_rotations: Float[np.ndarray, "J 3 3"]
+) -> Float[np.ndarray, "... J 3"]:
+    """Return the rotation vectors in radians from a reference pose that have these features, "euler" or "vectors"."""
+    angles = features.reshape(*features.shape[:-1], -1, 3).astype(float)
+    if kind == "vectors":
+        return angles
+    references = np.broadcast_to(np.swapaxes(reference_rotations, 1, 2), (*angles.shape, 3)).reshape(-1, 3, 3)
+    turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)) * Rotation.from_matrix(references)
+    return turns.as_rotvec().reshape(angles.shape)
 
 
 class LayerOutput(NamedTuple):
@@ -101,23 +127,24 @@ ACTIVATION_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray
 """Functions that return the values of an activation and its derivatives, element by element."""
 
 
-class Decoder:
-    """The decoder of a network."""
+class Layers:
+    """The fully connected layers of an encoder or decoder, in single precision."""
 
-    def __init__(self, architecture: NetworkArchitecture, weights: Mapping[str, Float32[np.ndarray, "..."]]):
-        """Select the decoder's weights among those of the network, by their names there."""
-        prefix = DECODER + (SKIPPED_LAYERS if architecture.skip_connection else "")
+    def __init__(self, architecture: NetworkArchitecture, weights: Mapping[str, Float32[np.ndarray, "..."]], part: str):
+        """Select the weights of a part, ENCODER or DECODER, among those of the network, by their names there."""
+        has_skip = architecture.skip_connection and part == DECODER
+        prefix = part + (SKIPPED_LAYERS if has_skip else "")
         numbers = range(0, 2 * len(architecture.hidden_widths) + 1, 2)
         self.layers = [(weights[f"{prefix}{n}.weight"].T, weights[f"{prefix}{n}.bias"]) for n in numbers]
-        self.skip_weight = weights[f"{DECODER}{SKIP}weight"].T if architecture.skip_connection else None
+        self.skip_weight = weights[f"{part}{SKIP}weight"].T if has_skip else None
         self.evaluate_activation = ACTIVATION_SLOPES[architecture.activation]
 
-    def linearise(self, codes: Float[np.ndarray, "N A"], directions: Float[np.ndarray, "P A"]) -> LayerOutput:
-        """Return the features of codes and their derivatives along some directions of the code.
+    def linearise(self, inputs: Float[np.ndarray, "N A"], directions: Float[np.ndarray, "P A"]) -> LayerOutput:
+        """Return the output for inputs and its derivatives along some directions of the input.
 
         The matrix products span all rows, and the first derivatives, which are equal for all rows, are computed once.
         """
-        start = np.asarray(codes, np.float32)
+        start = np.asarray(inputs, np.float32)
         steps = np.asarray(directions, np.float32)[None]
         rows, slopes = start, steps
         for n, (weight, bias) in enumerate(self.layers):
@@ -129,9 +156,9 @@ class Decoder:
             rows, slopes = rows + start @ self.skip_weight, slopes + steps @ self.skip_weight
         return LayerOutput(rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:])))
 
-    def evaluate(self, codes: Float[np.ndarray, "N A"]) -> Float32[np.ndarray, "N B"]:
-        """Return the features of codes."""
-        return self.linearise(codes, np.zeros((0, codes.shape[1]))).rows
+    def evaluate(self, inputs: Float[np.ndarray, "N A"]) -> Float32[np.ndarray, "N B"]:
+        """Return the output for inputs."""
+        return self.linearise(inputs, np.zeros((0, inputs.shape[1]))).rows
 
 
 FIELD_OF_AUTOENCODER_TENSOR = {
@@ -157,8 +184,6 @@ NETWORK_PREFIX = "network."  # of the names of the network's weights in a file
 class AutoencoderModel(PoseModel):
     """A trained autoencoder whose code has N dimensions of the network and P - N amplitudes of residuals.
 
-    Only encoding, and the decoding of features other than rotation vectors, import torch.
-
     weights              the network's weights in single precision, by their names in the network
     code_mean            (N,) mean of the network's code over the training poses
     code_cholesky        (N, N) lower triangular: the network's code is code_mean + code_cholesky @ code[:N]
@@ -174,26 +199,14 @@ class AutoencoderModel(PoseModel):
     kind: ClassVar[str] = "autoencoder"
 
     @cached_property
-    def decoder(self) -> Decoder:
-        """The decoder, without torch."""
-        return Decoder(self.architecture, self.weights)
+    def encoder(self) -> Layers:
+        """The encoder."""
+        return Layers(self.architecture, self.weights, ENCODER)
 
     @cached_property
-    def network(self) -> "AutoencoderNetwork":
-        """The network as a torch module."""
-        from mocapfix.solve.prior_network import restore_network
-
-        return restore_network(self.architecture, self.reference_rotations, self.weights)
-
-    @cached_property
-    def input_features(self) -> "PoseFeatures":
-        """The features that the encoder takes, as torch functions."""
-        return self._build_features(self.architecture.input_features)
-
-    @cached_property
-    def output_features(self) -> "PoseFeatures":
-        """The features that the decoder returns, as torch functions."""
-        return self._build_features(self.architecture.output_features)
+    def decoder(self) -> Layers:
+        """The decoder."""
+        return Layers(self.architecture, self.weights, DECODER)
 
     @property
     def code_size(self) -> int:
@@ -205,12 +218,8 @@ class AutoencoderModel(PoseModel):
 
     def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
         """Return the codes of poses: the network's code, and the most probable residual amplitudes given the network's code."""
-        from mocapfix.solve.prior_network import evaluate_in_batches
-
-        def encode_batch(vectors: "Tensor") -> "tuple[Tensor, ...]":
-            return (self.network.encoder(self.input_features.compute_features(vectors)),)
-
-        (network_code,) = evaluate_in_batches(encode_batch, pose_vectors)
+        features = compute_pose_features(self.architecture.input_features, pose_vectors, self.reference_rotations)
+        network_code = self.encoder.evaluate(features).astype(float)
         decoded = self._decode_network_code(network_code)
         axis_count = 3 * len(self.joint_names)
         sd = self.residual_sd_rad[:, None]
@@ -241,6 +250,8 @@ class AutoencoderModel(PoseModel):
     def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "AutoencoderModel":
         shape = header["shape"] | {"hidden": tuple(header["shape"]["hidden"])}
         architecture = NetworkArchitecture(**{ARCHITECTURE_FIELD_OF_KEY[key]: value for key, value in shape.items()})
+        if architecture.output_features == "continuous":
+            raise ValueError("its network returns columns of rotations, not rotation vectors or Euler angles")
         weights = {_name_network_weight(name): tensors.pop(name) for name in list(tensors) if name.startswith(NETWORK_PREFIX)}
         joint_count, size = len(joint_names), architecture.code_size
         shapes = {
@@ -255,11 +266,6 @@ class AutoencoderModel(PoseModel):
         single = {name: values.astype(np.float32) for name, values in checked.items()}
         return cls(joint_names, architecture=architecture, weights=single, **fields)
 
-    def _build_features(self, kind: str) -> "PoseFeatures":
-        from mocapfix.solve.pose_features import build_features
-
-        return build_features(kind, self.reference_rotations)
-
     def _compute_network_code(self, codes: np.ndarray) -> np.ndarray:
         return self.code_mean + codes[:, : len(self.code_mean)] @ self.code_cholesky.T
 
@@ -268,24 +274,21 @@ class AutoencoderModel(PoseModel):
 
     def _decode_network_code(self, network_codes: np.ndarray) -> np.ndarray:
         """Return the rotation vectors (N, J, 3) of codes of the network."""
-        features = self.decoder.evaluate(network_codes)
-        if self.architecture.output_features == "vectors":
-            return features.reshape(len(features), -1, 3).astype(float)
-        from mocapfix.solve.prior_network import evaluate_in_batches
-
-        return evaluate_in_batches(lambda batch: (self.output_features.compute_vectors(batch),), features)[0]
+        return self._compute_vectors(self.decoder.evaluate(network_codes))
 
     def _linearise_network_code(self, network_codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the rotation vectors (N, J, 3) of network codes and their derivatives (N, J, 3, P) in the model's code."""
         features, slopes = self.decoder.linearise(network_codes, self.code_cholesky.T)
+        vectors = self._compute_vectors(features)
         if self.architecture.output_features == "vectors":
-            vectors = features.reshape(len(features), -1, 3)
-            jacobian = np.swapaxes(slopes, 1, 2).reshape(*vectors.shape, slopes.shape[1])
-            return vectors.astype(float), jacobian.astype(float)
-        from mocapfix.solve.prior_network import evaluate_in_batches
+            derivatives = self._compute_vectors(slopes)
+        else:
+            steps, middle = FEATURE_STEP * slopes.astype(float), features[:, None]
+            derivatives = (self._compute_vectors(middle + steps) - self._compute_vectors(middle - steps)) / (2 * FEATURE_STEP)
+        return vectors, np.moveaxis(derivatives, 1, -1)
 
-        vectors, jacobian = evaluate_in_batches(self.output_features.linearise_vectors, features, slopes)
-        return vectors, jacobian
+    def _compute_vectors(self, features: np.ndarray) -> np.ndarray:
+        return compute_feature_vectors(self.architecture.output_features, features, self.reference_rotations)
 
 
 def _name_file_weight(name: str) -> str:

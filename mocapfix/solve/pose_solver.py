@@ -1,26 +1,23 @@
 """Poses under a learned pose model, whose code is an additional unknown of the solve.
 
 A linear model is linearised once, a network again between rounds (see `latent_solver`). In a mixture the component in which a
-pose costs least represents the whole mixture until another becomes cheaper. The naturalness of MNN-IK (Eq. 3.1) is one more
-residual of all joints.
+pose costs least represents the whole mixture until another becomes cheaper.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.terms import LatentCodeTerm, ScalarTerm, TrackingTerm
+from mocapfix.kernels.terms import LatentCodeTerm
 from mocapfix.model.motion import FrameStatus
 from mocapfix.solve.latent_solver import INITIAL_CODE_DAMPING, LatentSolver, SolverCallback, Terms, build_latent_term
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.pose_prior import MixtureModel, PoseModel, compute_pose_vectors
-
-if TYPE_CHECKING:  # it imports torch
-    from mocapfix.solve.naturalness import NaturalnessModel
 
 NO_ROBUST_SCALE = np.array([np.inf])
 """Squared robust scales of a solve without robust losses."""
@@ -52,7 +49,7 @@ class PoseSolution:
 def solve_poses(
     tree: KinematicTree,
     other_terms: Terms,
-    model: "PoseModel | NaturalnessModel",
+    model: PoseModel,
     root_position: Float[np.ndarray, "T 3"],
     local_rotations: Float[np.ndarray, "T J 3 3"],
     codes: Float[np.ndarray, "T P"] | None = None,
@@ -61,6 +58,7 @@ def solve_poses(
     squared_robust_scales: np.ndarray = NO_ROBUST_SCALE,
     max_iterations: int = 30,
     callback: SolverCallback | None = None,
+    build_solver: Callable[..., LatentSolver] | None = None,
 ) -> PoseSolution:
     """Return the poses of least cost under a pose model and other terms, each frame independently.
 
@@ -71,12 +69,14 @@ def solve_poses(
     squared_robust_scales           of the other terms, from wide to narrow
     max_iterations                  per frame; a round that was started is completed
     callback                        called after each round with the poses and codes of all frames
+    build_solver                    returns the state of a solve; by default the type that suits the model
     """
     codes = np.zeros((len(root_position), model.code_size)) if codes is None else codes
-    solver = select_solver(model)(tree, other_terms, model, prior_scale, root_position, local_rotations, codes)
+    build_solver = build_solver or (MixtureSolver if isinstance(model, MixtureModel) else LatentSolver)
+    solver = build_solver(tree, other_terms, model, prior_scale, root_position, local_rotations, codes)
     frames = np.arange(len(root_position))
     batches = np.array_split(frames, 1 if callback else -(-len(frames) // MAX_BATCH_FRAMES)) if len(frames) else []
-    if isinstance(model, PoseModel) and model.is_linear:
+    if model.is_linear:
         terms = (build_latent_term(tree, model, prior_scale, codes[:1] / prior_scale, 0.0, solver.batch_rows),)
         run_in_parallel(
             partial(solver.run_iterations, terms, INITIAL_CODE_DAMPING, squared_robust_scales, max_iterations), batches
@@ -94,13 +94,6 @@ def solve_poses(
         solver.iterations,
         solver.cost,
     )
-
-
-def select_solver(model: "PoseModel | NaturalnessModel") -> type[LatentSolver]:
-    """Return the solver class for a model."""
-    if isinstance(model, MixtureModel):
-        return MixtureSolver
-    return LatentSolver if isinstance(model, PoseModel) else NaturalnessSolver
 
 
 class MixtureSolver(LatentSolver):
@@ -153,43 +146,3 @@ class MixtureSolver(LatentSolver):
         vectors = compute_pose_vectors(self.local_rotations[batch], self.mean_rotations)
         cheapest = self.mixture.select_components(vectors).component_index
         self.status[batch[cheapest != self.component_index[batch]]] = FrameStatus.ITERATION_LIMIT
-
-
-class NaturalnessSolver(LatentSolver):
-    """A solve under the naturalness of MNN-IK, without a code.
-
-    Value and gradient of the naturalness are evaluated between rounds; within a round the joints are kept near the poses of this
-    evaluation, as codes are in `LatentSolver`.
-    """
-
-    def __init__(
-        self,
-        tree: KinematicTree,
-        other_terms: Terms,
-        model: "NaturalnessModel",
-        prior_scale: float,
-        root_position: np.ndarray,
-        local_rotations: np.ndarray,
-        codes: np.ndarray,
-    ) -> None:
-        super().__init__(tree, other_terms, model.autoencoder, prior_scale, root_position, local_rotations, codes)
-        self.naturalness, frames = model, len(root_position)
-        no_root, reference = np.zeros((frames, 3)), np.empty_like(self.local_rotations)
-        weight = np.full(frames, (prior_scale * model.naturalness_sd) ** -2)
-        self.naturalness_term = ScalarTerm(np.empty(frames), np.empty(reference.shape[:3]), reference, weight)
-        self.tracking_term = TrackingTerm(reference, np.empty(reference.shape[:2]), no_root, np.zeros(frames))
-
-    def linearise(self, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
-        """Return the naturalness, linearised at the poses of a batch, and the term that keeps the joints near these."""
-        naturalness, tracking = self.naturalness_term, self.tracking_term
-        naturalness.reference[batch], tracking.weight[batch] = self.local_rotations[batch], self.code_stiffness[batch, None]
-        naturalness.value[batch], naturalness.gradient[batch] = self.naturalness.evaluate(self.local_rotations[batch])
-        return naturalness, tracking
-
-    def relinearise(self, model_terms: Terms, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
-        """Linearise again."""
-        return self.linearise(batch)
-
-    def update_linearisation(self, model_terms: Terms, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
-        """Linearise again: there is no derivative to update."""
-        return self.linearise(batch)

@@ -5,15 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
 from mocapfix.lab import autoencoder_training, settings
 from mocapfix.lab.autoencoder_training import build_rate_schedule, compute_weight_norm, train_network
+from mocapfix.lab.networks import AutoencoderNetwork, compute_rotation_tensor, copy_weights
 from mocapfix.lab.settings import AutoencoderSettings
 from mocapfix.lab.training_poses import compute_sampling_weights
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose
-from mocapfix.solve.prior_network import AutoencoderNetwork, NetworkArchitecture
+from mocapfix.solve.autoencoder import DECODER, ENCODER, Layers, NetworkArchitecture
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
 PRIORS = Path(mean_pose.__file__).parents[2] / "priors"
@@ -84,17 +86,17 @@ def test_weights_are_exact_in_half_precision(poses, tmp_path):
 
 
 def test_weight_norm_excludes_biases():
-    network = AutoencoderNetwork(2, 2, NetworkArchitecture("euler", "euler", (3,), 1, 0, "relu", skip_connection=False))
+    network = AutoencoderNetwork(NetworkArchitecture("euler", "euler", (3,), 1, 0, "relu", skip_connection=False), 1)
     with torch.no_grad():
         for w in network.parameters():
             w.fill_(2.0)
-    assert float(compute_weight_norm(network).detach()) == pytest.approx(2 * np.sqrt(2 * (2 * 3 + 3 * 1)))
+    assert float(compute_weight_norm(network).detach()) == pytest.approx(2 * np.sqrt(2 * (3 * 3 + 3 * 1)))
 
 
 def test_initial_weights_have_the_set_standard_deviation():
     training_settings = build_settings("mnn-ik", hidden_widths=(200,))
     network, _ = autoencoder_training.initialise_network(
-        93, REFERENCE, NetworkArchitecture("euler", "euler", (200,), 4, 0, "relu", skip_connection=False), training_settings
+        31, NetworkArchitecture("euler", "euler", (200,), 4, 0, "relu", skip_connection=False), training_settings
     )
     first = next(network.encoder.parameters())
     assert float(first.detach().std()) == pytest.approx(0.01, rel=0.02)
@@ -127,3 +129,24 @@ def test_corrupted_share_of_poses_is_corrupted(poses):
             vectors, share, autoencoder_training.build_limb_masks(), torch.Generator().manual_seed(0)
         )
         assert float((shown != vectors).flatten(1).any(1).float().mean()) == pytest.approx(share, abs=0.04)
+
+
+@pytest.mark.parametrize(("activation", "has_skip"), [("silu", True), ("relu", False)])
+def test_numpy_evaluates_the_network_as_torch_does(activation, has_skip):
+    architecture = NetworkArchitecture("continuous", "vectors", (8,), 3, 0, activation, has_skip)
+    torch.manual_seed(0)
+    network, rng = AutoencoderNetwork(architecture, 31), np.random.default_rng(5)
+    for part, layers, size in ((ENCODER, network.encoder, 183), (DECODER, network.decoder, 3)):
+        rows = torch.as_tensor(rng.normal(size=(6, size)), dtype=torch.float32)
+        directions = rng.normal(size=(2, size))
+        outputs, slopes = Layers(architecture, copy_weights(network), part).linearise(rows.numpy(), directions)
+        np.testing.assert_allclose(outputs, layers(rows).detach().numpy(), atol=1e-6)
+        jacobian = torch.func.vmap(torch.func.jacrev(layers))(rows).detach().numpy()
+        np.testing.assert_allclose(slopes, np.einsum("nba,pa->npb", jacobian, directions), atol=1e-5)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.1])
+def test_rotations_of_tensors_agree_with_scipy(angle):
+    vectors = np.array([[0.6, 0.0, -0.8], [0, 1, 0]]) * angle
+    expected = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(compute_rotation_tensor(torch.as_tensor(vectors)).numpy(), expected, atol=1e-12)

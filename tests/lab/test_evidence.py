@@ -7,18 +7,13 @@ import pytest
 import torch
 
 from mocapfix.lab.autoencoder_training import ResidualModel, compute_evidence_loss
-from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose
-from mocapfix.solve.pose_features import FEATURE_TYPES
-from mocapfix.solve.prior_network import NetworkArchitecture, build_network
-
-REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
-VECTORS = FEATURE_TYPES["vectors"](torch.as_tensor(REFERENCE, dtype=torch.float32))
+from mocapfix.lab.networks import AutoencoderNetwork
+from mocapfix.solve.autoencoder import NetworkArchitecture
 
 
 def build_linear_network(gain):
     """Return a linear network: the code is `gain` times the first four features, and these are decoded from the code."""
-    network = build_network(NetworkArchitecture("vectors", "vectors", (), 4, 0, "silu", skip_connection=False), REFERENCE)
+    network = AutoencoderNetwork(NetworkArchitecture("vectors", "vectors", (), 4, 0, "silu", skip_connection=False), 31)
     with torch.no_grad():
         for layers, weight in ((network.encoder, gain * torch.eye(4, 93)), (network.decoder, torch.eye(93, 4))):
             weights, bias = layers.parameters()
@@ -35,33 +30,25 @@ def test_bound_equals_the_likelihood_for_the_exact_posterior():
         residual_model.log_feature_sd.fill_(math.log(noise))
         residual_model.log_code_sd.fill_(0.5 * math.log(noise**2 / (1 + noise**2)))
     rng, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
-    pose = torch.as_tensor(rng.normal(0, 0.5, (1, 31, 3)), dtype=torch.float32)
-    many = pose.expand(40_000, 31, 3)
-    loss = compute_evidence_loss(
-        build_linear_network(1 / (1 + noise**2)), residual_model, VECTORS.compute_features(many), many, VECTORS, generator
-    )
+    pose = torch.as_tensor(rng.normal(0, 0.5, (1, 93)), dtype=torch.float32)
+    many = pose.expand(40_000, 93)
+    loss = compute_evidence_loss(build_linear_network(1 / (1 + noise**2)), residual_model, many, many, generator)
     sd = np.where(np.arange(93) < 4, math.sqrt(1 + noise**2), noise)
-    likelihood = (0.5 * (pose.flatten().numpy() / sd) ** 2 + np.log(sd)).sum()
+    likelihood = (0.5 * (pose[0].numpy() / sd) ** 2 + np.log(sd)).sum()
     # the constant that the loss omits is half a unit for each dimension of the code
     assert float(loss.detach()) - 4 / 2 == pytest.approx(likelihood, abs=0.03)
 
 
 def test_any_other_posterior_increases_the_loss():
     residual_model, rng = ResidualModel(93, 0, 4), np.random.default_rng(1)
-    poses = torch.as_tensor(rng.normal(0, 0.5, (20_000, 31, 3)), dtype=torch.float32)
+    poses = torch.as_tensor(rng.normal(0, 0.5, (20_000, 93)), dtype=torch.float32)
 
     def costs(gain, code):
         with torch.no_grad():
             residual_model.log_feature_sd.fill_(math.log(0.5))
             residual_model.log_code_sd.fill_(math.log(code))
-        loss = compute_evidence_loss(
-            build_linear_network(gain),
-            residual_model,
-            VECTORS.compute_features(poses),
-            poses,
-            VECTORS,
-            torch.Generator().manual_seed(0),
-        )
+        network, generator = build_linear_network(gain), torch.Generator().manual_seed(0)
+        loss = compute_evidence_loss(network, residual_model, poses, poses, generator)
         return float(loss.detach())
 
     best = costs(0.8, math.sqrt(0.2))

@@ -2,13 +2,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
+from scipy.spatial.transform import Rotation
 
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose
-from mocapfix.solve.autoencoder import AutoencoderModel
-from mocapfix.solve.pose_features import FEATURE_TYPES
-from mocapfix.solve.prior_network import NetworkArchitecture, build_network, copy_weights
+from mocapfix.solve.autoencoder import (
+    FEATURE_COUNTS,
+    AutoencoderModel,
+    NetworkArchitecture,
+    compute_feature_vectors,
+    compute_pose_features,
+)
 
 SKELETON = load_cmu31_body().skeleton
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations
@@ -16,27 +20,27 @@ REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations
 
 def draw_model(inputs, activation, outputs=None, skip_connection=False, seed=0, code_size=3, direction_count=0):
     """Return an untrained model whose decoded poses are close to the reference pose."""
-    torch.manual_seed(seed)
-    architecture = NetworkArchitecture(inputs, outputs or inputs, (8,), code_size, direction_count, activation, skip_connection)
-    features = FEATURE_TYPES[architecture.output_features](torch.as_tensor(REFERENCE, dtype=torch.float32))
-    network = build_network(architecture, REFERENCE)
-    with torch.no_grad():
-        weight, bias = [each for each in network.decoder.parameters() if len(each) == features.feature_count][:2]
-        bias.copy_(features.compute_features(torch.zeros(31, 3)))
-        weight.mul_(0.3)
-    rng = np.random.default_rng(seed)
+    rng, outputs = np.random.default_rng(seed), outputs or ("vectors" if inputs == "continuous" else inputs)
+    architecture = NetworkArchitecture(inputs, outputs, (8,), code_size, direction_count, activation, skip_connection)
+    weights = {
+        name: (rng.uniform(-1, 1, shape) / np.sqrt(shape[-1])).astype(np.float32)
+        for name, shape in architecture.list_weight_shapes(31).items()
+    }
+    last = "decoder.0.layers.2" if skip_connection else "decoder.2"
+    weights[f"{last}.weight"] *= 0.3
+    weights[f"{last}.bias"] = compute_pose_features(outputs, np.zeros((1, 31, 3)), REFERENCE)[0].astype(np.float32)
     code_mean, code_cholesky = rng.normal(size=code_size), np.tril(rng.uniform(0.5, 1.5, (code_size, code_size)))
     directions = rng.normal(0, 0.2, (direction_count, 31, 3))
     residual_sd_rad = np.full(31, 0.1)
     return AutoencoderModel(
-        SKELETON.names, REFERENCE, residual_sd_rad, architecture, copy_weights(network), code_mean, code_cholesky, directions
+        SKELETON.names, REFERENCE, residual_sd_rad, architecture, weights, code_mean, code_cholesky, directions
     )
 
 
 @pytest.mark.parametrize(
     ("inputs", "activation", "outputs", "skip_connection", "direction_count"),
     [
-        ("continuous", "silu", "continuous", False, 0),
+        ("continuous", "silu", "vectors", False, 0),
         ("euler", "relu", "euler", False, 0),
         ("continuous", "silu", "vectors", True, 2),
     ],
@@ -53,17 +57,6 @@ def test_linearisation_predicts_the_change_of_the_decoded_pose(inputs, activatio
     assert np.abs(jacobian).max() > 0.02
 
 
-@pytest.mark.parametrize(("activation", "skip_connection"), [("silu", True), ("relu", False)])
-def test_decoder_equals_the_torch_network(activation, skip_connection):
-    model = draw_model("continuous", activation, "vectors", skip_connection)
-    codes = torch.as_tensor(np.random.default_rng(5).normal(size=(6, 3)), dtype=torch.float32)
-    directions = np.random.default_rng(6).normal(size=(2, 3))
-    features, slopes = model.decoder.linearise(codes.numpy(), directions)
-    np.testing.assert_allclose(features, model.network.decoder(codes).detach().numpy(), atol=1e-6)
-    jacobian = torch.func.vmap(torch.func.jacrev(model.network.decoder))(codes).detach().numpy()
-    np.testing.assert_allclose(slopes, np.einsum("nba,pa->npb", jacobian, directions), atol=1e-5)
-
-
 def test_only_the_network_code_is_nonlinear():
     model, codes = draw_model("continuous", "silu", direction_count=2), np.random.default_rng(2).normal(size=(4, 5))
     _, jacobian = model.linearise(codes)
@@ -75,10 +68,7 @@ def test_only_the_network_code_is_nonlinear():
 def test_code_is_the_network_code_normalised_by_its_covariance():
     model, vectors = draw_model("continuous", "silu"), np.random.default_rng(2).normal(0, 0.3, (6, 31, 3))
     vectors[:, 0, 1] = 0
-    with torch.no_grad():
-        network_code = model.network.encoder(
-            model.input_features.compute_features(torch.as_tensor(vectors, dtype=torch.float32))
-        ).numpy()
+    network_code = model.encoder.evaluate(compute_pose_features("continuous", vectors, REFERENCE))
     np.testing.assert_allclose(model.code_mean + model.encode(vectors) @ model.code_cholesky.T, network_code, atol=1e-5)
 
 
@@ -104,10 +94,31 @@ def test_batched_encoding_equals_encoding_one_pose():
 
 
 def test_mnn_ik_network_has_four_layers_each_way():
-    network = build_network(
-        NetworkArchitecture("euler", "euler", (1024, 1024, 1024), 35, 0, "relu", skip_connection=False), REFERENCE
-    )
-    widths = [tuple(w.shape) for name, w in network.named_parameters() if name.endswith("weight")]
+    architecture = NetworkArchitecture("euler", "euler", (1024, 1024, 1024), 35, 0, "relu", skip_connection=False)
+    widths = [shape for name, shape in architecture.list_weight_shapes(31).items() if name.endswith("weight")]
     assert widths == [(1024, 93), (1024, 1024), (1024, 1024), (35, 1024), (1024, 35), (1024, 1024), (1024, 1024), (93, 1024)]
-    assert isinstance(network.encoder[-1], torch.nn.Linear)
-    assert isinstance(network.decoder[-1], torch.nn.Linear)
+
+
+def draw_vectors(seed, spread=0.5):
+    vectors = np.random.default_rng(seed).normal(0, spread, (4, 31, 3))
+    vectors[:, 0, 1] = 0
+    return vectors
+
+
+@pytest.mark.parametrize("kind", ["euler", "vectors"])
+def test_features_determine_the_pose(kind):
+    vectors = draw_vectors(0)
+    features = compute_pose_features(kind, vectors, REFERENCE)
+    np.testing.assert_allclose(compute_feature_vectors(kind, features, REFERENCE), vectors, atol=1e-9)
+
+
+def test_features_are_angles_or_columns_of_rotations_and_the_up_vector():
+    vectors = draw_vectors(1)
+    rotations = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(4, 31, 3, 3) @ REFERENCE
+    angles = compute_pose_features("euler", vectors, REFERENCE).reshape(-1, 3)
+    np.testing.assert_allclose(angles, Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("ZYX"), atol=1e-9)
+    features = compute_pose_features("continuous", vectors, REFERENCE)
+    assert features.shape == (4, FEATURE_COUNTS["continuous"](31))
+    np.testing.assert_allclose(features[:, 6:9], rotations[:, 2, :, 0], atol=1e-9)
+    np.testing.assert_allclose(features[:, 9:12], rotations[:, 2, :, 1], atol=1e-9)
+    np.testing.assert_allclose(features[:, -3:], np.swapaxes(rotations[:, 0], 1, 2) @ [0, 1, 0], atol=1e-9)
