@@ -2,12 +2,12 @@
 
 PYTHON ?= python3
 VENV := .venv
-PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
+PIP_INSTALL := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test test-lab test-lab-slice bench docs install addon blender browser gltf-validator lint clean
 
 demo: $(VENV)/installed
-	$(VENV)/bin/mocapfix demo
+	@$(VENV)/bin/mocapfix demo
 
 # The tests of the product, in two processes, each with one thread for linear algebra: with two each, threads wait for one another.
 # The kernels are compiled before: each process of tests would compile most of them itself. A file is run by one process, which
@@ -62,9 +62,10 @@ clean:
 # These files are stamps: a second call installs nothing unless the requirements have changed. All tools for development are
 # installed at once: another call of pip takes ten seconds to look at what is there.
 $(VENV)/installed: pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(PIP_INSTALL) --editable ".[review]"
-	touch $@
+	@echo "Installing mocapfix into $(VENV) (about a minute, once)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP_INSTALL) --editable ".[review]"
+	@touch $@
 
 $(VENV)/installed-dev: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

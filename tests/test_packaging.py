@@ -12,9 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from mocapfix.cli.app import LAB_PACKAGES
 from mocapfix.kernels.compilation_cache import find_cache_folder
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+LAB_DATA = {"bench", "mnn-ik"}
+"""the folder and the weights that only benchmarks read, which are not installed"""
 
 
 def run_command(*command: str | Path, folder: Path) -> str:
@@ -38,32 +41,33 @@ def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
     """Return the scripts folder of a new environment that contains the wheel and the libraries of the running environment.
 
     The libraries come from a .pth file. Python does not process .pth files in the folders that it names, so that an editable
-    install of the checkout is not imported. The checkout's compiled kernels are those of the wheel's sources too: compiling
-    them again would take most of the test's time.
+    install of the checkout is not imported. What only the extra `train` installs is hidden. The checkout's compiled kernels are
+    those of the wheel's sources too: compiling them again would take most of the test's time.
     """
     base = tmp_path_factory.mktemp("environment")
     venv.create(base, symlinks=os.name != "nt")
     paths = sysconfig.get_paths("venv", vars={name: str(base) for name in ("base", "platbase", "installed_base")})
     run_command(sys.executable, "-m", "pip", "--python", base, "install", "--no-deps", "--no-index", built[1], folder=base)
+    for name in LAB_PACKAGES:
+        text = f"raise ModuleNotFoundError('not installed', name={name!r})"
+        (Path(paths["purelib"]) / f"{name}.py").write_text(text, encoding="utf-8")
     (Path(paths["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
     if find_cache_folder().exists():
         shutil.copytree(find_cache_folder(), Path(paths["purelib"]) / "mocapfix" / "kernels" / "__pycache__", dirs_exist_ok=True)
     return Path(paths["scripts"])
 
 
-def list_shipped_files(folder: str) -> set[str]:
-    """Return the files in a folder of the checkout by their names in the wheel."""
-    files = (path for path in (CHECKOUT / folder).rglob("*") if path.is_file())
-    return {(Path("mocapfix") / path.relative_to(CHECKOUT)).as_posix() for path in files}
-
-
-def test_wheel_contains_scenes_and_priors_inside_the_package(built: tuple[Path, Path]):
+def test_wheel_contains_the_data_that_a_clean_reads_inside_the_package(built: tuple[Path, Path]):
     names = set(zipfile.ZipFile(built[1]).namelist())
     assert {name.split("/")[0] for name in names} == {"mocapfix", "mocapfix-0.1.0.dist-info"}
-    assert {"mocapfix/py.typed", "mocapfix/scenes/marker-sets/cmu41.yaml"} <= names
-    assert list_shipped_files("scenes") <= names
-    assert list_shipped_files("priors") <= names
-    assert any(name.startswith("mocapfix/priors/") for name in names)
+    files = (path.relative_to(CHECKOUT) for folder in ("scenes", "priors") for path in (CHECKOUT / folder).rglob("*"))
+    needed = {f"mocapfix/{path.as_posix()}" for path in files if path.suffix and not LAB_DATA & {path.stem, path.parent.name}}
+    assert {"mocapfix/scenes/marker-sets/cmu41.yaml", "mocapfix/priors/autoencoder.safetensors"} <= needed
+    code = {f"mocapfix/{path.relative_to(CHECKOUT / 'mocapfix').as_posix()}" for path in (CHECKOUT / "mocapfix").rglob("*.py")}
+    data = {name for name in names if not name.startswith("mocapfix-0.1.0") and name not in code}
+    assert "mocapfix/py.typed" in data
+    assert {name for name in data if name.startswith(("mocapfix/scenes/", "mocapfix/priors/"))} == needed
+    assert code <= names
 
 
 def test_sdist_is_complete(built: tuple[Path, Path]):
@@ -92,3 +96,18 @@ def test_demo_runs_from_the_wheel(scripts: Path, tmp_path: Path):
     cleaned = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
     outputs = [tmp_path / "demo.c3d", *(tmp_path / "demo.mocapfix" / f"demo.{kind}" for kind in cleaned)]
     assert not [output for output in outputs if not output.is_file() or not output.stat().st_size]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("train", "twist", "--config", "a.yaml", "--data", ".", "-o", "a.safetensors"), "pip install 'mocapfix[train]'"),
+        (("bench", "baseline"), "in a checkout of the repository"),
+    ],
+)
+def test_lab_says_what_is_not_installed(scripts: Path, tmp_path: Path, arguments: tuple[str, ...], message: str):
+    command = [scripts / "python", "-m", "mocapfix", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False)
+    assert done.returncode == 1
+    assert message in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr

@@ -111,6 +111,8 @@ COMMANDS = {
 COMMAND_GROUPS = {
     "marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS),
 }
+LAB_PACKAGES = ("matplotlib", "sklearn", "torch")
+"""what only the commands that measure and train import: the extra `train`"""
 # The commands that measure and train, with the module of mocapfix.lab that holds them: no other command needs it.
 LAB_COMMANDS = {
     "bench": ("Measure mocapfix against known truth.", "command", "BENCH_COMMANDS"),
@@ -175,6 +177,10 @@ def run_command(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         stderr_console.print("Stopped; no file was left incomplete.")
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in LAB_PACKAGES:
+            command = " ".join(arguments[:2])
+            print_error(f"mocapfix {command} needs {error.name}; install it with: pip install 'mocapfix[train]'.")
+            return EXIT_FAILED
         files = [each for each in arguments if Path(each).is_file()]
         print_failure(error, files[0] if len(files) == 1 else f"mocapfix {' '.join(arguments[:1])}")
     return EXIT_FAILED

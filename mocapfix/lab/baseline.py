@@ -21,7 +21,6 @@ from pydantic import RootModel, ValidationError
 
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import StrictModel
 from mocapfix.lab.clean_speed import CLEAN_SCENES, CleanCost, measure_clean_speed
 from mocapfix.lab.common_task import clean_composed_take
@@ -92,11 +91,6 @@ class BaselineComparison:
 
 
 Entries = dict[str, BaselineEntry]
-
-
-def get_baseline_path() -> Path:
-    """Return the path of the committed baseline."""
-    return find_shipped_folder("scenes") / "bench" / "baseline.json"
 
 
 def compare_with_baseline(measured: Entries, baseline: Entries) -> list[BaselineComparison]:

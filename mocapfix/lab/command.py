@@ -269,8 +269,9 @@ def run_bench_baseline(
     `mocapfix bench --baseline` is the same.
     """
     from mocapfix.lab import baseline
+    from mocapfix.lab.common_task import find_bench_file
 
-    path = file or baseline.get_baseline_path()
+    path = file or find_bench_file("baseline.json")
     known = {} if update else baseline.read_baseline(path)
     with show_progress("baseline") as progress:
         measured = baseline.measure_baseline(progress, BASELINE_UPDATE_RUNS if update else 1)

@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 import mocapfix
 from mocapfix import synthetic
-from mocapfix.io.shipped import read_shipped_yaml
+from mocapfix.errors import SceneError
+from mocapfix.io.shipped import find_shipped_folder, read_yaml
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
@@ -53,9 +54,17 @@ class CommonTask:
         return float(np.linalg.norm(positions - self.joint_positions[: len(root)], axis=-1).mean())
 
 
+def find_bench_file(name: str) -> Path:
+    """Return the path of a file in scenes/bench. Raises SceneError in an installed package, which holds no such files."""
+    folder = find_shipped_folder("scenes") / "bench"
+    if not folder.is_dir():
+        raise SceneError(f"{name}: the data of the benchmarks is not installed; run this in a checkout of the repository.")
+    return folder / name
+
+
 def build_common_task() -> CommonTask:
     """Return the task that the scene file defines."""
-    scene = read_shipped_yaml("bench/common-task.yaml")
+    scene = read_yaml(find_bench_file("common-task.yaml"))
     rng = np.random.default_rng(scene["seed"])
     subject = build_task_subject(scene)
     mean_angles = np.array([joint.get("mean", [0.0] * 3) for joint in scene["joints"]])

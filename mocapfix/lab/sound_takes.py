@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix import synthetic
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.common_task import build_known_motion, find_bench_file
 from mocapfix.lab.recordings import Recording, read_recordings, read_shard_recordings
 from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints, select_interleaved_frames
 from mocapfix.model.motion import Motion
@@ -149,13 +148,12 @@ def find_informative_markers(subject: Subject) -> Bool[np.ndarray, "J K"]:
 
 # `test_subjects` of all settings in priors/
 UNSEEN_SUBJECTS = frozenset({"02", "05", "06", "16", "49", "85", "tilling-mmk", "basket-s010", "ys2010-boxer"})
-UNSEEN_POSES_FILE = "bench/unseen-poses.npz"  # in scenes/
 HALF_TURN_STEPS = 32767  # integer that stands for half a turn in the shipped Euler angles
 
 
 def load_unseen_poses() -> Float[np.ndarray, "N J 3 3"]:
     """Return the shipped poses, 1000 of them, as local rotations without heading."""
-    with np.load(find_shipped_folder("scenes") / UNSEEN_POSES_FILE) as file:
+    with np.load(find_bench_file("unseen-poses.npz")) as file:
         angles = file["euler"] * (np.pi / HALF_TURN_STEPS)
     return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError
 from mocapfix.lab import baseline
-from mocapfix.lab.baseline import BaselineEntry, compare_with_baseline, get_baseline_path, read_baseline, write_baseline
+from mocapfix.lab.baseline import BaselineEntry, compare_with_baseline, read_baseline, write_baseline
 from mocapfix.lab.clean_speed import CLEAN_SCENES
+from mocapfix.lab.common_task import find_bench_file
 
 
 def entry(value: float, tolerance_percent: float = 5.0, is_higher_better: bool = False, tolerance: float = 0.0) -> BaselineEntry:
@@ -93,14 +94,14 @@ def test_coverage_is_held_as_its_distance_from_that_of_a_normal_distribution(mon
 
 
 def test_the_committed_baseline_holds_time_and_memory_of_every_clean() -> None:
-    committed = read_baseline(get_baseline_path())
+    committed = read_baseline(find_bench_file("baseline.json"))
     for name in CLEAN_SCENES:
         assert committed[f"clean, {name}: time relative to the solver"].allowed_change > 0
         assert committed[f"clean, {name}: peak memory, MB"].allowed_change > 0
 
 
 def test_the_committed_baseline_can_be_read_and_written(tmp_path: Path) -> None:
-    committed = read_baseline(get_baseline_path())
+    committed = read_baseline(find_bench_file("baseline.json"))
     assert any("solver" in name for name in committed)
     write_baseline(tmp_path / "baseline.json", committed)
     assert read_baseline(tmp_path / "baseline.json") == committed

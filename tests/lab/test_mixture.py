@@ -4,7 +4,7 @@ from scipy.special import logsumexp, softmax
 from sklearn.mixture import GaussianMixture
 
 from mocapfix.errors import SceneError
-from mocapfix.lab import gaussian_training
+from mocapfix.lab import pose_prior_training
 from mocapfix.lab.settings import MixtureSettings
 
 NAMES, IDENTITY = ("Hips", "Spine", "Head"), np.tile(np.eye(3), (3, 1, 1))
@@ -38,7 +38,7 @@ def log_density(model, poses):
 
 
 def fit(poses, **changes):
-    return gaussian_training.fit_mixture_model(
+    return pose_prior_training.fit_mixture_model(
         NAMES, IDENTITY, poses, np.ones(len(poses)), SETTINGS.model_copy(update=changes), lambda text: None
     )
 
@@ -82,14 +82,14 @@ def test_codes_of_a_component_have_unit_covariance():
 
 def test_fewest_principal_axes_keep_the_variance():
     rows = np.random.default_rng(1).normal(size=(100_000, 3)) * [0.3, 2, 1]  # variances in the ratio 80 : 20 : 2
-    assert np.abs(gaussian_training.compute_principal_axes(rows, 0.7)).round(2).tolist() == [[0, 1, 0]]
-    assert [len(gaussian_training.compute_principal_axes(rows, part)) for part in (0.9, 0.97, 0.99)] == [2, 2, 3]
+    assert np.abs(pose_prior_training.compute_principal_axes(rows, 0.7)).round(2).tolist() == [[0, 1, 0]]
+    assert [len(pose_prior_training.compute_principal_axes(rows, part)) for part in (0.9, 0.97, 0.99)] == [2, 2, 3]
 
 
 def test_components_are_not_narrower_than_the_noise_floor():
     poses = np.repeat(draw_poses(40)[0], 30, axis=0)  # each pose is repeated for a second, so it has no variance
     model, _ = fit(poses, components=20)
-    assert np.linalg.svd(model.component_cholesky)[1].min() >= 0.999 * gaussian_training.MIN_NOISE_SD_RAD
+    assert np.linalg.svd(model.component_cholesky)[1].min() >= 0.999 * pose_prior_training.MIN_NOISE_SD_RAD
 
 
 def test_fits_are_reproducible_and_the_best_restart_is_used():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
-from mocapfix.lab.naturalness import NaturalnessModel, solve_natural_poses
+from mocapfix.lab.compared_priors import NaturalnessModel, solve_natural_poses
 from mocapfix.solve import pose_solver
 from mocapfix.solve.pose_prior import remove_heading
 from tests.kernels import dense_oracle

@@ -144,8 +144,7 @@ def test_folder_without_test_subjects_raises(motion):
 def test_written_poses_are_read_back(tmp_path, monkeypatch):
     poses = draw_motion(7)
     sound_takes.write_unseen_poses(tmp_path / "poses.npz", poses)
-    monkeypatch.setattr(sound_takes, "find_shipped_folder", lambda _: tmp_path)
-    monkeypatch.setattr(sound_takes, "UNSEEN_POSES_FILE", "poses.npz")
+    monkeypatch.setattr(sound_takes, "find_bench_file", lambda _: tmp_path / "poses.npz")
     np.testing.assert_allclose(sound_takes.load_unseen_poses(), poses, atol=2e-4)
 
 
