@@ -18,7 +18,7 @@ shape parameters, Eqs. 60-64).
 
 Measure joint limits: python -m mocapfix.lab.body_statistics MOTION_FOLDER priors/joint-limits.yaml
 
-MOTION_FOLDER is as for mocapfix.lab.body_statistics. The limits of a joint are, along each axis of its parent, the range of the
+The limits of a joint are, along each axis of its parent, the range of the
 rotation vector from the mean pose to the poses of all subjects. Each motion is used as recorded and mirrored. The outermost
 thousandth of the frames on either side is excluded, and the range is widened by what each subject would have needed if the limits
 had been measured without them. A trial in which CMU's solve of the joint jumps is not used for that joint.
@@ -143,10 +143,6 @@ def write_mean_pose(motion_folder: str, target_path: str) -> None:
     write_prior_yaml(target_path, header, {"joints": joints})
 
 
-if __name__ == "__main__":
-    write_mean_pose(*sys.argv[1:])
-
-
 BODY_SUBJECTS = ("01", "03", "07", "11", "127", "14", "17", "29", "35")
 MAX_SHAPE_COMPONENTS = 10
 MIN_WRITTEN_OFFSET_M = 5e-6  # a smaller offset is rounded to zero and not written
@@ -203,10 +199,6 @@ def write_shape_components(motion_folder: str, target_path: str) -> None:
     ]
     header = SHAPE_HEADER.format(components=len(components), explained=explained, subjects=len(BODY_SUBJECTS))
     write_prior_yaml(target_path, header, {"components": rounded})
-
-
-if __name__ == "__main__":
-    write_shape_components(*sys.argv[1:])
 
 
 EXCLUDED_TAIL_PERCENT = 0.1  # of the frames on either side
@@ -317,5 +309,7 @@ def write_joint_limits(motion_folder: str, target_path: str) -> None:
     write_prior_yaml(target_path, header, {"joints": limits})
 
 
+WRITERS = {"mean-pose": write_mean_pose, "shape": write_shape_components, "joint-limits": write_joint_limits}
+
 if __name__ == "__main__":
-    write_joint_limits(*sys.argv[1:])
+    WRITERS[Path(sys.argv[2]).stem](*sys.argv[1:])

@@ -6,8 +6,6 @@ The command `mocapfix bench contacts`: contacts, held feet and gait events, comp
 
 The command `mocapfix bench learned-ik`.
 
-The command `mocapfix bench prior-scope`: the trained prior in every frame, where a limb is lost, or nowhere.
-
 The command `mocapfix bench retarget`: motion on characters, and back.
 
 The command `mocapfix bench review`: the review page in a browser.
@@ -406,31 +404,6 @@ def build_plug_in_table(results: Mapping[str, Mapping[str, float]]) -> Table:
     for key, name in (("noise", "all given"), ("arm_missing", "an arm missing")):
         table.add_row(name, *(f"{results[key][column]:.1f}" for column in PLUG_IN_COLUMNS))
     return table
-
-
-def run_bench_prior_scope(
-    data: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help="motion with the test subjects; by default composed takes")
-    ] = None,
-    takes: Annotated[int, tyro.conf.arg(metavar="N", help="number of takes")] = 3,
-    as_json: JsonOption = False,
-) -> int:
-    """Clean takes with known truth and few markers with the trained prior in every frame, for lost limbs only, and without it."""
-    from mocapfix.lab.prior_scope import measure_prior_scopes
-
-    if takes < 1:
-        return print_usage_error(f"bench prior-scope: --takes must be at least 1, not {takes}.")
-    with show_progress("prior-scope") as progress:
-        rows = measure_prior_scopes(data, takes, report_progress=progress)
-    if as_json:
-        print_json({"rows": rows})
-        return EXIT_DONE
-    table = Table("case", "scope", "joints, mm", "95 % of joints, mm", "fills, mm", "s")
-    for row in rows:
-        errors = (f"{row['joint_mm']:.2f}", f"{row['joint_p95_mm']:.1f}", f"{row['fill_mm']:.1f}", f"{row['seconds']:.1f}")
-        table.add_row(str(row["case"]), str(row["scope"]), *errors)
-    stdout_console.print(table)
-    return EXIT_DONE
 
 
 def run_bench_retarget(
