@@ -309,7 +309,7 @@ def write_joint_limits(motion_folder: str, target_path: str) -> None:
     write_prior_yaml(target_path, header, {"joints": limits})
 
 
-WRITERS = {"mean-pose": write_mean_pose, "shape": write_shape_components, "joint-limits": write_joint_limits}
+PRIOR_WRITERS = {"mean-pose": write_mean_pose, "shape": write_shape_components, "joint-limits": write_joint_limits}
 
 if __name__ == "__main__":
-    WRITERS[Path(sys.argv[2]).stem](*sys.argv[1:])
+    PRIOR_WRITERS[Path(sys.argv[2]).stem](*sys.argv[1:])
