@@ -1,31 +1,27 @@
-"""The page of a session, index.html: totals, failed takes with their reasons, people, and a table of all takes.
+"""The page of a session, index.html: totals, failed takes, people and all takes; and its tables, summary.csv and summary.parquet.
 
 The page needs no network. A script in it sorts, filters and divides the table into pages; without the script the whole table is
-shown.
-
-The tables of a session, summary.csv and summary.parquet: one row for each subject of each take.
-
-The columns do not depend on the takes, so that the tables of several sessions can be joined. What is not known is empty.
+shown. The tables have one row for each subject of each take. Their columns do not depend on the takes, so that the tables of
+several sessions can be joined. What is not known is empty.
 """
 
 import csv
-import io
 import re
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 from urllib.parse import quote
 
 from markupsafe import Markup
 
 from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.session_people import PEOPLE_FILE_NAME, PersonEntry, read_people_file
+from mocapfix.batch.session_people import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, read_people_file
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.errors import SceneError, join_words
 from mocapfix.io.files import replace_atomically
@@ -36,73 +32,19 @@ from mocapfix.report.terms import format_kind_counts, format_number
 CSV_NAME = "summary.csv"
 PARQUET_NAME = "summary.parquet"
 
-SummaryValue = str | int | float | None
 ColumnKind = Literal["string", "int64", "float64"]
 """type of a column, by its name in pyarrow"""
-
-
-@dataclass(frozen=True)
-class SummaryColumn:
-    """A column: its name with the unit, the type of its values, and how they are found.
-
-    `read_value` gets the record of a take and the figures of one subject, None for a take that failed.
-    """
-
-    name: str
-    kind: ColumnKind
-    read_value: Callable[[TakeRecord, SubjectFigures | None], SummaryValue]
-
-
-def build_take_column(name: str, kind: ColumnKind) -> SummaryColumn:
-    """Return a column of a field of the record."""
-    return SummaryColumn(name, kind, lambda record, _: getattr(record, name))
-
-
-def build_figure_column(name: str, kind: ColumnKind) -> SummaryColumn:
-    """Return a column of a field of the figures."""
-    return SummaryColumn(name, kind, lambda _, figures: getattr(figures, name) if figures else None)
-
-
-def build_fault_column(kind: str) -> SummaryColumn:
-    """Return the column of the number of faults of a kind, such as "fault_count_leading_gap"."""
-    name = f"fault_count_{kind.replace(' ', '_')}"
-    return SummaryColumn(name, "int64", lambda _, figures: figures.fault_counts.get(kind, 0) if figures else None)
-
-
-SUMMARY_COLUMNS = (
-    build_take_column("take", "string"),
-    build_figure_column("subject", "string"),
-    build_take_column("status", "string"),
-    build_take_column("reason", "string"),
-    build_take_column("error", "string"),
-    build_figure_column("marker_set", "string"),
-    build_figure_column("frame_count", "int64"),
-    build_figure_column("rate_hz", "float64"),
-    build_figure_column("duration_s", "float64"),
-    build_figure_column("sample_count", "int64"),
-    build_figure_column("missing_before", "int64"),
-    build_figure_column("filled", "int64"),
-    build_figure_column("replaced", "int64"),
-    build_figure_column("relabelled", "int64"),
-    build_figure_column("left_empty", "int64"),
-    build_figure_column("worst_predicted_error_mm", "float64"),
-    build_figure_column("worst_frame", "int64"),
-    build_figure_column("residual_mm", "float64"),
-    SummaryColumn("fault_count", "int64", lambda _, figures: sum(figures.fault_counts.values()) if figures else None),
-    *(build_fault_column(kind) for kind in get_args(FaultKind)),
-    SummaryColumn("take_seconds", "float64", lambda record, _: record.seconds),
-    SummaryColumn("take_peak_memory_mb", "float64", lambda record, _: record.peak_memory_mb),
-    build_take_column("attempts", "int64"),
-    SummaryColumn("subject_file", "string", lambda record, each: record.subject_files.get(each.subject) if each else None),
-    SummaryColumn("notes", "string", lambda _, figures: " ".join(figures.notes) if figures else None),
-    build_take_column("input", "string"),
-    build_take_column("input_sha256", "string"),
-    build_take_column("options_sha256", "string"),
-    build_take_column("version", "string"),
-    build_take_column("started", "string"),
-    build_take_column("finished", "string"),
-)
-"""the columns in their order; those that begin with "take_" hold for the take, and are repeated for each of its subjects"""
+SUMMARY_COLUMNS: dict[str, ColumnKind] = {
+    **dict.fromkeys(("take", "subject", "status", "reason", "error", "marker_set"), "string"),
+    "frame_count": "int64", "rate_hz": "float64", "duration_s": "float64",
+    **dict.fromkeys(("sample_count", "missing_before", "filled", "replaced", "relabelled", "left_empty"), "int64"),
+    "worst_predicted_error_mm": "float64", "worst_frame": "int64", "residual_mm": "float64", "fault_count": "int64",
+    **{f"fault_count_{kind.replace(' ', '_')}": "int64" for kind in get_args(FaultKind)},
+    "take_seconds": "float64", "take_peak_memory_mb": "float64", "attempts": "int64",
+    **dict.fromkeys(("subject_file", "notes", "input", "input_sha256", "options_sha256"), "string"),
+    **dict.fromkeys(("version", "started", "finished"), "string"),
+}  # fmt: skip
+"""the columns in their order, and their types; those that begin with "take_" are repeated for each subject of a take"""
 
 
 def list_summary_rows(records: Sequence[TakeRecord]) -> Iterator[tuple[TakeRecord, SubjectFigures | None]]:
@@ -112,34 +54,36 @@ def list_summary_rows(records: Sequence[TakeRecord]) -> Iterator[tuple[TakeRecor
             yield record, figures
 
 
+def build_summary_row(record: TakeRecord, figures: SubjectFigures | None) -> dict[str, str | int | float | None]:
+    """Return the values of the columns for one subject of a take, None where they are unknown, as for a take that failed."""
+    values = record.model_dump(exclude={"subjects"})
+    values |= {"take_seconds": record.seconds, "take_peak_memory_mb": record.peak_memory_mb}
+    if figures:
+        values |= figures.model_dump(exclude={"picture_svg"})
+        values |= {f"fault_count_{kind.replace(' ', '_')}": figures.fault_counts.get(kind, 0) for kind in get_args(FaultKind)}
+        values |= {"fault_count": sum(figures.fault_counts.values()), "notes": " ".join(figures.notes)}
+        values["subject_file"] = record.subject_files.get(figures.subject)
+    return {name: values.get(name) for name in SUMMARY_COLUMNS}
+
+
 def write_summary_tables(folder: Path, records: Sequence[TakeRecord]) -> tuple[Path, Path]:
     """Write summary.csv and summary.parquet into a folder and return their paths. Raises WriteError."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    rows = list(list_summary_rows(records))
-    values = {column.name: [column.read_value(*row) for row in rows] for column in SUMMARY_COLUMNS}
+    rows = [build_summary_row(*row) for row in list_summary_rows(records)]
     csv_path, parquet_path = folder / CSV_NAME, folder / PARQUET_NAME
-    with replace_atomically(csv_path) as part:
-        part.write_text(format_csv(values), encoding="utf-8", newline="")
-    schema = pa.schema([(column.name, getattr(pa, column.kind)()) for column in SUMMARY_COLUMNS])
+    with replace_atomically(csv_path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, SUMMARY_COLUMNS)  # by RFC 4180; carriage returns in names are quoted too
+        writer.writeheader()
+        writer.writerows(rows)
+    schema = pa.schema([(name, getattr(pa, kind)()) for name, kind in SUMMARY_COLUMNS.items()])
     with replace_atomically(parquet_path) as part:
-        parquet.write_table(pa.table(values, schema=schema), part)
+        parquet.write_table(pa.Table.from_pylist(rows, schema=schema), part)
     return csv_path, parquet_path
 
 
-def format_csv(values: dict[str, list[SummaryValue]]) -> str:
-    """Return a table as comma-separated values by RFC 4180, with a header; carriage returns in names are quoted too."""
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(values)
-    writer.writerows(zip(*values.values(), strict=True))
-    return text.getvalue()
-
-
 PAGE_NAME = "index.html"
-MAX_OPEN_FAILURES = 50
-"""failed takes up to which their list is open"""
 SECONDS_IN_HOUR = 3600
 PERCENT = 100
 REPORT_SUFFIX = "report.html"
@@ -147,44 +91,6 @@ PICTURE_PATTERN = re.compile(
     r'<svg class="moment" viewBox="[-\d ]+" role="img"><title>[^<>]*</title>(<path class="[a-z ]+" d="[-Mhlm\d ]*"/>)*</svg>'
 )
 """what a picture in a record may contain: anybody who can write into the batch's folder can change it"""
-
-Link = tuple[str, str]
-"""text and address"""
-
-
-@dataclass(frozen=True)
-class PageColumn:
-    """A column of the table of takes that can be sorted: by numbers, or as text."""
-
-    title: str
-    is_number: bool = True
-    is_aligned_right: bool = True
-
-
-@dataclass(frozen=True)
-class FailureRow:
-    """A take that failed."""
-
-    take: str
-    reason: str
-    error: str
-    attempts: int
-    seconds: str
-
-
-@dataclass(frozen=True)
-class PersonRow:
-    """A person of the session.
-
-    basis  from what it is known which takes are of this person
-    """
-
-    name: str
-    take_count: int
-    basis: str
-    takes: str
-    moved_markers: str
-    links: tuple[Link, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -200,46 +106,14 @@ class TakeRow:
     picture: Markup
     report: str
     notes: tuple[str, ...]
-    links: tuple[Link, ...]
-
-    @property
-    def notes_title(self) -> str:
-        """Such as "2 notes"."""
-        return f"{len(self.notes)} note{'' if len(self.notes) == 1 else 's'}"
+    links: Mapping[str, str]
 
 
 TAKE_COLUMNS = (
-    PageColumn("Take", is_number=False, is_aligned_right=False),
-    PageColumn("Subject", is_number=False, is_aligned_right=False),
-    PageColumn("Status", is_number=False, is_aligned_right=False),
-    PageColumn("Length,\u00a0s"),
-    PageColumn("Missing before,\u00a0%"),
-    PageColumn("Filled"),
-    PageColumn("Replaced"),
-    PageColumn("Relabelled"),
-    PageColumn("Left empty"),
-    PageColumn("Worst predicted error,\u00a0mm"),
-    PageColumn("Residual,\u00a0mm"),
-    PageColumn("Time,\u00a0s"),
-    PageColumn("Faults", is_aligned_right=False),
-)
-
-
-@dataclass(frozen=True)
-class SessionPage:
-    """Values of the template."""
-
-    facts: list[tuple[str, str]]
-    failures: list[FailureRow]
-    failure_text: str
-    people: Sequence[PersonRow]
-    people_notes: Sequence[str]
-    rows: list[TakeRow]
-    are_failures_open: bool
-    columns: tuple[PageColumn, ...] = TAKE_COLUMNS
-    csv_name: str = CSV_NAME
-    parquet_name: str = PARQUET_NAME
-    people_name: str = PEOPLE_FILE_NAME
+    "Take", "Subject", "Status", "Length,\u00a0s", "Missing before,\u00a0%", "Filled", "Replaced", "Relabelled", "Left empty",
+    "Worst predicted error,\u00a0mm", "Residual,\u00a0mm", "Time,\u00a0s", "Faults",
+)  # fmt: skip
+"""columns of the table of takes that can be sorted: the first three as text, the others by numbers"""
 
 
 def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str = "") -> Path:
@@ -258,32 +132,23 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str =
         "session.html.jinja",
         title=title or folder.resolve().name,
         subtitle=describe_session(records),
-        page=build_session_page(records, *_read_people(folder)),
+        **build_session_page(records),
+        **_read_people(folder),
+        quote_address=quote_address,
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
     )
     return folder / PAGE_NAME
 
 
-def _read_people(folder: Path) -> tuple[list[PersonRow], list[str]]:
-    """Return the rows of people and the notes on them."""
+def _read_people(folder: Path) -> dict[str, Sequence[PersonEntry] | Sequence[str]]:
+    """Return the people of a session and the notes on them, as the template has them."""
     try:
-        people = read_people_file(folder)
+        people = read_people_file(folder) or SessionPeople()
     except SceneError as error:
-        return [], [str(error)]
-    if people is None:
-        return [], []
+        return {"people": [], "people_notes": [str(error)]}
     rejected = [f"{take} is not of {each.name}: {reason}" for each in people.people for take, reason in each.rejected.items()]
-    return [build_person_row(each) for each in people.people], [*people.notes, *rejected]
-
-
-def build_person_row(person: PersonEntry) -> PersonRow:
-    """Return the row of a person, with links to the subject files."""
-    takes = [f"{take} ({subject})" if subject else take for take, subject in person.takes.items()]
-    files = dict.fromkeys(path for path in (person.subject_file, *person.take_files.values()) if path)
-    links = tuple((path.rpartition("/")[2], quote_address(path)) for path in files)
-    moved = " ".join(person.moved_markers) or "none"
-    return PersonRow(person.name, len(takes), person.basis or "takes", ", ".join(takes), moved, links)
+    return {"people": people.people, "people_notes": [*people.notes, *rejected]}
 
 
 def describe_session(records: Sequence[TakeRecord]) -> str:
@@ -303,22 +168,21 @@ def format_minute(time: str) -> str:
         return time
 
 
-def build_session_page(
-    records: Sequence[TakeRecord], people: Sequence[PersonRow] = (), people_notes: Sequence[str] = ()
-) -> SessionPage:
-    """Return the values of the template."""
+def build_session_page(records: Sequence[TakeRecord]) -> dict[str, Any]:
+    """Return the values of the template that follow from the records."""
     failed = sorted((record for record in records if record.status == "failed"), key=lambda record: record.take)
     reasons = Counter(record.reason or "error" for record in failed)
     counts = join_words([f"{count:,} {reason}" for reason, count in sorted(reasons.items())])
-    return SessionPage(
-        facts=_build_session_facts(records),
-        failures=[FailureRow(r.take, r.reason or "error", r.error, r.attempts, format_number(r.seconds)) for r in failed],
-        failure_text=f"{len(failed):,} failed: {counts}",
-        people=people,
-        people_notes=people_notes,
-        rows=[_build_take_row(record, figures) for record, figures in list_summary_rows(records)],
-        are_failures_open=len(failed) <= MAX_OPEN_FAILURES,
-    )
+    return {
+        "facts": _build_session_facts(records),
+        "failures": failed,
+        "failure_text": f"{len(failed):,} failed: {counts}",
+        "rows": [_build_take_row(record, figures) for record, figures in list_summary_rows(records)],
+        "columns": TAKE_COLUMNS,
+        "csv_name": CSV_NAME,
+        "parquet_name": PARQUET_NAME,
+        "people_name": PEOPLE_FILE_NAME,
+    }
 
 
 def _build_session_facts(records: Sequence[TakeRecord]) -> list[tuple[str, str]]:
@@ -347,7 +211,6 @@ def _format_hours(duration_s: float) -> str:
 def _build_take_row(record: TakeRecord, figures: SubjectFigures | None) -> TakeRow:
     outputs = select_subject_outputs(record, figures.subject if figures else "")
     links = {suffix: quote_address(path) for suffix, path in outputs.items()}
-    report = next((address for suffix, address in links.items() if suffix.endswith(REPORT_SUFFIX)), "")
     return TakeRow(
         take=record.take,
         subject=figures.subject if figures else "",
@@ -356,9 +219,9 @@ def _build_take_row(record: TakeRecord, figures: SubjectFigures | None) -> TakeR
         numbers=(*_format_figures(figures), format_number(record.seconds)),
         faults=_format_faults(figures.fault_counts) if figures else "–",
         picture=check_picture(figures.picture_svg if figures else ""),
-        report=report,
+        report=next((address for suffix, address in links.items() if suffix.endswith(REPORT_SUFFIX)), ""),
         notes=figures.notes if figures else (record.error,),
-        links=tuple(links.items()),
+        links=links,
     )
 
 

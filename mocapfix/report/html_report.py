@@ -1,7 +1,4 @@
-"""The HTML report: a self-contained page on the faults of a take, the changes, and what remains.
-
-Rendering of self-contained HTML pages from the templates of this package.
-"""
+"""The HTML report: a self-contained page on the faults of a take, the changes, and what remains; and rendering of such pages."""
 
 import shlex
 from collections.abc import Mapping
@@ -17,7 +14,6 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.model.take import Take
 from mocapfix.report.change_list import (
     Figure,
-    TableList,
     build_change_figures,
     build_change_list,
     build_left_list,
@@ -27,7 +23,7 @@ from mocapfix.report.change_list import (
     describe_faults,
     describe_remaining,
 )
-from mocapfix.report.report import ErrorSummary, Report, SolveSection, SubjectSection
+from mocapfix.report.report import ErrorSummary, Report, SolveSection
 from mocapfix.report.sample_states import (
     AMBER,
     BLUE,
@@ -40,12 +36,8 @@ from mocapfix.report.sample_states import (
     find_estimated_samples,
 )
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
-from mocapfix.report.terms import FAULT_GROUPS, JOINT_TERMS, format_number, get_fault_group
+from mocapfix.report.terms import FAULT_GROUPS, format_number, get_fault_group
 from mocapfix.report.timeline import (
-    ContactPart,
-    ResidualPlot,
-    TimelineRow,
-    TimeTick,
     build_contact_part,
     build_fault_rows,
     build_residual_plot,
@@ -75,28 +67,6 @@ def _load_environment() -> Environment:
 MAX_CAPTION_MARKERS = 12  # labels in a caption
 MIN_BAR_SCALE = 1e-9  # mm or m; avoids a division by zero if all values are zero
 
-# CSS classes and their meaning.
-Legend = tuple[tuple[str, str], ...]
-CHANGE_LEGEND: Legend = (
-    ("was", "before"),
-    ("now", "after"),
-    ("kept", "unchanged"),
-    ("band", "predicted 95 % interval"),
-    ("when", "interval of the change"),
-)
-RESIDUAL_CURVE_LEGEND: Legend = (("middle", "median of the markers"), ("high", "95th percentile"))
-RESIDUAL_LEGEND: Legend = (("middle", "mean"), ("high", "95th percentile, mm"))
-JOINT_SD_LEGEND: Legend = (("middle", "predicted standard deviation per axis, mean"), ("high", "95th percentile, mm"))
-
-MARKER_CURVES_CAPTION = (
-    "Positions x, y (up) and z on one scale, relative to the nearest markers; other affected markers are dashed. "
-    "A marker that shifted on its segment is shown by its distances from neighbouring markers."
-)
-JOINT_CURVES_CAPTION = (
-    "Positions x, y (up) and z of the joints’ tips (the mean of their children and end sites) on one scale, relative to the tip "
-    "of the parent joint; other affected joints are dashed."
-)
-
 
 @dataclass(frozen=True)
 class BarRow:
@@ -107,115 +77,43 @@ class BarRow:
     value: str
 
 
-@dataclass(frozen=True)
-class WorstFrame:
-    """The frame with the most corrections, before and after."""
-
-    text: str
-    figures: tuple[Figure, Figure]
-
-
-@dataclass(frozen=True)
-class SolvePart:
-    """Residuals by marker, uncertainty by joint, and the solver's status."""
-
-    residual_legend: Legend
-    residual_bars: list[BarRow]
-    joint_legend: Legend
-    joint_bars: list[BarRow]
-    status_rows: list[tuple[str, str]]
-    text: str
-
-
-@dataclass(frozen=True)
-class SubjectPart:
-    """Bone lengths."""
-
-    text: str
-    bars: list[BarRow]
-
-
-@dataclass(frozen=True)
-class ReviewPart:
-    """How a change is reverted: the review file, the meaning of "keep", and the command."""
-
-    file: str
-    keep: str
-    command: str
-
-
-@dataclass(frozen=True)
-class ReportPage:
-    """Values of the template."""
-
-    facts: list[tuple[str, str]]
-    answers: list[tuple[str, str]]
-    worst_frame: WorstFrame
-    change_figures: list[Figure]
-    change_legend: Legend
-    curves_caption: str
-    frame_count: int
-    fault_rows: list[TimelineRow]
-    fault_legend: Legend
-    time_ticks: list[TimeTick]
-    residual_plot: ResidualPlot | None
-    residual_curve_legend: Legend
-    contacts: ContactPart | None
-    left_by_marker: TableList | None
-    unfilled: TableList | None
-    unchanged: TableList | None
-    changes: TableList | None
-    review: ReviewPart
-    solve: SolvePart | None
-    subject: SubjectPart | None
-    stage_rows: list[tuple[str, str]]
-
-
 def write_html_report(target: Path, report: Report, comparison: CleaningComparison) -> None:
     """Write the HTML report of a take.
 
     Raises WriteError if `target` cannot be written.
     """
+    take, solve, subject = comparison.input_take, report["solve"], report["subject"]
+    groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
+    answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
+    review_file, name = f"{take.output_stem}.changes.yaml", take.path.name if take.path else "TAKE"
     write_page(
         target,
         "report.html.jinja",
-        title=comparison.input_take.name,
+        title=take.name,
         subtitle=_format_subtitle(report, comparison),
-        page=build_report_page(report, comparison),
-    )
-
-
-def build_report_page(report: Report, comparison: CleaningComparison) -> ReportPage:
-    """Return the values of the template."""
-    is_joints = comparison.terms is JOINT_TERMS
-    groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
-    return ReportPage(
+        report=report,
+        terms=comparison.terms,
         facts=_build_facts(report, comparison),
-        answers=[
-            ("Faults", describe_faults(report, comparison)),
-            ("Changes", describe_changes(report, comparison)),
-            ("Remaining", describe_remaining(report, comparison)),
-            *(("Note", note) for note in report["notes"]),
-        ],
-        worst_frame=_build_worst_frame(comparison),
+        answers=[*((question, describe(report, comparison)) for question, describe in answers)]
+        + [("Note", note) for note in report["notes"]],
+        worst_frame=_describe_worst_frame(comparison),
         change_figures=build_change_figures(comparison),
-        change_legend=CHANGE_LEGEND,
-        curves_caption=JOINT_CURVES_CAPTION if is_joints else MARKER_CURVES_CAPTION,
-        frame_count=comparison.input_take.frame_count,
+        frame_count=take.frame_count,
         fault_rows=build_fault_rows(comparison),
-        fault_legend=tuple(each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]),
-        time_ticks=build_time_ticks(comparison.input_take),
+        fault_legend=[each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]],
+        time_ticks=build_time_ticks(take),
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
-        residual_curve_legend=RESIDUAL_CURVE_LEGEND,
-        contacts=build_contact_part(report.get("contacts"), comparison.contacts, comparison.input_take, comparison.terms),
+        contacts=build_contact_part(report.get("contacts"), comparison.contacts, take, comparison.terms),
         left_by_marker=build_left_list(report["fill"]["left_by_marker"], comparison),
         unfilled=build_unfilled_list(report["fill"]["unfilled"], comparison),
         unchanged=build_unchanged_list(comparison),
         changes=build_change_list(comparison),
-        review=_build_review_part(comparison),
-        solve=None if report["solve"] is None else _build_solve_part(report["solve"]),
-        subject=None if report["subject"] is None else _build_subject_part(report["subject"]),
-        stage_rows=[(stage, f"{seconds:.2f} s") for stage, seconds in report["seconds"].items()],
+        review_file=review_file,
+        review_command=shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]),
+        residual_bars=_build_error_bars(solve["marker_residual_mm"]["by_marker"]) if solve else [],
+        joint_bars=_build_error_bars(solve["joint_deviation_mm"]) if solve else [],
+        solve_text=_describe_solve(solve) if solve else "",
+        bone_bars=_build_bone_bars(subject["bones_m"]) if subject else [],
     )
 
 
@@ -245,8 +143,8 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
     return facts
 
 
-def _build_worst_frame(comparison: CleaningComparison) -> WorstFrame:
-    """Return the stick figures of the frame with the most corrections, with the affected markers in their captions."""
+def _describe_worst_frame(comparison: CleaningComparison) -> tuple[str, Figure, Figure]:
+    """Return which frame has the most corrections, and it before and after, with the affected markers in the captions."""
     before, after, points = comparison.input_take, comparison.cleaned_take, comparison.terms.points
     frame = find_worst_frame(comparison.sample_states, comparison.joint_position_world)
     outcome = comparison.sample_states[frame]
@@ -262,11 +160,11 @@ def _build_worst_frame(comparison: CleaningComparison) -> WorstFrame:
         + _list_markers("left empty", outcome == SampleOutcome.EMPTY, after)
     )
     svg_before, svg_after = draw_stick_figures(comparison, frame)
-    figures = (
+    return (
+        f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first.",
         Figure(svg_before, "Before:", text_before or f"all {points} are visible"),
         Figure(svg_after, "After:", text_after or "no corrections"),
     )
-    return WorstFrame(f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first.", figures)
 
 
 def _list_markers(state: str, mask: Bool[np.ndarray, " M"], take: Take) -> str:
@@ -276,34 +174,17 @@ def _list_markers(state: str, mask: Bool[np.ndarray, " M"], take: Take) -> str:
     return f"{len(labels)} {state}: {', '.join(labels[:MAX_CAPTION_MARKERS])}{more}. " if labels else ""
 
 
-def _build_review_part(comparison: CleaningComparison) -> ReviewPart:
-    take = comparison.input_take
-    review_file = f"{take.output_stem}.changes.yaml"
-    keep = f"leave the {comparison.terms.samples} as they are and use them in the solve"
-    name = take.path.name if take.path else "TAKE"
-    return ReviewPart(review_file, keep, shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]))
-
-
-def _build_solve_part(solve: SolveSection) -> SolvePart:
-    iterations = format_number(solve["iterations_mean"])
-    return SolvePart(
-        residual_legend=RESIDUAL_LEGEND,
-        residual_bars=_build_error_bars(solve["marker_residual_mm"]["by_marker"]),
-        joint_legend=JOINT_SD_LEGEND,
-        joint_bars=_build_error_bars(solve["joint_deviation_mm"]),
-        status_rows=[(f"{count:,}", text) for text, count in solve["status"].items() if count],
-        text=f"{iterations} iterations per frame on average; initial poses: {solve['start']}. {_describe_prior(solve)} "
-        f"Joints that the markers show: {len(solve['solved_joints'])} of {len(solve['joint_deviation_mm'])}.",
+def _describe_solve(solve: SolveSection) -> str:
+    """Return sentences on the iterations, on what occluded limbs are estimated from, and on the joints that markers show."""
+    prior = ""
+    if each := solve["prior"]:
+        scale = "" if each["scale"] == 1 else f", standard deviations multiplied by {each['scale']:g}"
+        prior = f" and the pose prior {each['name']}{scale}"
+    return (
+        f"{format_number(solve['iterations_mean'])} iterations per frame on average; initial poses: {solve['start']}. "
+        f"Occluded limbs are estimated from the motion in the rest of the take{prior}. "
+        f"Joints that the markers show: {len(solve['solved_joints'])} of {len(solve['joint_deviation_mm'])}."
     )
-
-
-def _describe_prior(solve: SolveSection) -> str:
-    """Return a sentence on what occluded limbs are estimated from."""
-    text = "Occluded limbs are estimated from the motion in the rest of the take"
-    if (prior := solve["prior"]) is None:
-        return f"{text}."
-    scale = "" if prior["scale"] == 1 else f", standard deviations multiplied by {prior['scale']:g}"
-    return f"{text} and the pose prior {prior['name']}{scale}."
 
 
 def _build_error_bars(summaries: Mapping[str, ErrorSummary]) -> list[BarRow]:
@@ -320,12 +201,10 @@ def _build_error_bars(summaries: Mapping[str, ErrorSummary]) -> list[BarRow]:
     ]
 
 
-def _build_subject_part(subject: SubjectSection) -> SubjectPart:
-    limit_m = max([*subject["bones_m"].values(), MIN_BAR_SCALE])
-    bars = [
+def _build_bone_bars(bones_m: Mapping[str, float]) -> list[BarRow]:
+    limit_m = max([*bones_m.values(), MIN_BAR_SCALE])
+    return [
         BarRow(name, (("high", length / limit_m),), f"{format_number(CM_PER_M * length)} cm")
-        for name, length in subject["bones_m"].items()
+        for name, length in bones_m.items()
         if length > 0
     ]
-    source = f"calibrated on {subject['frames']:,} frames" if subject["frames"] else "of a nominal body"
-    return SubjectPart(f"Bone lengths, {source}; marker set {subject['marker_set']}.", bars)

@@ -58,12 +58,12 @@ class Outline(HTMLParser):
 def test_failures_are_on_top_with_their_sentence(tmp_path: Path) -> None:
     records = [build_done("a.c3d"), build_failed("z.c3d", "z.c3d: is no C3D file."), build_failed("b.c3d", "b hangs.", "timeout")]
     page = build_session_page(records)
-    assert [(row.take, row.reason, row.error) for row in page.failures] == [
+    assert [(row.take, row.reason, row.error) for row in page["failures"]] == [
         ("b.c3d", "timeout", "b hangs."),
         ("z.c3d", "error", "z.c3d: is no C3D file."),
     ]
-    assert [row.take for row in page.rows] == ["b.c3d", "z.c3d", "a.c3d"]
-    assert page.failure_text == "2 failed: 1 error and 1 timeout"
+    assert [row.take for row in page["rows"]] == ["b.c3d", "z.c3d", "a.c3d"]
+    assert page["failure_text"] == "2 failed: 1 error and 1 timeout"
     text = write_session_page(tmp_path, records).read_text(encoding="utf-8")
     assert text.index("z.c3d: is no C3D file.") < text.index('id="takes"')
     assert text.index("Failed takes") < text.index("<h2>Takes</h2>")
@@ -79,7 +79,7 @@ def test_title_is_that_of_the_session_or_the_name_of_the_folder(tmp_path: Path, 
 
 def test_totals_are_those_of_all_takes() -> None:
     page = build_session_page([build_done("a.c3d"), build_done("b.c3d", "Jim", "Ann"), build_failed("c.c3d")])
-    facts = {text: value for value, text in page.facts}
+    facts = {text: value for value, text in page["facts"]}
     assert facts["of 3 takes done"] == "2"
     assert facts["failed"] == "1"
     assert facts["of motion, h:min:s"] == "0:00:20"
@@ -113,7 +113,7 @@ def test_links_lead_to_the_files_of_the_subject(tmp_path: Path) -> None:
     assert not any(set(address) & set("?#:& ") for address in outline.addresses)
     assert set(select_subject_outputs(record, "Jim")) == {"c3d", "Jim.bvh", "Jim.report.html"}
     assert set(select_subject_outputs(record, "Jim.2")) == {"c3d", "Jim.2.bvh", "Jim.2.report.html"}
-    (first, second) = (row.report for row in build_session_page([record]).rows)
+    (first, second) = (row.report for row in build_session_page([record])["rows"])
     assert first.endswith(".Jim.report.html")
     assert second.endswith(".Jim.2.report.html")
 
@@ -165,7 +165,7 @@ def test_picture_of_a_cleaned_take_is_shown(tmp_path: Path) -> None:
 def test_unknown_figures_are_dashes() -> None:
     unknown = {"worst_predicted_error_mm": None, "residual_mm": None, "sample_count": 0, "missing_before": 0, "fault_counts": {}}
     record = build_done("a.c3d").model_copy(update={"subjects": (build_figures("", **unknown),)})
-    (row,) = build_session_page([record]).rows
+    (row,) = build_session_page([record])["rows"]
     assert row.numbers[1] == "0.0"
     assert row.numbers[6:8] == ("–", "–")
     assert row.faults == "0"
