@@ -155,20 +155,32 @@ def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correct
 
     Raises SceneError if the take does not have the markers or the frames.
     """
-    trajectories = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
-    index_by_label = {take.get_label(index): index for index in reversed(range(trajectories))}  # the first of equal labels
-    if unknown := [label for label in entry.markers if label not in index_by_label]:
-        raise SceneError(f"{place}.markers: {take.name} has no marker {format_name_list(unknown)}.")
-    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
-    if not first <= entry.first <= entry.last <= last:
-        raise SceneError(f"{place}: frames {entry.first} to {entry.last} are not in {take.name}, which has {first} to {last}.")
-    markers = tuple(index_by_label[label] for label in entry.markers)
+    markers, first, last = _locate_entry(entry, take, _index_labels(take), place)
     labelled = markers[:1] if entry.kind == "assign" else markers
     if any(marker >= len(take.labels) for marker in labelled):
         raise SceneError(f"{place}.markers: {entry.kind} must name labelled markers; assign gives a trajectory to a marker.")
     if entry.kind == "assign" and markers[1] < len(take.labels):
         raise SceneError(f"{place}.markers: {entry.markers[1]} is a labelled marker; exchange labels with swap.")
-    return Correction(entry, markers, entry.first - first, entry.last - first)
+    return Correction(entry, markers, first, last)
+
+
+def _index_labels(take: Take, all_labels: Sequence[str] = ()) -> dict[str, int]:
+    """Return the trajectory of each label: markers, unlabelled trajectories, and after these the labels of other subjects."""
+    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    index_by_label = {label: count + index for index, label in enumerate(all_labels)}
+    return index_by_label | {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
+
+
+def _locate_entry(
+    entry: CorrectionModel | ChangeModel, take: Take, index_by_label: Mapping[str, int], place: str
+) -> tuple[tuple[int, ...], int, int]:
+    """Return the indices of the markers and of the first and last frame of an entry. Raises SceneError if there are none."""
+    if unknown := [label for label in entry.markers if label not in index_by_label]:
+        raise SceneError(f"{place}.markers: {take.name} has no marker {format_name_list(unknown)}.")
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    if not first <= entry.first <= entry.last <= last:
+        raise SceneError(f"{place}: frames {entry.first} to {entry.last} are not in {take.name}, which has {first} to {last}.")
+    return tuple(index_by_label[label] for label in entry.markers), entry.first - first, entry.last - first
 
 
 def build_corrected_label_mask(corrections: Sequence[Correction], shape: tuple[int, int]) -> Bool[np.ndarray, "T M"]:
@@ -200,7 +212,8 @@ class ReviewedChange:
 
     def matches(self, fault: Fault) -> bool:
         """Return whether the change corrected this fault: the same kind and marker, and overlapping frames."""
-        return fault.kind == self.entry.kind and fault.marker == self.markers[0] and self._overlaps(fault)
+        is_same = fault.kind == self.entry.kind and fault.marker == self.markers[0]
+        return is_same and fault.first <= self.last and self.first <= fault.last
 
     def keeps(self, fault: Fault) -> bool:
         """Return whether the review declares the samples of this fault correct."""
@@ -212,25 +225,9 @@ class ReviewedChange:
 
     def to_change(self) -> Change:
         """Return the change with its decision, as an entry of a report in which it is not applied."""
-        entry = self.entry
-        state = SampleState(entry.before.missing, entry.before.off_body_mm)
-        return Change(
-            id=entry.id,
-            kind=entry.kind,
-            markers=tuple(entry.markers),
-            first=entry.first,
-            last=entry.last,
-            samples=0,
-            why=entry.why,
-            method=entry.method,
-            before=state,
-            after=state,
-            predicted_mm=entry.predicted_mm,
-            decision=entry.decision,
-        )
-
-    def _overlaps(self, fault: Fault) -> bool:
-        return fault.first <= self.last and self.first <= fault.last
+        fields = self.entry.model_dump(exclude={"reviewed", "note"})
+        state = SampleState(**fields["before"])
+        return Change(**fields | {"markers": tuple(self.entry.markers), "samples": 0, "before": state, "after": state})
 
 
 class ReviewIndex:
@@ -383,22 +380,13 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
         raise SceneError(
             f"{path}: frames: the file is for frames {file.frames[0]} to {file.frames[1]}; {take.name} has {first} to {last}."
         )
-    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
-    index_by_label = {label: count + index for index, label in enumerate(all_labels)}
-    index_by_label |= {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
-    declined: list[ReviewedChange] = []
-    for n, entry in enumerate(file.changes):
-        if unknown := [label for label in entry.markers if label not in index_by_label]:
-            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {format_name_list(unknown)}.")
-        if not first <= entry.first <= entry.last <= last:
-            raise SceneError(f"{path}: changes.{n}: frames {entry.first} to {entry.last} are not in {take.name}.")
-        if entry.decision != "accept":
-            markers = tuple(index_by_label[label] for label in entry.markers)
-            declined.append(ReviewedChange(entry, markers, entry.first - first, entry.last - first))
+    index_by_label = _index_labels(take, all_labels)
+    located = [(each, _locate_entry(each, take, index_by_label, f"{path}: changes.{n}")) for n, each in enumerate(file.changes)]
+    declined = tuple(ReviewedChange(each, *places) for each, places in located if each.decision != "accept")
     corrections = (locate_correction(entry, take, f"{path}: corrections.{n}") for n, entry in enumerate(file.corrections))
     reviewed_ids = frozenset(entry.id for entry in file.changes if entry.reviewed)
     notes = {entry.id: entry.note for entry in file.changes if entry.note}
-    return Review(tuple(declined), tuple(corrections), reviewed_ids, notes)
+    return Review(declined, tuple(corrections), reviewed_ids, notes)
 
 
 def build_review_filter(take: Take, review: Review) -> Callable[[Fault], bool]:

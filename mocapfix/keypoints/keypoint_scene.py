@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from jaxtyping import Float, Int
 from markupsafe import Markup
 from pydantic import Field, PositiveFloat
@@ -144,9 +146,6 @@ def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
 
     Raises WriteError if `target` cannot be written.
     """
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     found, frames = film.confidence > 0, np.arange(len(film.joint_position_world))
     time = [rr.TimeColumn("time", duration=frames / film.rate_hz), rr.TimeColumn("frame", sequence=frames)]
     opacity = np.round(255 * film.confidence[found])[:, None]

@@ -10,28 +10,24 @@ Entities:
     state/LABEL           outcome of each sample, for the markers with the most changes
     missing/before|after  number of missing markers
     error/LABEL           distance of the marker from the body in millimetres, for the markers with the largest distances
-
-and those of contacts with the floor (see mocapfix.report.recording).
+    world/contacts        joints while they are in contact with the floor: orange, pale where the contact is inferred
+    world/floor/N         a grid on each level of the floor, around the places at which joints are in contact with it
+    contacts/left-heel    when each joint is in contact, as a lane of states
+    events                events of gait, as a log
 
 All data are sent as whole columns: strips in lists, or one call per frame, take about a hundred times longer. A frame without
 markers is a row without points; without such a row rerun keeps showing the previous frame.
-
-Contacts with the floor in a rerun recording.
-
-Entities:
-
-    world/contacts       joints while they are in contact: orange, pale where the contact is inferred
-    world/floor/N        a grid on each level of the floor, around the places at which joints are in contact with it
-    contacts/left-heel   when each joint is in contact, as a lane of states
-    events               events of gait, as a log
 """
 
 import errno
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, Int, UInt32
 
 from mocapfix.contacts.contacts import BodyContacts, Floor
@@ -50,11 +46,6 @@ from mocapfix.report.sample_states import (
 )
 from mocapfix.report.timeline import CONTACT_NAMES
 
-if TYPE_CHECKING:
-    import rerun as rr
-    import rerun.blueprint as rrb
-
-
 CONTACT_COLOUR = 0xFF9F40FF
 INFERRED_CONTACT_COLOUR = 0xFFD9B0FF
 FLOOR_COLOUR = 0x59636EFF
@@ -69,20 +60,7 @@ CONTACT_STATES = ("none", "inferred", "contact")
 STATE_RGBA = np.array([0x333A43FF, INFERRED_CONTACT_COLOUR, CONTACT_COLOUR], np.uint32)
 
 
-@runtime_checkable
-class TakeRecording(Protocol):
-    """A recording with the time columns of a take."""
-
-    recording: "rr.RecordingStream"
-    time_s: Float[np.ndarray, " T"]
-    frame_numbers: Int[np.ndarray, " T"]
-
-    def send_columns(self, path: str, columns: "rr.ComponentColumnList", frames: slice | np.ndarray = ...) -> None:
-        """Send columns with one row for each of `frames`."""
-        ...
-
-
-def log_contacts(writer: TakeRecording, contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
+def log_contacts(writer: "_RecordingWriter", contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
     """Log the contacts, whose joints are at `position` (T, C, 3) in metres, the floor and the events."""
     _log_contact_points(writer, contacts, position)
     for level, lines in enumerate(build_floor_grids(contacts, position)):
@@ -91,9 +69,7 @@ def log_contacts(writer: TakeRecording, contacts: BodyContacts, position: Float[
     _log_events(writer, contacts)
 
 
-def _log_contact_points(writer: TakeRecording, contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
-    import rerun as rr
-
+def _log_contact_points(writer: "_RecordingWriter", contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
     is_contact = contacts.is_contact & np.isfinite(position).all(-1)
     colours = np.where(contacts.is_known, CONTACT_COLOUR, INFERRED_CONTACT_COLOUR).astype(np.uint32)
     columns = rr.Points3D.columns(positions=position[is_contact].astype(np.float32), colors=colours[is_contact])
@@ -101,9 +77,7 @@ def _log_contact_points(writer: TakeRecording, contacts: BodyContacts, position:
     writer.send_columns("world/contacts", columns.partition(is_contact.sum(axis=1)))
 
 
-def _log_floor(writer: TakeRecording, path: str, lines: Float[np.ndarray, "N 2 3"]) -> None:
-    import rerun as rr
-
+def _log_floor(writer: "_RecordingWriter", path: str, lines: Float[np.ndarray, "N 2 3"]) -> None:
     strips = rr.LineStrips3D(lines.astype(np.float32), radii=FLOOR_LINE_RADIUS_M, colors=np.uint32(FLOOR_COLOUR))
     writer.recording.log(path, strips, static=True)
 
@@ -135,10 +109,8 @@ def _build_grid(floor: Floor, level: int, points: Float[np.ndarray, "P 3"]) -> F
     return np.stack([ends[..., 0], height, ends[..., 1]], axis=-1)
 
 
-def _log_contact_states(writer: TakeRecording, contacts: BodyContacts) -> None:
+def _log_contact_states(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
     """Log the changes of state of each joint that is ever in contact."""
-    import rerun as rr
-
     style = rr.StateConfiguration(values=CONTACT_STATES, labels=(" ", *CONTACT_STATES[1:]), colors=STATE_RGBA)
     for column in np.flatnonzero(contacts.is_contact.any(0)):
         state = np.where(contacts.is_contact[:, column], 1 + contacts.is_known[:, column], 0)
@@ -148,9 +120,7 @@ def _log_contact_states(writer: TakeRecording, contacts: BodyContacts) -> None:
         writer.send_columns(path, rr.StateChange.columns(state=[CONTACT_STATES[s] for s in state[starts]]), starts)
 
 
-def _log_events(writer: TakeRecording, contacts: BodyContacts) -> None:
-    import rerun as rr
-
+def _log_events(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
     if not contacts.events:
         return
     time_s = np.array([event.time_s for event in contacts.events])
@@ -161,10 +131,8 @@ def _log_events(writer: TakeRecording, contacts: BodyContacts) -> None:
     rr.send_columns("events", times, columns, recording=writer.recording)
 
 
-def build_contact_views(contacts: BodyContacts) -> "list[rrb.View]":
+def build_contact_views(contacts: BodyContacts) -> list[rrb.View]:
     """Return the views of the contacts' lanes and of the events, as far as there are any."""
-    import rerun.blueprint as rrb
-
     views: list[rrb.View] = []
     if contacts.is_contact.any():
         views.append(rrb.StateTimelineView(origin="contacts", name="Contacts with the floor"))
@@ -205,8 +173,6 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
 
     Raises WriteError if `target` cannot be written.
     """
-    import rerun as rr
-
     with replace_atomically(target) as part:
         recording = rr.RecordingStream("mocapfix")
         try:
@@ -239,9 +205,7 @@ def check_recording_complete(path: Path) -> None:
 class _RecordingWriter:
     """A recording with the time columns of a take and unique names of its trajectories."""
 
-    def __init__(self, recording: "rr.RecordingStream", take: Take):
-        import rerun as rr
-
+    def __init__(self, recording: rr.RecordingStream, take: Take):
         self.recording = recording
         self.time_s = np.arange(take.frame_count) / take.rate
         self.frame_numbers = take.first_frame + np.arange(take.frame_count)
@@ -251,10 +215,8 @@ class _RecordingWriter:
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
-    def send_columns(self, path: str, columns: "rr.ComponentColumnList", frames: slice | np.ndarray = slice(None)) -> None:
+    def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
         """Send columns with one row for each of `frames`."""
-        import rerun as rr
-
         times = [
             rr.TimeColumn("time", duration=self.time_s[frames]),
             rr.TimeColumn("frame", sequence=self.frame_numbers[frames]),
@@ -279,8 +241,6 @@ class _RecordingWriter:
         self._log_points("world/after", after, _select_colours(CLEANED_COLOUR, masks), CLEANED_POINT_RADIUS_M)
 
     def _log_points(self, path: str, take: Take, colours: UInt32[np.ndarray, "T M"], radius_m: float, first_id: int = 0) -> None:
-        import rerun as rr
-
         visible = take.visible
         marker = np.broadcast_to(np.arange(first_id, first_id + visible.shape[1], dtype=np.uint16), visible.shape)
         positions = take.markers[visible].astype(np.float32)
@@ -290,8 +250,6 @@ class _RecordingWriter:
 
     def log_skeleton(self, skeleton: Skeleton, joint_position_world: Float[np.ndarray, "T J 3"]) -> None:
         """Log one line from each joint to its parent, in the frames where both are known."""
-        import rerun as rr
-
         child = np.flatnonzero(skeleton.parents >= 0)
         parent = skeleton.parents[child]
         bones = np.stack([joint_position_world[:, parent], joint_position_world[:, child]], axis=2)
@@ -303,8 +261,6 @@ class _RecordingWriter:
 
     def log_sample_states(self, outcome: Int[np.ndarray, "T M"]) -> None:
         """Log the changes of state of the markers with the most samples that are not simply measured."""
-        import rerun as rr
-
         names = [each.label for each in SampleOutcome]
         style = rr.StateConfiguration(
             values=names, labels=(" ", *names[1:]), colors=[_convert_to_rgba(colour) for colour in STATE_COLOURS]
@@ -319,8 +275,6 @@ class _RecordingWriter:
 
     def log_missing_counts(self, input_take: Take, cleaned_take: Take) -> None:
         """Log the number of missing markers per frame, before and after."""
-        import rerun as rr
-
         for name, take, colour in (("before", input_take, RED), ("after", cleaned_take, GREEN)):
             style = rr.SeriesLines(colors=_convert_to_rgba(colour), widths=2, names=name)
             self.recording.log(f"missing/{name}", style, static=True)
@@ -328,8 +282,6 @@ class _RecordingWriter:
 
     def log_residuals(self, residual_m: Float[np.ndarray, "T M"]) -> None:
         """Log the distance from the body of the markers with the largest 95th percentiles."""
-        import rerun as rr
-
         known = np.flatnonzero(np.isfinite(residual_m).any(axis=0))
         worst = known[np.argsort(-np.nanpercentile(residual_m[:, known], 95, axis=0))]
         for m, colour in zip(worst, RESIDUAL_CURVE_COLOURS, strict=False):
@@ -339,10 +291,8 @@ class _RecordingWriter:
             self.send_columns(path, rr.Scalars.columns(scalars=residual_m[:, m] * 1e3))
 
 
-def build_blueprint(comparison: CleaningComparison) -> "rrb.Blueprint":
+def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
     """Return the blueprint of the recording: a 3-D view of the whole take beside plots of its markers."""
-    import rerun.blueprint as rrb
-
     position_world = comparison.cleaned_take.markers
     if comparison.joint_position_world is not None:
         position_world = np.concatenate([position_world, comparison.joint_position_world], axis=1)
@@ -399,9 +349,6 @@ def _convert_to_rgba(colour: str) -> np.uint32:
 
 def _build_strips(lines: Float[np.ndarray, "N 2 3"]) -> Any:
     """Return straight lines as an Arrow array in rerun's type. Its own conversion of an array calls Python once for each line."""
-    import pyarrow as pa
-    import rerun as rr
-
     if not len(lines):
         return rr.components.LineStrip3DBatch(lines).as_arrow_array()
     strip_type = rr.components.LineStrip3DBatch(lines[:1]).as_arrow_array().type
