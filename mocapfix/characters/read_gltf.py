@@ -27,17 +27,22 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, build_bone_mapping, compute_tail
-from mocapfix.characters.gltf_nodes import (
+from mocapfix.characters.limb_geometry import find_side_twists
+from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.gltf import (
+    MAX_GLB_BYTES,
+    GlbContent,
     GltfNodes,
     are_numbers,
+    build_glb,
     compute_bone_transforms,
+    is_glb,
+    parse_glb,
+    parse_gltf_document,
     read_gltf_nodes,
     read_index,
     read_indices,
 )
-from mocapfix.characters.limb_geometry import find_side_twists
-from mocapfix.errors import ReadError, SceneError
-from mocapfix.io.glb import MAX_GLB_BYTES, GlbContent, build_glb, is_glb, parse_glb, parse_gltf_document
 
 ALIGNMENT_BYTES = 16
 """of a buffer that is appended to another: enough for every component and for compressed data"""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocapfix.errors import ReadError, TakeError
-from mocapfix.io import amc, bvh, c3d, keypoint_json, motive, nexus, plain_csv, qualisys, trc
+from mocapfix.io import asf_amc, bvh, c3d, keypoint_json, trc_csv, vendor_tables
 from mocapfix.io.file_content import BYTE_ORDER_MARK, LEADING_COMMENTS_PATTERN, decode_text, read_file_bytes
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
@@ -37,15 +37,15 @@ class FileFormat(NamedTuple):
 # A file is read as the first format that matches.
 FILE_FORMATS = (
     FileFormat("C3D", c3d.is_c3d, c3d.read_c3d),
-    FileFormat("TRC", trc.is_trc, trc.read_trc),
-    FileFormat("Motive CSV", motive.is_motive_csv, motive.read_motive_csv),
-    FileFormat("Motive CSV 1.1", motive.is_motive_rows_csv, motive.read_motive_rows_csv),
-    FileFormat("Nexus CSV", nexus.is_nexus_csv, nexus.read_nexus_csv),
-    FileFormat("Qualisys TSV", qualisys.is_qualisys_tsv, qualisys.read_qualisys_tsv),
-    FileFormat("plain CSV", plain_csv.is_plain_csv, plain_csv.read_plain_csv),
+    FileFormat("TRC", trc_csv.is_trc, trc_csv.read_trc),
+    FileFormat("Motive CSV", vendor_tables.is_motive_csv, vendor_tables.read_motive_csv),
+    FileFormat("Motive CSV 1.1", vendor_tables.is_motive_rows_csv, vendor_tables.read_motive_rows_csv),
+    FileFormat("Nexus CSV", vendor_tables.is_nexus_csv, vendor_tables.read_nexus_csv),
+    FileFormat("Qualisys TSV", vendor_tables.is_qualisys_tsv, vendor_tables.read_qualisys_tsv),
+    FileFormat("plain CSV", trc_csv.is_plain_csv, trc_csv.read_plain_csv),
     FileFormat("JSON of 3-D keypoints", keypoint_json.is_keypoint_json, keypoint_json.read_keypoint_json),
     FileFormat("BVH", bvh.is_bvh, bvh.read_bvh),
-    FileFormat("ASF/AMC", amc.is_asf_or_amc, amc.read_amc_motion),
+    FileFormat("ASF/AMC", asf_amc.is_asf_or_amc, asf_amc.read_amc_motion),
 )
 
 

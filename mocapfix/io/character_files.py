@@ -1,44 +1,22 @@
 """Write the motion of a character beside the other outputs: GLB, BVH, NPZ, on request FBX, and its mapping of bones as YAML.
 
-What the writers of characters ask of its bones: which move, how long the legs are, and the unit of a position.
+The GLB is the user's own file, or has a test skin for a character without mesh. In the user's file, mesh, skin, materials,
+existing animations and everything unknown stay as they are: the animation is appended to the document, and its arrays to the
+binary chunk behind the old bytes. FBX is written by Blender in a process of its own: nothing else writes a current FBX from open
+source.
 
-Write the motion of a character as binary glTF: into the user's own file, or with a test skin for a character without mesh.
-
-In the user's file, mesh, skin, materials, existing animations and everything unknown stay as they are: the animation is appended
-to the document, and its arrays to the binary chunk behind the old bytes.
-
-Write the motion of a character as NumPy arrays (.npz) for other programs: `np.load("walk.character.npz")`, without pickle.
-
-Metres, seconds, Y up, right-handed; quaternions x, y, z, w. With T frames and J bones, parents before children:
-
-    format              "mocapfix character 1"
-    units               a sentence that states the units
-    character           the character's name
-    rate                frames per second
-    names (J,)          bones;  parents (J,), -1 for roots
-    scales (J,)         metres in a unit of the character's file along each bone's own axes;  root_scale that of roots
-    rest_positions (J, 3)   head of each bone in its parent's axes (of a root in the world), in the rest pose
-    rest_rotations (J, 4)   axes of each bone to its parent's (of a root to the world's), in the rest pose
-    tails (J, 3)        tail of each bone in its own axes, NaN where it has none
-    pelvis              name of the pelvis bone
-    pelvis_position (T, 3)  its head in its parent's axes (of a root in the world); all other bones keep their rest_positions
-    rotations (T, J, 4) axes of each bone to its parent's, without sign flips: in the rest pose these are rest_rotations
-    is_moved (J,)       whether the bone belongs to a segment of the body or moves; the others keep the rest pose
-    segments (S,)       segments of the body;  segment_bones (S,) the names of their bones from the pelvis outwards, separated by
-                        line feeds
-
-The pose in the world follows from the root downwards: a bone's axes are those of its parent times its own rotation, its head is
-its parent's head plus the parent's axes times its position.
-
-Write the motion of a character as BVH, with its own bones.
-
-BVH has no rest rotations. They are folded into the offsets: with all angles zero the bones are in the rest pose of the character,
-and their axes are those of the world. Y is up. The unit is that in which the character's file gives the position of the pelvis,
-or centimetres if that is none of metres, centimetres, millimetres and inches.
+The BVH has the character's own bones. BVH has no rest rotations. They are folded into the offsets: with all angles zero the bones
+are in the rest pose of the character, and their axes are those of the world. Y is up. The unit is that in which the character's
+file gives the position of the pelvis, or centimetres if that is none of metres, centimetres, millimetres and inches.
 """
 
+import importlib.util
+import os
 import re
-from collections.abc import Iterable
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,12 +36,11 @@ from mocapfix.characters.character import (
 from mocapfix.characters.character_yaml import write_mapping_file
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
-from mocapfix.io.fbx import write_character_fbx
 from mocapfix.io.files import make_scratch_folder, replace_atomically
-from mocapfix.io.glb import GLTF_ASSET, GlbContent, GltfBuffer, build_glb, parse_glb
-from mocapfix.io.gltf import add_animation, add_test_skin
-from mocapfix.kernels import lie as quaternions
+from mocapfix.io.gltf import GLTF_ASSET, GlbContent, GltfBuffer, add_animation, add_test_skin, build_glb, parse_glb
+from mocapfix.io.npz import write_character_npz
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 
@@ -167,40 +144,6 @@ def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
     return next(candidate for candidate in candidates if candidate not in used)
 
 
-CHARACTER_NPZ_FORMAT = "mocapfix character 1"
-CHARACTER_NPZ_UNITS = "metres, seconds; Y up, right-handed; quaternions x, y, z, w; rotations to the parent's axes"
-
-
-def write_character_npz(target: Path, character: Character, motion: CharacterMotion) -> None:
-    """Write the motion of a character. Raises WriteError if `target` is not writable."""
-    bones, is_known = range(len(character.names)), np.ones(motion.frame_count, bool)
-    rotations = [quaternions.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones]
-    segments = [segment for segment, chain in character.mapping.bones.items() if chain]
-    arrays = {
-        "format": np.array(CHARACTER_NPZ_FORMAT),
-        "units": np.array(CHARACTER_NPZ_UNITS),
-        "character": np.array(character.name),
-        "rate": np.array(float(motion.rate)),
-        "names": np.array(character.names),
-        "parents": character.parents,
-        "scales": character.scales,
-        "root_scale": np.array(float(character.root_scale)),
-        "rest_positions": character.rest_positions,
-        "rest_rotations": Rotation.from_matrix(character.rest_rotations).as_quat(),
-        "tails": character.tails,
-        "pelvis": np.array(character.names[character.mapping.bones["pelvis"][0]]),
-        "pelvis_position": motion.pelvis_position,
-        "rotations": np.stack(rotations, axis=1),
-        "is_moved": np.isin(np.arange(len(character.names)), list_moving_bones(character, motion)),
-        "segments": np.array(segments),
-        "segment_bones": np.array(
-            ["\n".join(character.names[bone] for bone in character.mapping.bones[segment]) for segment in segments]
-        ),
-    }
-    with replace_atomically(Path(target)) as part, part.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-
-
 BVH_UNITS_M = (1.0, 0.01, 0.001, 0.0254)
 UNIT_TOLERANCE = 1e-4
 """relative difference from one of BVH_UNITS_M, up to which a scale is that unit"""
@@ -290,6 +233,101 @@ def _choose_unit(character: Character) -> float:
     return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
+BLENDER_VARIABLE = "MOCAPFIX_BLENDER"
+"""names an executable of Blender, or of a Python that has the module bpy"""
+BLENDER_TIMEOUT_S = 300.0
+EXPORT_SCRIPT = Path(__file__).with_name("fbx_export.py")
+MAX_ERROR_CHARACTERS = 200
+"""of Blender's own message, in ours"""
+
+
+def find_blender() -> list[str] | None:
+    """Return the beginning of a command that runs a script in Blender; None without Blender.
+
+    In this order: what the variable MOCAPFIX_BLENDER names, this Python if it has bpy, `blender` on the search path.
+    """
+    given = os.environ.get(BLENDER_VARIABLE)
+    if given:
+        return _build_command(given)
+    if importlib.util.find_spec("bpy"):
+        return [sys.executable]
+    found = shutil.which("blender")
+    return _build_command(found) if found else None
+
+
+def _build_command(executable: str) -> list[str]:
+    if Path(executable).name.lower().startswith("python"):
+        return [executable]
+    return [executable, "--background", "--factory-startup", "--python-exit-code", "1", "--python"]
+
+
+def write_character_fbx(target: Path, glb_path: Path, rate: float) -> str | None:
+    """Write FBX from a GLB of `write_character_glb`: its mesh, bones and last animation, a key in every frame.
+
+    Args:
+        target: The file.
+        glb_path: The GLB.
+        rate: Frames per second.
+
+    Returns:
+        A sentence why no file was written, None if it was: an FBX that is missing is no reason to fail a whole cleaning.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    command = find_blender()
+    if command is None:
+        remedy = f"install it, or set {BLENDER_VARIABLE} to its executable"
+        return f"{target.name} was not written, because FBX needs Blender and it was not found; {remedy}."
+    with make_scratch_folder() as folder:
+        source, exported = folder / "character.glb", folder / "character.fbx"
+        data, name = _select_last_animation(glb_path)
+        source.write_bytes(data)
+        problem = _run_blender(command, [str(source), str(exported), repr(float(rate)), name])
+        if problem is None and not exported.exists():
+            problem = "Blender wrote no file"
+        if problem:
+            return f"{target.name} was not written: {problem}."
+        with replace_atomically(target) as part:
+            part.write_bytes(exported.read_bytes())
+    return None
+
+
+def _select_last_animation(glb_path: Path) -> tuple[bytes, str]:
+    """Return the bytes of a GLB with its last animation alone, so that Blender does not choose another one, and its name."""
+    try:
+        content = parse_glb(glb_path, glb_path.read_bytes())
+    except OSError as error:
+        raise WriteError(f"{glb_path}: cannot be read ({error.strerror}), so no FBX can be written.") from error
+    animation = content.document["animations"][-1]
+    document = content.document | {"animations": [animation]}
+    return build_glb(GlbContent(document, content.binary, content.other_chunks)), animation["name"]
+
+
+def _run_blender(command: Sequence[str], arguments: Sequence[str]) -> str | None:
+    """Run the script in Blender. Return what went wrong as the end of a sentence, None if nothing did."""
+    separator = [] if len(command) == 1 else ["--"]
+    is_own_python = command[0] == sys.executable
+    environment = {key: value for key, value in os.environ.items() if is_own_python or not key.startswith("PYTHON")}
+    try:
+        done = subprocess.run(
+            [*command, str(EXPORT_SCRIPT), *separator, *arguments],
+            env=environment,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=BLENDER_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"Blender did not end within {BLENDER_TIMEOUT_S:g} s"
+    except OSError as error:
+        return f"{command[0]} cannot be started ({error.strerror}); check {BLENDER_VARIABLE}"
+    if done.returncode == 0:
+        return None
+    lines = [line.strip() for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()]
+    return f"Blender failed ({(lines or ['no message'])[-1][:MAX_ERROR_CHARACTERS].rstrip('.')})"
+
+
 CHARACTER_SUFFIXES = ("glb", "bvh", "npz", "map.yaml")
 FBX_SUFFIX = "fbx"
 
@@ -326,7 +364,8 @@ class CharacterFiles:
         source = build_cmu31_character(skeleton)
         retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
         write_character_bvh(target.with_suffix(".bvh"), character, retargeted)
-        write_character_npz(target.with_suffix(".npz"), character, retargeted)
+        moving_bones = list_moving_bones(character, retargeted)
+        write_character_npz(target.with_suffix(".npz"), character, retargeted, moving_bones)
         write_mapping_file(target.with_suffix(".map.yaml"), character)
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]

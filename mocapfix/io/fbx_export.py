@@ -1,4 +1,4 @@
-"""Run by Blender: import a GLB with one animation and export it as FBX. `fbx.py` starts it in a process of its own.
+"""Run by Blender: import a GLB with one animation and export it as FBX. `character_files.py` starts it in a process of its own.
 
     python fbx_export.py IN.glb OUT.fbx RATE NAME
     blender --background --factory-startup --python fbx_export.py -- IN.glb OUT.fbx RATE NAME

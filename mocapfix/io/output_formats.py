@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io import rig
-from mocapfix.io.amc import write_asf_amc
+from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
 from mocapfix.io.c3d_writer import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, write_changes_file
@@ -29,7 +29,8 @@ from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
 from mocapfix.io.resampling import FRAME_TOLERANCE, resample_motion
 from mocapfix.io.rig import Rig
-from mocapfix.io.source_file import append_computed_points, write_csv, write_trc
+from mocapfix.io.source_file import append_computed_points
+from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject

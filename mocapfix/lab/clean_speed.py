@@ -36,7 +36,7 @@ from jaxtyping import Bool
 import mocapfix
 from mocapfix import synthetic
 from mocapfix.io import bvh, capture, rig
-from mocapfix.io.amc import write_asf_amc
+from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
 from mocapfix.io.capture import read_take
 from mocapfix.io.gltf import write_gltf

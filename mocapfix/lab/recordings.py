@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animations.joint_mapping import map_joints
 from mocapfix.animations.retarget import align_skeleton, convert_to_cmu31
 from mocapfix.errors import ReadError
-from mocapfix.io.amc import read_amc
+from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import read_bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body

@@ -15,8 +15,8 @@ from mocapfix import pipeline, synthetic
 from mocapfix.animations.clean import AnimationResult, find_body
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
-from mocapfix.io import amc, bvh
-from mocapfix.io.amc import write_asf_amc
+from mocapfix.io import asf_amc, bvh
+from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.io.patches import patch_animation
@@ -297,7 +297,7 @@ def test_amc_is_written_with_its_asf(walk, tmp_path):
     assert outputs["asf"].read_bytes() == (tmp_path / "walk.asf").read_bytes()
     kinds = {(each.kind, each.first) for each in result.changes}
     assert ("pop", 330 + 6) in kinds
-    before, after = (amc.read_amc(path) for path in (tmp_path / "walk.amc", outputs["amc"]))
+    before, after = (asf_amc.read_amc(path) for path in (tmp_path / "walk.amc", outputs["amc"]))
     changed = np.flatnonzero((before.values != after.values).any(1)) + 1
     assert set(changed) <= {frame for _, first, last, _ in DAMAGE for frame in range(first, last + 1)}
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.joint_mapping import find_descendants, map_joints
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, compute_file_rotation, convert_to_cmu31
-from mocapfix.io import amc, bvh
+from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.stats.rigid_alignment import compose_transforms
@@ -117,7 +117,7 @@ def test_random_poses_are_converted_and_back(seed: int):
 @pytest.mark.skipif(not FILES, reason="the real captures are not here")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_captures_are_converted_and_back(path: Path):
-    capture = bvh.read_bvh(path) if path.suffix == ".bvh" else amc.read_amc(path)
+    capture = bvh.read_bvh(path) if path.suffix == ".bvh" else asf_amc.read_amc(path)
     check_round_trip(capture.replace_values(capture.values[:: max(1, capture.frame_count // 50)]))
 
 

@@ -11,7 +11,7 @@ import pygltflib
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character, CharacterMotion
-from mocapfix.io.glb import GlbContent, build_glb, parse_glb
+from mocapfix.io.gltf import GlbContent, build_glb, parse_glb
 from tests.io.read_back import smooth_rotations
 
 SIDES = (("Left", 1.0), ("Right", -1.0))

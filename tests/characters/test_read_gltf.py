@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.load_character import read_character, read_character_skeletons
 from mocapfix.errors import ReadError
-from mocapfix.io.glb import parse_glb
+from mocapfix.io.gltf import parse_glb
 from tests.characters.character_files import (
     FIGURE,
     IMAGE,
@@ -355,6 +355,6 @@ def test_few_nodes_without_skin_are_refused(tmp_path):
 
 def test_further_chunks_are_kept():
     content = replace(parse_glb(Path("x.glb"), GLB), other_chunks=((0x12345678, b"abcd"),))
-    from mocapfix.io.glb import build_glb
+    from mocapfix.io.gltf import build_glb
 
     assert parse_glb(Path("x.glb"), build_glb(content)) == content

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError
-from mocapfix.io import amc, bvh
+from mocapfix.io import asf_amc, bvh
 from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
 from mocapfix.stats.rigid_alignment import compose_transforms
@@ -24,7 +24,7 @@ with_captures = pytest.mark.skipif(not CMU.is_dir(), reason="no captures beside 
 def read(folder: Path, text: str = AMC, skeleton: str = ASF):
     (folder / "09.asf").write_text(skeleton)
     (folder / "09_01.amc").write_text(text)
-    return amc.read_amc(folder / "09_01.amc")
+    return asf_amc.read_amc(folder / "09_01.amc")
 
 
 def rotate_zyx(x, y, z):
@@ -100,7 +100,7 @@ def test_the_rate_is_read_from_comments_and_keywords(tmp_path):
 
 def test_an_asf_alone_is_read_as_its_rest_pose(tmp_path):
     moving = read(tmp_path)
-    found = amc.read_amc(tmp_path / "09.asf")
+    found = asf_amc.read_amc(tmp_path / "09.asf")
     assert found.frame_count == 1
     np.testing.assert_allclose(found.compute_world_poses()[0][0], moving.compute_rest_positions())
 
@@ -109,17 +109,17 @@ def test_the_asf_is_found_in_the_folder_of_the_amc(tmp_path):
     read(tmp_path)
     (tmp_path / "09_0.asf").write_text("")
     (tmp_path / "1.asf").write_text("")
-    assert amc.find_asf(tmp_path / "09_01.amc").name == "09_0.asf"
+    assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "09_0.asf"
     (tmp_path / "09_0.asf").unlink()
-    assert amc.find_asf(tmp_path / "09_01.amc").name == "09.asf"
+    assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "09.asf"
     (tmp_path / "09.asf").unlink()
-    assert amc.find_asf(tmp_path / "09_01.amc").name == "1.asf"
+    assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "1.asf"
     (tmp_path / "2.asf").write_text("")
     (tmp_path / "my skeleton.asf").write_text(ASF)
-    assert amc.read_amc(tmp_path / "09_01.amc", asf_path=tmp_path / "my skeleton.asf").frame_count == 2
+    assert asf_amc.read_amc(tmp_path / "09_01.amc", asf_path=tmp_path / "my skeleton.asf").frame_count == 2
     (tmp_path / "my skeleton.asf").unlink()
     with pytest.raises(ReadError, match=r"not in its folder, only 1\.asf, 2\.asf; copy it there as 09\.asf or 09_01\.asf"):
-        amc.read_amc(tmp_path / "09_01.amc")
+        asf_amc.read_amc(tmp_path / "09_01.amc")
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def map_to_31_joints(animation: Animation) -> np.ndarray:
 @pytest.mark.parametrize("trial", ["02_01", "05_13"])
 def test_an_amc_of_cmu_agrees_with_its_bvh(trial):
     """Hahne's release omits the lengths of thorax and wrists. With these inserted in, all joints agree to 0.1 mm."""
-    motion, release = amc.read_amc(CMU / f"{trial}.amc"), bvh.read_bvh(CMU / f"{trial}.bvh")
+    motion, release = asf_amc.read_amc(CMU / f"{trial}.amc"), bvh.read_bvh(CMU / f"{trial}.bvh")
     order = map_to_31_joints(release)[np.argsort(map_to_31_joints(motion))]
     rotations = release.compute_local_rotations()[1:, order]  # its frame 0 is a T-pose
     degrees = np.degrees(np.linalg.norm(motion.compute_local_rotations() - rotations, axis=(2, 3)) / np.sqrt(2))
@@ -195,7 +195,7 @@ def test_an_amc_of_cmu_agrees_with_its_bvh(trial):
 
 @with_captures
 def test_an_unchanged_patch_is_byte_identical(tmp_path):
-    before = amc.read_amc(CMU / "35_01.amc")
+    before = asf_amc.read_amc(CMU / "35_01.amc")
     patch_animation(tmp_path / "35_01.amc", before, before.values)
     assert (tmp_path / "35_01.amc").read_bytes() == (CMU / "35_01.amc").read_bytes()
 
@@ -210,7 +210,7 @@ def test_damaged_files_are_read_or_refused_with_a_message(tmp_path_factory, inse
     (folder / "09_01.amc").write_bytes(texts[1])
     found, refused = None, ""
     try:
-        found = amc.read_amc(folder / "09_01.amc")
+        found = asf_amc.read_amc(folder / "09_01.amc")
     except ReadError as error:
         refused = str(error)
     if found is None:

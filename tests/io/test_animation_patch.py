@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.io import amc, bvh
+from mocapfix.io import asf_amc, bvh
 from mocapfix.io.patches import patch_animation
 from mocapfix.options import ReadOptions
 from tests.asf_files import AMC, ASF
@@ -60,7 +60,7 @@ def test_an_amc_in_radians_is_patched_in_radians(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
     text = AMC.replace(":DEGREES", ":RADIANS").replace("lfoot 7.5 8.5", "lfoot 0.5 0.25")
     (tmp_path / "09_01.amc").write_text(text)
-    before = amc.read_amc(tmp_path / "09_01.amc")
+    before = asf_amc.read_amc(tmp_path / "09_01.amc")
     foot = before.get_rotation_channels(before.names.index("lfoot"))[0]
     values = before.values.copy()
     values[1, foot] *= 2

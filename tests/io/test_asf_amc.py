@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
-from mocapfix.io.amc import get_bone_axes_deg, get_cmu_bone_names, read_amc, write_asf_amc
+from mocapfix.io.asf_amc import get_bone_axes_deg, get_cmu_bone_names, read_amc, write_asf_amc
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics

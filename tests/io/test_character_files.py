@@ -28,7 +28,7 @@ def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
     monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
     monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
-    monkeypatch.setattr("mocapfix.io.fbx.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.io.character_files.find_blender", lambda: None)
 
 
 @pytest.fixture

@@ -4,14 +4,15 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.errors import WriteError
-from mocapfix.io.character_files import write_character_npz
+from mocapfix.io.character_files import list_moving_bones
+from mocapfix.io.npz import write_character_npz
 from tests.characters.character_files import FIGURE, build_figure_character, build_motion
 
 
 def test_the_pose_follows_from_the_arrays(tmp_path):
     character = build_figure_character()
     motion = build_motion(character)
-    write_character_npz(tmp_path / "walk.npz", character, motion)
+    write_character_npz(tmp_path / "walk.npz", character, motion, list_moving_bones(character, motion))
     with np.load(tmp_path / "walk.npz", allow_pickle=False) as file:
         arrays = dict(file)
     assert str(arrays["format"]) == "mocapfix character 1"
@@ -38,4 +39,4 @@ def test_the_pose_follows_from_the_arrays(tmp_path):
 def test_a_missing_folder_is_refused(tmp_path):
     character = build_figure_character()
     with pytest.raises(WriteError, match="nowhere"):
-        write_character_npz(tmp_path / "nowhere" / "walk.npz", character, build_motion(character))
+        write_character_npz(tmp_path / "nowhere" / "walk.npz", character, build_motion(character), ())

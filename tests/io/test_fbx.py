@@ -7,9 +7,8 @@ import sys
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.io import fbx
-from mocapfix.io.character_files import write_character_glb
-from mocapfix.io.fbx import BLENDER_VARIABLE, find_blender, write_character_fbx
+from mocapfix.io import character_files
+from mocapfix.io.character_files import BLENDER_VARIABLE, find_blender, write_character_fbx, write_character_glb
 from mocapfix.io.fbx_export import split_rate
 from tests.characters.character_files import build_figure_character, build_motion
 
@@ -63,7 +62,7 @@ def test_a_blender_that_writes_nothing_is_noticed(glb, monkeypatch):
 
 def test_a_blender_that_does_not_end_is_stopped(glb, monkeypatch):
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", "import time; time.sleep(60)")))
-    monkeypatch.setattr(fbx, "BLENDER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(character_files, "BLENDER_TIMEOUT_S", 0.5)
     sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
     assert sentence == "walk.fbx was not written: Blender did not end within 0.5 s."
 

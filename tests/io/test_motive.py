@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.io import capture
-from mocapfix.io.motive import EXPECTED_MARKERS_NOTE
+from mocapfix.io.vendor_tables import EXPECTED_MARKERS_NOTE
 from tests.text_files import LABELS, STANDING, assert_refused, motive
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mocapfix.io import capture
-from mocapfix.io.source_file import write_csv, write_trc
+from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.model.take import TableLayout, Take
 from tests.text_files import LABELS, STANDING
 
