@@ -23,11 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import BodyFrame
 from mocapfix.characters.character import SIDES, TWISTING_SEGMENTS, Character
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
-from mocapfix.kernels.terms import DirectionTerm, JointLimitTerm, OrientationTerm, PointTerm, TrackingTerm, count_rows
 from mocapfix.solve.kinematics import Poses
-from mocapfix.solve.parallel import order_independently, run_over_frames
+from mocapfix.solve.minimise import SolverSettings, minimise
+from mocapfix.solve.terms import DirectionTerm, JointLimitTerm, KinematicTree, OrientationTerm, PointTerm, TrackingTerm
 
 CHAIN_SEGMENTS = ("spine", "neck")
 """Segments of which every bone is a joint of its own."""
@@ -141,7 +139,6 @@ class SegmentTargets(NamedTuple):
 
 def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
     """Return positions (T, 3) of the pelvis in metres and local rotations (T, N, 3, 3) that reach the targets."""
-    frame_count, joint_count = targets.rotation.shape[:2]
     local = compute_rotations_to_parents(tree, targets.rotation)
     terms = (
         _build_point_term(tree, targets),
@@ -150,14 +147,8 @@ def solve_segments(tree: SolveTree, character: Character, targets: SegmentTarget
         _build_tracking_term(tree, local, targets.pelvis),
         _build_limit_term(tree, character),
     )
-    root, start = targets.pelvis.copy(), bend_straight_knees(tree, local)
-    no_robust_scale, no_codes = np.array([np.inf]), np.zeros((frame_count, 0))
-    status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
-    run_over_frames(
-        solve_frames, frame_count, tree.tree, terms, order_independently(frame_count, joint_count), no_robust_scale,
-        INITIAL_DAMPING_RATIO, MAX_POSE_ITERATIONS, count_rows(terms), root, start, no_codes, status, iterations,
-    )  # fmt: skip
-    return root, start
+    start = targets.pelvis, bend_straight_knees(tree, local)
+    return minimise(tree.tree, terms, start, SolverSettings(max_iterations=MAX_POSE_ITERATIONS)).poses
 
 
 def bend_straight_knees(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:

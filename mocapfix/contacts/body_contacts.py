@@ -25,15 +25,13 @@ from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, merge_events
 from mocapfix.io.c3d_events import read_gait_events
 from mocapfix.io.force_plates import read_force_plates
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
-from mocapfix.kernels.terms import PointTerm, TrackingTerm, count_rows
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import FEET_LOCK, FEET_OFF, CleanOptions
 from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.measured_segments import (
     SHARE_SMOOTHING_S,
     compute_allowed_share,
@@ -41,7 +39,8 @@ from mocapfix.solve.measured_segments import (
     measure_residual_growth,
     smooth_share,
 )
-from mocapfix.solve.parallel import order_independently, run_over_frames
+from mocapfix.solve.minimise import minimise
+from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.state import BodyFit, CleaningState
 from mocapfix.stats.sequences import find_runs
 
@@ -118,7 +117,6 @@ MIN_KERNEL_WEIGHT = 1e-6
 """Share of a kernel within visible frames below which a residual is not known; the marker's share is 0 there."""
 MIN_DISPLACEMENT_M = 2e-5
 """Displacement below which a frame is not solved."""
-MAX_ITERATIONS = 20
 
 
 def hold_feet(
@@ -255,28 +253,19 @@ def limit_root_displacement(displacement: Float[np.ndarray, "N 3"]) -> Float[np.
     return displacement / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
 
 
-def solve_legs(
-    skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N J 3 3"]]:
-    """Return root positions in metres and local rotations of poses whose legs place joints and markers where these shall be.
+def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0) -> Poses:
+    """Return poses whose legs place joints and markers where these shall be.
 
     root_share  factor of the standard deviations of the root
     """
     frame_count, joint_count = motion.local_rotations.shape[:2]
     is_free = np.isin(np.arange(joint_count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
-    tree = KinematicTree(skeleton.parents, skeleton.offsets, is_free)
-    root, local = motion.root_position.copy(), motion.local_rotations.copy()
     weight = np.full((frame_count, joint_count), LEG_ROTATION_SD_RAD**-2)
     weight[:, 0] = (root_share * ROOT_ROTATION_SD_RAD) ** -2
     root_weight = np.full(frame_count, (root_share * ROOT_SD_M) ** -2)
-    terms = points, TrackingTerm(motion.local_rotations, weight, motion.root_position, root_weight)
-    no_robust_scale, no_codes = np.array([np.inf]), np.zeros((frame_count, 0))
-    status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
-    run_over_frames(
-        solve_frames, frame_count, tree, terms, order_independently(frame_count, joint_count), no_robust_scale,
-        INITIAL_DAMPING_RATIO, MAX_ITERATIONS, count_rows(terms), root, local, no_codes, status, iterations,
-    )  # fmt: skip
-    return root, local
+    tracking = TrackingTerm(motion.local_rotations, weight, motion.root_position, root_weight)
+    tree = KinematicTree(skeleton.parents, skeleton.offsets, is_free)
+    return minimise(tree, (points, tracking), (motion.root_position, motion.local_rotations)).poses
 
 
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))

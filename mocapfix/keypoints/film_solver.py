@@ -17,17 +17,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.terms import ReprojectionTerm, TrackingTerm
 from mocapfix.keypoints.keypoint_file import KeypointDetector, Keypoints
 from mocapfix.model.motion import Motion, PoseUncertainty
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import SolveOptions
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.solve.minimise import PoseSolution, SolverSettings, minimise
+from mocapfix.solve.model_terms import PoseModelTerm
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.pose_solver import PoseSolution, solve_poses
 from mocapfix.solve.single_pose import Camera
 from mocapfix.solve.smoothing import smooth_poses
+from mocapfix.solve.terms import KinematicTree, ReprojectionTerm, TrackingTerm
 from mocapfix.stats.sequences import find_cheapest_states
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
@@ -95,6 +95,7 @@ def solve_camera_scale(estimate_scale: Callable[[float], float], initial_scale: 
 
 
 ROOT_POSITION_SD_M = 10.0  # of the root about its start, as an orthographic camera does not determine its distance
+MAX_FILM_ITERATIONS = 30  # of a frame
 WIDE_ROBUST_SCALE_SD = 10.0  # Geman-McClure scale, in standard deviations: the weight of a keypoint farther away tends to zero
 NARROW_ROBUST_SCALE_SD = 6.0  # likewise, of the final solve
 MIN_KEYPOINT_CONFIDENCE = 0.1  # keypoints of less confidence are ignored
@@ -141,9 +142,9 @@ class ReprojectionProblem:
             np.ascontiguousarray(self.position_px / scale_px_m), self.weight,
         )  # fmt: skip
         near_start = TrackingTerm(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), root, np.full(1, ROOT_POSITION_SD_M**-2))
-        terms = (reprojection, tracking or near_start)
-        scales2 = np.array(self.robust_scales_sd) ** 2
-        return solve_poses(self.tree, terms, self.model, root, local, prior_scale=self.prior_scale, squared_robust_scales=scales2)
+        terms = (reprojection, tracking or near_start, PoseModelTerm(self.model, self.prior_scale))
+        settings = SolverSettings(tuple(scale**2 for scale in self.robust_scales_sd), MAX_FILM_ITERATIONS)
+        return minimise(self.tree, terms, (root, local), settings)
 
     def compute_positions(
         self, root: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T J 3 3"]

@@ -4,9 +4,8 @@ Among them is MNN-IK's measure of the naturalness of a pose (Eq. 3.3), and poses
 """
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,20 +14,19 @@ from torch import Tensor
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import solve_frames
-from mocapfix.kernels.terms import PointTerm, ScalarTerm, TrackingTerm
+from mocapfix.kernels.terms import ScalarTerm
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.networks import AutoencoderNetwork, compute_rotation_tensor, restore_network, use_one_torch_thread
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import DEFAULT_PRIOR_NAME
-from mocapfix.solve import kinematics, latent_solver, parallel, pose_solver
+from mocapfix.solve import kinematics
 from mocapfix.solve.autoencoder import AutoencoderModel
-from mocapfix.solve.latent_solver import LatentSolver, Terms
-from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.minimise import IteratedTerm, KernelTerms, PoseSolution, SolverSettings, minimise
+from mocapfix.solve.model_terms import INITIAL_CODE_DAMPING, ModelRounds, PoseModelTerm
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.pose_solver import PoseSolution, solve_poses
 from mocapfix.solve.prior_files import MNN_IK, load_pose_model
+from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 
 NO_PRIOR = "none"
 COMPARED_PRIOR_NAMES = (NO_PRIOR, "pca", "gaussian", "mixture", MNN_IK, "autoencoder")
@@ -45,7 +43,7 @@ class NaturalnessModel:
         g(theta) = |theta - decoder(encoder(theta))|^2,   theta the 93 Euler angles
 
     It is small for poses like those of the training subjects. It has no code; in the solver it is one dense row
-    (`kernels.terms.scalar`).
+    (`ScalarTerm`).
     """
 
     autoencoder: AutoencoderModel
@@ -104,47 +102,50 @@ def compute_tilt_tensor(up: Tensor) -> Tensor:
     return axis * torch.where(square < 1e-14, 1.0, torch.atan2(sine, up[..., 1]) / sine)[..., None]
 
 
-def solve_natural_poses(
-    tree: KinematicTree,
-    other_terms: Terms,
-    naturalness: NaturalnessModel,
-    root_position: Float[np.ndarray, "T 3"],
-    local_rotations: Float[np.ndarray, "T J 3 3"],
-    **settings: Any,
-) -> PoseSolution:
-    """Return the poses of least cost under the naturalness and other terms, as `solve_poses` does under a pose model."""
-    build_solver, no_codes = partial(NaturalnessSolver, naturalness), np.zeros((len(root_position), 0))
-    model = naturalness.autoencoder
-    return solve_poses(tree, other_terms, model, root_position, local_rotations, no_codes, build_solver=build_solver, **settings)
+@dataclass(frozen=True)
+class NaturalnessTerm(IteratedTerm):
+    """The naturalness as a term; `prior_scale` is a factor of its standard deviation."""
+
+    model: NaturalnessModel
+    prior_scale: float = 1.0
+
+    def minimise_in_rounds(
+        self, tree: KinematicTree, other_terms: KernelTerms, start: Poses, settings: SolverSettings
+    ) -> PoseSolution:
+        """Return the poses of least cost under the naturalness and other terms, each frame independently."""
+        return NaturalnessRounds(tree, other_terms, self.model, self.prior_scale, start).minimise(settings)
 
 
-class NaturalnessSolver(LatentSolver):
+class NaturalnessRounds(ModelRounds):
     """A solve under the naturalness of MNN-IK, without a code.
 
     Value and gradient of the naturalness are evaluated between rounds; within a round the joints are kept near the poses of this
-    evaluation, as codes are in `LatentSolver`.
+    evaluation, as codes are in `ModelRounds`.
     """
 
-    def __init__(self, naturalness: NaturalnessModel, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.naturalness, frames = naturalness, len(self.root_position)
+    def __init__(
+        self, tree: KinematicTree, other_terms: KernelTerms, naturalness: NaturalnessModel, prior_scale: float, start: Poses
+    ) -> None:
+        frames = len(start[0])
+        super().__init__(tree, other_terms, naturalness.autoencoder, prior_scale, start, np.zeros((frames, 0)))
+        self.naturalness = naturalness
         no_root, reference = np.zeros((frames, 3)), np.empty_like(self.local_rotations)
-        weight = np.full(frames, (self.prior_scale * naturalness.naturalness_sd) ** -2)
+        weight = np.full(frames, (prior_scale * naturalness.naturalness_sd) ** -2)
         self.naturalness_term = ScalarTerm(np.empty(frames), np.empty(reference.shape[:3]), reference, weight)
         self.tracking_term = TrackingTerm(reference, np.empty(reference.shape[:2]), no_root, np.zeros(frames))
 
-    def linearise(self, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
+    def linearise(self, batch: np.ndarray) -> KernelTerms:
         """Return the naturalness, linearised at the poses of a batch, and the term that keeps the joints near these."""
         naturalness, tracking = self.naturalness_term, self.tracking_term
         naturalness.reference[batch], tracking.weight[batch] = self.local_rotations[batch], self.code_stiffness[batch, None]
         naturalness.value[batch], naturalness.gradient[batch] = self.naturalness.evaluate(self.local_rotations[batch])
         return naturalness, tracking
 
-    def relinearise(self, model_terms: Terms, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
+    def relinearise(self, model_terms: KernelTerms, batch: np.ndarray) -> KernelTerms:
         """Linearise again."""
         return self.linearise(batch)
 
-    def update_linearisation(self, model_terms: Terms, batch: np.ndarray) -> tuple[ScalarTerm, TrackingTerm]:
+    def update_linearisation(self, model_terms: KernelTerms, batch: np.ndarray) -> KernelTerms:
         """Linearise again: there is no derivative to update."""
         return self.linearise(batch)
 
@@ -192,7 +193,7 @@ class PlacedPoses:
     world_rotations  (N, J, 3, 3)
     codes            (N, P) of the prior; P is 0 without a prior
     iterations       (N,) of the solver
-    cost             (N,) half the sum of squares in standard deviations; 0 if it was not computed
+    cost             (N,) half the sum of squares in standard deviations; NaN without a prior
     """
 
     root_position: np.ndarray
@@ -266,12 +267,9 @@ def solve_joint_task(
     """Return the poses that the solver finds with a prior from a start, which is not modified."""
     tree, points = kinematics.build_kinematic_tree(task.skeleton), task.point_term
     if model is None:
-        solution = solve_without_prior(tree, points, *start, max_iterations)
-    elif isinstance(model, NaturalnessModel):
-        solution = solve_natural_poses(tree, (points,), model, *start, max_iterations=max_iterations)
-    else:
-        solution = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=max_iterations)
-    return place_solved_poses(task.skeleton, solution)
+        return place_solved_poses(task.skeleton, solve_without_prior(tree, points, *start, max_iterations))
+    term = PoseModelTerm(model) if isinstance(model, PoseModel) else NaturalnessTerm(model)
+    return place_solved_poses(task.skeleton, minimise(tree, (points, term), start, SolverSettings(max_iterations=max_iterations)))
 
 
 def solve_without_prior(
@@ -285,13 +283,5 @@ def solve_without_prior(
 
     Of the poses that fit, the damped steps find one close to the start.
     """
-    frame_count, joint_count = local.shape[:2]
-    status, iterations = np.zeros((2, frame_count), int)
-    codes, cost = np.zeros((frame_count, 0)), np.zeros(frame_count)
-    solution = PoseSolution(root_position.copy(), local.copy(), codes, status, iterations, cost)
-    order = parallel.order_independently(frame_count, joint_count)
-    run_over_frames(
-        solve_frames, frame_count, tree, (points,), order, np.array([np.inf]), latent_solver.INITIAL_CODE_DAMPING,
-        max_iterations, None, solution.root_position, solution.local_rotations, solution.codes, status, iterations,
-    )  # fmt: skip
-    return solution
+    settings = SolverSettings(max_iterations=max_iterations, damping_ratio=INITIAL_CODE_DAMPING)
+    return minimise(tree, (points,), (root_position, local), settings)

@@ -21,6 +21,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,9 +32,8 @@ from scipy.optimize import least_squares
 
 from mocapfix.kernels import levenberg_marquardt
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.normal_equations import allocate_equations, linearise_terms
-from mocapfix.kernels.precompilation import count_cores
+from mocapfix.kernels.precompilation import THREADS_VARIABLE, count_cores
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms import PointTerm, TrackingTerm
 from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
@@ -47,8 +47,8 @@ from mocapfix.lab.scope_scenes import (
     build_placed_pose,
     build_scope_experiments,
 )
-from mocapfix.solve import parallel
-from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.minimise import SolverSettings, minimise
+from mocapfix.solve.parallel import order_in_windows
 
 
 class TimedSolution(NamedTuple):
@@ -167,20 +167,14 @@ def solve_with_mocapfix(task: CommonTask, take_name: str, *, use_all_cores: bool
     """Return the poses of a take, on all cores (timed by the clock) or one thread (by processor time)."""
     tree, points, tracking = build_task_problem(task, take_name)
     frame_count, joint_count = len(points.measured), len(task.mean_angles)
-    root, local = task.root_starts[take_name].copy(), np.tile(tracking.rotations, (frame_count, 1, 1, 1))
-    order = parallel.order_in_windows(frame_count, joint_count, round(WINDOW_S * task.rate_hz))
-    status, iterations = np.zeros((2, frame_count), int)
-    arguments = (
-        tree, (points, tracking), order, np.array([np.inf]), WARM_START_DAMPING, MAX_FRAME_ITERATIONS, None,
-        root, local, np.zeros((frame_count, 0)), status, iterations,
-    )  # fmt: skip
-    clock = time.perf_counter if use_all_cores else time.thread_time
-    started = clock()
-    if use_all_cores:
-        run_over_frames(solve_frames, len(order.chain_starts) - 1, *arguments)
-    else:
-        solve_frames(*arguments, 0, len(order.chain_starts) - 1)
-    return TimedSolution(root, local, clock() - started)
+    start = task.root_starts[take_name], np.tile(tracking.rotations, (frame_count, 1, 1, 1))
+    order = order_in_windows(frame_count, joint_count, round(WINDOW_S * task.rate_hz))
+    settings = SolverSettings(max_iterations=MAX_FRAME_ITERATIONS, damping_ratio=WARM_START_DAMPING, order=order)
+    clock = time.perf_counter if use_all_cores else time.process_time
+    with patch.dict(os.environ, {} if use_all_cores else {THREADS_VARIABLE: "1"}):
+        started = clock()
+        solution = minimise(tree, (points, tracking), start, settings)
+        return TimedSolution(*solution.poses, clock() - started)
 
 
 def build_task_scene(task: CommonTask) -> ScopeScene:

@@ -23,7 +23,6 @@ from mocapfix.errors import TakeError
 from mocapfix.io import capture
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.patches import patch_c3d
-from mocapfix.kernels.terms import PointTerm
 from mocapfix.lab.compared_priors import place_solved_poses, solve_without_prior
 from mocapfix.lab.training_poses import mirror_joint_name
 from mocapfix.model.motion import Motion
@@ -33,6 +32,7 @@ from mocapfix.model.take import Take
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import load_mean_pose_prior
+from mocapfix.solve.terms import PointTerm
 
 DAMAGE_DURATION_S = 2.0
 HAND_NOISE_SD_M = 0.03  # per axis, independent in every frame

@@ -33,9 +33,7 @@ from mocapfix import synthetic
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
-from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.precompilation import count_cores
-from mocapfix.kernels.terms import count_rows
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.hybrik_tables import (
     NO_TWISTS,
@@ -61,8 +59,9 @@ from mocapfix.options import INIT_METHODS, SolveOptions, SubjectOptions
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve import initial_motion, kinematics, motion_solver
 from mocapfix.solve.hybrik import HybrikVariant, solve_hybrik
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
-from mocapfix.solve.pose_problem import PoseProblem, build_no_tracking, build_pose_problem
+from mocapfix.solve.pose_problem import PoseProblem, build_pose_problem
 from mocapfix.subject import calibration
 from mocapfix.subject.library import load_marker_set, resolve_subject
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
@@ -255,16 +254,15 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
     start, motion, _ = runs[0]
     start_s, total_s = (median(durations[i] for _, _, durations in runs) for i in range(2))
     problem = build_pose_problem(case.take, case.subject, body, prior, limits, options)
-    root, local = start.root_position.copy(), start.local_rotations.copy()
-    status, iterations = problem.solve(root, local, build_no_tracking(local.shape[1]), options.robust_scales_m)
-    start_motion = build_start_motion(start, root, local)
+    solution = problem.minimise((start.root_position, start.local_rotations), options.robust_scales_m)
+    start_motion = build_start_motion(start, *solution.poses)
     joint_positions, markers = kinematics.compute_joint_and_marker_positions(case.subject, start_motion)
     return StartOutcome(
         marker_error_m=compute_marker_error(markers, case.take),
         start_joint_positions=joint_positions,
-        first_solve=evaluate_solve(problem, root, local, iterations),
-        full_solve=evaluate_solve(problem, motion.root_position, motion.local_rotations, motion.iterations),
-        is_unconverged=status == FrameStatus.ITERATION_LIMIT,
+        first_solve=evaluate_solve(problem, solution.poses, solution.iterations),
+        full_solve=evaluate_solve(problem, (motion.root_position, motion.local_rotations), motion.iterations),
+        is_unconverged=solution.status == FrameStatus.ITERATION_LIMIT,
         durations_s=(start_s, total_s),
     )
 
@@ -291,19 +289,10 @@ def compute_marker_error(markers: Float[np.ndarray, "T K 3"], take: Take) -> Flo
     return np.where(visible, distance, 0.0).sum(1) / np.where(visible.any(1), visible.sum(1), np.nan)
 
 
-def evaluate_solve(
-    problem: PoseProblem,
-    root_position: Float[np.ndarray, "T 3"],
-    local_rotations: Float[np.ndarray, "T J 3 3"],
-    iterations: Int[np.ndarray, " T"],
-) -> SolveEnd:
+def evaluate_solve(problem: PoseProblem, poses: Poses, iterations: Int[np.ndarray, " T"]) -> SolveEnd:
     """Return joint positions and costs of solved poses, each frame without its neighbours."""
-    terms, cost = problem.build_terms(build_no_tracking(local_rotations.shape[1])), np.empty(len(root_position))
-    scale2 = problem.normalise_robust_scales(SolveOptions().robust_scales_m)[-1]
-    shared, frames = np.zeros((len(root_position), 0)), np.arange(len(root_position))
-    compute_cost_frames(problem.tree, terms, frames, scale2, count_rows(terms), root_position, local_rotations, shared, cost)
-    joint_positions, _ = kinematics.compute_tree_poses(problem.tree, root_position, local_rotations)
-    return SolveEnd(joint_positions, cost, iterations)
+    joint_positions, _ = kinematics.compute_tree_poses(problem.tree, *poses)
+    return SolveEnd(joint_positions, problem.compute_costs(poses, SolveOptions().robust_scales_m[-1]), iterations)
 
 
 def find_wrong_frames(case: InitialisationTake, ends: dict[str, SolveEnd]) -> dict[str, Bool[np.ndarray, " T"]]:

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import format_name_list
-from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.labels.label_swaps import find_permutation_cycles
 from mocapfix.model.faults import Fault
 from mocapfix.model.marker_set import MarkerSet
@@ -28,14 +27,9 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits
-from mocapfix.solve.pose_problem import (
-    MarkerAttachment,
-    PoseProblem,
-    build_joint_limit_term,
-    build_no_tracking,
-    build_pose_prior_term,
-)
+from mocapfix.solve.pose_problem import build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
+from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
 
 # Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
 BODY_MARKER_SD_M = 0.030
@@ -65,19 +59,11 @@ class BodyFitter:
             markers: Measured world positions in metres, NaN where missing.
         """
         poses = register_poses(self.subject, self.body.free_joints, self.prior, markers)
-        tree = KinematicTree(self.body.skeleton.parents, self.subject.skeleton.offsets, self.body.free_joints)
-        problem = PoseProblem(
-            tree,
-            MarkerAttachment(self.subject.joints, self.subject.marker_offsets),
-            markers,
-            ~np.isnan(markers[..., 0]),
-            BODY_MARKER_SD_M,
-            build_pose_prior_term(self.prior),
-            build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD),
-        )
-        no_tracking = build_no_tracking(len(self.body.free_joints))
-        problem.solve(poses.root_position, poses.local_rotations, no_tracking, ROBUST_SCALES_M, MAX_BODY_FIT_ITERATIONS)
-        return kinematics.compute_joint_and_marker_positions(self.subject, poses)[1]
+        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD)
+        problem = build_marker_problem(self.subject, self.body.free_joints, markers, BODY_MARKER_SD_M, prior, limits)
+        start = poses.root_position, poses.local_rotations
+        solution = problem.minimise(start, ROBUST_SCALES_M, max_iterations=MAX_BODY_FIT_ITERATIONS)
+        return kinematics.predict_markers(self.subject, solution.poses)
 
 
 def build_body_fitter(subject: Subject) -> BodyFitter:

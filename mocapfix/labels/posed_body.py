@@ -1,14 +1,10 @@
 """A body with markers whose poses are solved in the sampled frames of a take."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
-from mocapfix.kernels.terms import count_rows
 from mocapfix.labels.tracklets import TrackletDistances
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import Motion
@@ -17,14 +13,9 @@ from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.solve.pose_problem import (
-    MarkerAttachment,
-    PoseProblem,
-    build_joint_limit_term,
-    build_no_tracking,
-    build_pose_prior_term,
-)
+from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
+from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
 from mocapfix.subject.body_size import scale_skeleton
 from mocapfix.subject.marker_set_fit import measure_marker_offsets
 
@@ -49,11 +40,6 @@ class PosedBody:
     prior: MeanPosePrior
     limits: JointLimits
 
-    @cached_property
-    def tree(self) -> KinematicTree:
-        """The subject's skeleton for the kernels."""
-        return KinematicTree(self.subject.skeleton.parents, self.subject.skeleton.offsets, self.body.free_joints)
-
     def change_subject(self, subject: Subject) -> "PosedBody":
         """Return the same with another subject."""
         return replace(self, subject=subject)
@@ -72,35 +58,23 @@ class PosedBody:
         max_iterations: int,
     ) -> None:
         """Move poses in place to their most likely ones given markers in metres, NaN where missing."""
-        self._build_problem(markers, marker_sd_m).solve(
-            *poses, build_no_tracking(len(self.tree.parents)), robust_scales_m, max_iterations
-        )
+        problem = self._build_problem(markers, marker_sd_m)
+        solution = problem.minimise(poses, robust_scales_m, max_iterations=max_iterations)
+        poses[0][:], poses[1][:] = solution.poses
 
     def compute_costs(
         self, poses: Poses, markers: Float[np.ndarray, "S K 3"], marker_sd_m: float, robust_scale_m: float
     ) -> Float[np.ndarray, " S"]:
         """Return half the sum of squares of each frame in standard deviations, of markers, prior and joint limits."""
-        problem, cost = self._build_problem(markers, marker_sd_m), np.zeros(len(markers))
-        terms = problem.build_terms(build_no_tracking(len(self.tree.parents)))
-        scale2 = problem.normalise_robust_scales((robust_scale_m,))[0]
-        frames, no_codes = np.arange(len(markers)), np.zeros((len(markers), 0))
-        compute_cost_frames(self.tree, terms, frames, scale2, count_rows(terms), *poses, no_codes, cost)
-        return cost
+        return self._build_problem(markers, marker_sd_m).compute_costs(poses, robust_scale_m)
 
     def predict(self, poses: Poses) -> Float[np.ndarray, "S K 3"]:
         """Return where the body carries its markers, in metres."""
         return kinematics.predict_markers(self.subject, poses)
 
     def _build_problem(self, markers: Float[np.ndarray, "S K 3"], marker_sd_m: float) -> PoseProblem:
-        return PoseProblem(
-            self.tree,
-            MarkerAttachment(self.subject.joints, self.subject.marker_offsets),
-            markers,
-            ~np.isnan(markers[..., 0]),
-            marker_sd_m,
-            build_pose_prior_term(self.prior),
-            build_joint_limit_term(self.limits, LABELLING_LIMIT_SD_RAD),
-        )
+        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits, LABELLING_LIMIT_SD_RAD)
+        return build_marker_problem(self.subject, self.body.free_joints, markers, marker_sd_m, prior, limits)
 
 
 def build_average_body(marker_set: MarkerSet) -> PosedBody:

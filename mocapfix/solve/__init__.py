@@ -3,7 +3,8 @@
 initial_motion    first poses: hybrik, twist_regressor, segment_registration, learned_ik
 motion_solver     solve all frames of a take, and how certain they are
 window_solver     the frames of one window: markers, prior and time
-pose_problem      one least-squares problem of poses; pose_solver, latent_solver
+minimise          the one way of minimising; terms, model_terms
+pose_problem      the terms of a body: its markers, prior and limits
 smoothing         poses over time
 occluded_joints   joints without markers; lost_in_sight, gap_combination
 pose_prior        trained priors: mean_pose, autoencoder, motion_prior, prior_conditioner, prior_files

@@ -31,7 +31,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
-from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -42,8 +41,9 @@ from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_f
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
-from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_motion_problem, build_pose_prior_term
+from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_motion_problem
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.state import BodyFit, CleaningState
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
@@ -110,7 +110,7 @@ def compute_pose_sd(
     robust_scale_m    the last robust scale of the solve
     """
     actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
-    uncertainty = actual.compute_uncertainty(*pose, tracking, robust_scale_m)
+    uncertainty = actual.compute_uncertainty(pose, robust_scale_m, tracking)
     constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, load_cmu31_body().free_joints)
     joint_sd = np.where(subject.solved_joints, np.sqrt(uncertainty.joint_sd**2 + constant_variance), np.nan)
     return np.hypot(uncertainty.marker_sd, subject.marker_sd), joint_sd
@@ -211,11 +211,10 @@ def _solve_inferred_joints(
         lie.store_joint_quaternions(trajectory[is_gap], 0, rotations)
         start[is_gap[frames], j] = rotations[:, 0]
         weight[is_gap[frames], j] = smoothing.compute_tracking_weight(variance[is_gap, j], problem.options)
-    tracking = TrackingTerm(start.copy(), weight, root_position.copy(), np.full(len(frames), FIXED_JOINT_WEIGHT))
+    tracking = TrackingTerm(start, weight, root_position, np.full(len(frames), FIXED_JOINT_WEIGHT))
     part = problem.pose_problem.select_frames(frames)
     unmarked = replace(part, solver_mask=np.zeros_like(part.solver_mask))
-    unmarked.solve(root_position, start, tracking, problem.options.robust_scales_m[-1:])
-    return start
+    return unmarked.minimise((root_position, start), problem.options.robust_scales_m[-1:], tracking).local_rotations
 
 
 MAX_MEAN_MARKER_DISTANCE_M = 0.03
@@ -296,9 +295,9 @@ def solve_changed_frames(
         windows = [FrameWindow(0, frame_count, 0, frame_count)]
     for window in windows:
         outer, inner, frames = window.outer_frames, window.inner_frames, window.frames
-        pose = root_position[outer].copy(), local_rotations[outer].copy()
+        pose = root_position[outer], local_rotations[outer]
         solution = solve_window(problem.select_frames(outer), pose, changes.is_restarted[outer])
-        root_position[frames], local_rotations[frames] = pose[0][inner], pose[1][inner]
+        root_position[frames], local_rotations[frames] = solution.poses[0][inner], solution.poses[1][inner]
         status[frames], iterations[frames] = solution.status[inner], solution.iterations[inner]
         for values, new_values in zip(vars(evidence).values(), vars(solution.evidence).values(), strict=True):
             values[frames] = new_values[inner]

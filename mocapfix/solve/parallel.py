@@ -35,10 +35,9 @@ class SolveOrder(NamedTuple):
     chain_starts: Int[np.ndarray, " starts"]  # (C + 1,) index of each chain's first entry in `frames`, and the end
 
 
-def order_independently(frames: int, joints: int) -> SolveOrder:
-    """Return the order in which every frame starts from its own pose."""
-    copied_joints = np.zeros((1, joints), bool)
-    return SolveOrder(np.arange(frames), np.full(frames, -1), copied_joints, np.arange(frames + 1))
+def order_independently(frames: Int[np.ndarray, " N"], joints: int) -> SolveOrder:
+    """Return the order in which each of some frames starts from its own pose."""
+    return SolveOrder(frames, np.full(len(frames), -1), np.zeros((1, joints), bool), np.arange(len(frames) + 1))
 
 
 def order_sequentially(has_own_pose: Bool[np.ndarray, " T"], joints: int) -> SolveOrder:

@@ -3,26 +3,35 @@
 Observability: which marker samples the solver uses, and which joints they determine.
 """
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.covariance import compute_uncertainty_frames
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
-from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
-from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_independently, order_sequentially, run_over_frames
+from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_costs, compute_uncertainty, minimise
+from mocapfix.solve.parallel import SolveOrder, order_sequentially
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.terms import (
+    BodyTerms,
+    JointLimitTerm,
+    KinematicTree,
+    MarkerAttachment,
+    PointTerm,
+    PosePriorTerm,
+    TrackingTerm,
+    build_joint_limit_term,
+    build_marker_term,
+    build_no_tracking,
+    build_pose_prior_term,
+)
 from mocapfix.stats.sequences import find_runs
 
 MIN_GAP_DURATION_S = 0.025
@@ -87,40 +96,9 @@ PRIOR_HUBER_SCALE_SD = 1.0
 follows its markers may then turn across the elbow's hinge, as skin and a wrong marker offset make it appear to."""
 
 
-class MarkerAttachment(NamedTuple):
-    """The markers' joints and their positions in the joints' axes."""
-
-    joints: Int[np.ndarray, " K"]
-    offsets: Float[np.ndarray, "K 3"]  # metres
-
-
-def build_no_tracking(joints: int) -> TrackingTerm:
-    """Return a tracking term of weight zero."""
-    return TrackingTerm(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1))
-
-
-def build_pose_prior_term(prior: MeanPosePrior, huber_scale_sd: float = math.inf) -> PosePriorTerm:
-    """Return a prior as a term of every frame; `huber_scale_sd` bounds its force on a joint, in standard deviations."""
-    return PosePriorTerm(prior.mean_rotations[None], prior.information[None], huber_scale2=huber_scale_sd**2)
-
-
-def build_joint_limit_term(limits: JointLimits, sd_rad: float) -> JointLimitTerm:
-    """Return joint limits as soft limits: the standard deviation of an excess is `sd_rad`."""
-    return JointLimitTerm(limits.mean_rotations, limits.lower_rad, limits.upper_rad, sd_rad**-2)
-
-
-def build_no_joint_limits(joints: int) -> JointLimitTerm:
-    """Return infinite joint limits."""
-    return JointLimitTerm(np.zeros((joints, 3, 3)), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 0.0)
-
-
-BodyTerms: TypeAlias = tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm]
-"""the terms of a body's pose; a tuple, since the kernels are compiled for the classes in it"""
-
-
 @dataclass(frozen=True)
 class PoseProblem:
-    """The cost of a take's poses. Poses are solved in place: root (T, 3) metres, local rotations (T, J, 3, 3).
+    """The cost of a take's poses.
 
     marker_positions  (T, K, 3) metres, the subject's markers, NaN where missing or rejected
     solver_mask       (T, K) bool: samples that the pose is fitted to; none of them NaN
@@ -138,10 +116,8 @@ class PoseProblem:
 
     @cached_property
     def point_term(self) -> PointTerm:
-        """The markers as a term. Arrays in another order of memory would be other types and compile the solver again."""
-        measured = np.ascontiguousarray(np.where(self.solver_mask[..., None], self.marker_positions, 0.0))
-        weight = np.ascontiguousarray(self.solver_mask / self.marker_sd**2)
-        return PointTerm(self.attachment.joints, self.attachment.offsets, measured, weight)
+        """The markers as a term."""
+        return build_marker_term(self.attachment, self.marker_positions, self.solver_mask, self.marker_sd)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
         """Return the problem of some frames."""
@@ -151,86 +127,59 @@ class PoseProblem:
         markers, mask = self.marker_positions[frames], self.solver_mask[frames]
         return replace(self, marker_positions=markers, solver_mask=mask, pose_prior=prior)
 
-    def build_terms(self, tracking: TrackingTerm) -> BodyTerms:
-        """Return all terms of the cost, with this tracking term."""
-        return self.point_term, tracking, self.pose_prior, self.joint_limits
+    def build_terms(self, tracking: TrackingTerm | None = None) -> BodyTerms:
+        """Return all terms of the cost."""
+        return self.point_term, tracking or build_no_tracking(len(self.tree.parents)), self.pose_prior, self.joint_limits
 
-    def normalise_robust_scales(self, scales_m: tuple[float, ...]) -> Float[np.ndarray, " S"]:
+    def normalise_robust_scales(self, scales_m: tuple[float, ...]) -> tuple[float, ...]:
         """Return robust scales for the kernels: squared, in units of marker_sd."""
-        return (np.array(scales_m) / self.marker_sd) ** 2
+        return tuple((scale_m / self.marker_sd) ** 2 for scale_m in scales_m)
 
-    def solve(
+    def minimise(
         self,
-        root: Float[np.ndarray, "T 3"],
-        local: Float[np.ndarray, "T J 3 3"],
-        tracking: TrackingTerm,
+        start: Poses,
         scales_m: tuple[float, ...],
+        tracking: TrackingTerm | None = None,
+        *,
         max_iterations: int = MAX_ITERATIONS_PER_SCALE,
-    ) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " T"]]:
-        """Move every frame's pose to the minimum of its cost, through the robust scales. Return status and iterations.
+        order: SolveOrder | None = None,
+    ) -> PoseSolution:
+        """Return the poses of least cost, through the robust scales.
 
-        A frame whose root is NaN has no pose yet and starts from the solution of the frame before; all others are independent.
+        By default a frame whose root is NaN has no pose yet and starts from the solution of the frame before; all others are
+        independent.
         """
-        solve_order = order_sequentially(~np.isnan(root[:, 0]), local.shape[1])
-        return self.solve_in_order(solve_order, root, local, tracking, scales_m, max_iterations)
+        order = order or order_sequentially(~np.isnan(start[0][:, 0]), start[1].shape[1])
+        settings = SolverSettings(self.normalise_robust_scales(scales_m), max_iterations, order=order)
+        return minimise(self.tree, self.build_terms(tracking), start, settings)
 
-    def solve_each(
-        self,
-        frames: Int[np.ndarray, " N"],
-        root: Float[np.ndarray, "T 3"],
-        local: Float[np.ndarray, "T J 3 3"],
-        tracking: TrackingTerm,
-        scales_m: tuple[float, ...],
-    ) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " T"]]:
-        """Solve some frames, each from its own pose. Return status and iterations, 0 for the other frames."""
-        solve_order = order_independently(len(frames), local.shape[1])._replace(frames=frames)
-        return self.solve_in_order(solve_order, root, local, tracking, scales_m, MAX_ITERATIONS_PER_SCALE)
+    def compute_uncertainty(self, poses: Poses, scale_m: float, tracking: TrackingTerm | None = None) -> PoseUncertainty:
+        """Return the uncertainty of poses at one robust scale."""
+        return compute_uncertainty(self.tree, self.build_terms(tracking), poses, self.normalise_robust_scales((scale_m,))[0])
 
-    def solve_from_neighbours(
-        self,
-        root: Float[np.ndarray, "T 3"],
-        local: Float[np.ndarray, "T J 3 3"],
-        tracking: TrackingTerm,
-        uncertain_joints: Bool[np.ndarray, "T J"],
-        scale_m: float,
-    ) -> None:
-        """Solve the frames with uncertain joints again, each from its neighbour, from both ends of their runs inwards."""
-        gaps = find_runs(np.any(uncertain_joints, axis=1))
-        solve_order = order_from_gap_ends(gaps, uncertain_joints)
-        self.solve_in_order(solve_order, root, local, tracking, (scale_m,), MAX_ITERATIONS_PER_SCALE)
+    def compute_costs(self, poses: Poses, scale_m: float) -> Float[np.ndarray, " T"]:
+        """Return the cost of poses at one robust scale: half the sum of squares in standard deviations."""
+        return compute_costs(self.tree, self.build_terms(), poses, self.normalise_robust_scales((scale_m,))[0])
 
-    def solve_in_order(
-        self,
-        solve_order: SolveOrder,
-        root: Float[np.ndarray, "T 3"],
-        local: Float[np.ndarray, "T J 3 3"],
-        tracking: TrackingTerm,
-        scales_m: tuple[float, ...],
-        max_iterations: int,
-    ) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " T"]]:
-        """Solve frames in an order. Return status and iterations, 0 for frames that are not in the order."""
-        terms, status, iterations = self.build_terms(tracking), np.zeros(len(root), int), np.zeros(len(root), int)
-        run_over_frames(
-            solve_frames, len(solve_order.chain_starts) - 1, self.tree, terms, solve_order,
-            self.normalise_robust_scales(scales_m), INITIAL_DAMPING_RATIO, max_iterations, count_rows(terms), root, local,
-            np.zeros((len(root), 0)), status, iterations,
-        )  # fmt: skip
-        return status, iterations
 
-    def compute_uncertainty(
-        self, root: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T J 3 3"], tracking: TrackingTerm, scale_m: float
-    ) -> PoseUncertainty:
-        """Return the uncertainty of the poses at one robust scale."""
-        frames, joints = local.shape[:2]
-        terms = self.build_terms(tracking)
-        uncertainty = PoseUncertainty(
-            np.zeros(self.solver_mask.shape), np.zeros((frames, joints)), np.zeros((frames, joints)), np.zeros(frames)
-        )
-        run_over_frames(
-            compute_uncertainty_frames, frames, self.tree, terms, self.normalise_robust_scales((scale_m,))[0],
-            count_rows(terms), root, local, np.zeros((frames, 0)), *uncertainty,
-        )  # fmt: skip
-        return uncertainty
+def build_marker_problem(
+    subject: Subject,
+    free_joints: Bool[np.ndarray, " J"],
+    markers: Float[np.ndarray, "T K 3"],
+    marker_sd_m: float,
+    pose_prior: PosePriorTerm,
+    joint_limits: JointLimitTerm,
+) -> PoseProblem:
+    """Return the pose problem of a subject and its markers, in metres, NaN where they are not used."""
+    return PoseProblem(
+        KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, free_joints),
+        MarkerAttachment(subject.joints, subject.marker_offsets),
+        markers,
+        ~np.isnan(markers[..., 0]),
+        marker_sd_m,
+        pose_prior,
+        joint_limits,
+    )
 
 
 @dataclass(frozen=True)

@@ -15,23 +15,21 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ConstraintError, format_name_list
-from mocapfix.kernels.covariance import compute_uncertainty_frames
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.terms import (
-    DirectionTerm,
-    DistanceTerm,
-    OrientationTerm,
-    PointTerm,
-    ReprojectionTerm,
-    count_rows,
-    normalise_pixels,
-)
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, mean_pose, prior_files
-from mocapfix.solve.latent_solver import build_latent_term
+from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_uncertainty, minimise
+from mocapfix.solve.model_terms import PoseModelTerm, linearise_model_term
 from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
-from mocapfix.solve.pose_solver import PoseSolution, solve_poses
+from mocapfix.solve.terms import (
+    DirectionTerm,
+    DistanceTerm,
+    KinematicTree,
+    OrientationTerm,
+    PointTerm,
+    ReprojectionTerm,
+    normalise_pixels,
+)
 
 ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
 
@@ -366,17 +364,10 @@ def solve_pose(
         root_position, local_rotations = build_start_poses(tree, model, terms[0])
     else:
         root_position, local_rotations = check_start_pose(start, skeleton)
-    solutions = solve_poses(
-        tree,
-        terms,
-        model,
-        root_position,
-        local_rotations,
-        prior_scale=prior_scale,
-        max_iterations=MAX_SINGLE_POSE_ITERATIONS,
-    )
+    settings = SolverSettings(max_iterations=MAX_SINGLE_POSE_ITERATIONS)
+    solutions = minimise(tree, (*terms, PoseModelTerm(model, prior_scale)), (root_position, local_rotations), settings)
     best = int(np.nanargmin(solutions.cost))
-    solution = PoseSolution(*(each[best : best + 1].copy() for each in vars(solutions).values()))
+    solution = solutions.select_frames(slice(best, best + 1))
     joint_positions, joint_sd = compute_joint_sd(tree, terms, model, prior_scale, solution)
     return SolvedPose(
         skeleton=skeleton,
@@ -435,13 +426,8 @@ def compute_joint_sd(
     tree: KinematicTree, terms: ConstraintTerms, model: PoseModel, prior_scale: float, solution: PoseSolution
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " J"]]:
     """Return the joint positions of a solution, and their standard deviations per axis from the curvature; both in metres."""
-    joint_count, point_count = len(tree.parents), len(terms[0].joints)
-    scaled_codes, root_variance = solution.codes / prior_scale, np.zeros(1)
+    scaled_codes = solution.codes / prior_scale
     selected = model.select_components(compute_pose_vectors(solution.local_rotations, model.reference_rotations))
-    latent = build_latent_term(tree, selected, prior_scale, scaled_codes, 0.0, np.zeros(1, int))
-    point_sd, joint_sd, rotation_variance = np.empty((1, point_count)), np.empty((1, joint_count)), np.empty((1, joint_count))
-    compute_uncertainty_frames(
-        tree, (*terms, latent), np.inf, count_rows(terms), solution.root_position, solution.local_rotations, scaled_codes,
-        point_sd, joint_sd, rotation_variance, root_variance, 0, 1,
-    )  # fmt: skip
-    return kinematics.compute_tree_poses(tree, solution.root_position, solution.local_rotations)[0][0], joint_sd[0]
+    latent = linearise_model_term(tree, selected, prior_scale, scaled_codes, 0.0, np.zeros(1, int))
+    joint_sd = compute_uncertainty(tree, (*terms, latent), solution.poses, codes=scaled_codes).joint_sd
+    return kinematics.compute_tree_poses(tree, *solution.poses)[0][0], joint_sd[0]

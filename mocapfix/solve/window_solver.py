@@ -31,14 +31,13 @@ segments to their own markers, and the poses of the nearest frames without a los
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import lie
-from mocapfix.kernels.terms import PosePriorTerm, TrackingTerm
 from mocapfix.model.motion import PoseEvidence, PoseUncertainty
 from mocapfix.model.subject import Subject
 from mocapfix.options import SolveOptions
@@ -46,16 +45,13 @@ from mocapfix.solve import kinematics, smoothing
 from mocapfix.solve.kinematics import Poses, compute_tree_poses, predict_markers
 from mocapfix.solve.lost_in_sight import find_lost_parts
 from mocapfix.solve.mean_pose import MeanPosePrior
-from mocapfix.solve.parallel import run_in_parallel
+from mocapfix.solve.parallel import order_from_gap_ends, order_independently, run_in_parallel
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
-from mocapfix.solve.pose_problem import MotionProblem, build_no_tracking
+from mocapfix.solve.pose_problem import MotionProblem, PoseProblem
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.stats.sequences import sample_evenly
-
-if TYPE_CHECKING:
-    from mocapfix.solve.pose_problem import PoseProblem
-
+from mocapfix.solve.terms import PosePriorTerm, TrackingTerm
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MIN_ROOT_CURVATURE = 1.0
 """Curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers."""
@@ -83,7 +79,7 @@ class MarkerEquations(NamedTuple):
 
 
 def compute_marker_equations(
-    problem: "PoseProblem", pose: WorldPoses, jacobian: Float[np.ndarray, "N F 3 3"], robust_scale_m: float
+    problem: PoseProblem, pose: WorldPoses, jacobian: Float[np.ndarray, "N F 3 3"], robust_scale_m: float
 ) -> MarkerEquations:
     """Return the cost of the markers of a problem's frames about poses.
 
@@ -168,7 +164,7 @@ class SampledPrior(NamedTuple):
 def build_frame_prior_term(
     model: PoseModel,
     weight: float,
-    problem: "PoseProblem",
+    problem: PoseProblem,
     base: MeanPosePrior,
     pose: Poses,
     is_unobserved: Bool[np.ndarray, "T J"],
@@ -223,7 +219,7 @@ def interpolate_sampled_prior(
 
 
 def compute_sampled_prior(
-    model: PoseModel, weight: float, problem: "PoseProblem", base: MeanPosePrior, pose: WorldPoses, *, robust_scale_m: float
+    model: PoseModel, weight: float, problem: PoseProblem, base: MeanPosePrior, pose: WorldPoses, *, robust_scale_m: float
 ) -> SampledPrior:
     """Return means and information of the F free joints below the root in the frames of a problem."""
     joints = np.flatnonzero(problem.tree.free)[1:]
@@ -355,7 +351,7 @@ COMPARED_ROBUST_SCALE_M = 0.2
 
 
 def recover_lost_limbs(
-    problem: "PoseProblem",
+    problem: PoseProblem,
     subject: Subject,
     prior: MeanPosePrior,
     pose: Poses,
@@ -401,11 +397,12 @@ def recover_lost_limbs(
         *((pose[0][neighbours], pose[1][neighbours]) for neighbours in find_neighbours(is_lost, frames)),
     ]
     least_cost = cost[frames] - MIN_COST_IMPROVEMENT
-    for root_position, local_rotations in starts:
-        part.solve(root_position, local_rotations, part_tracking, RECOVERY_ROBUST_SCALES_M + options.robust_scales_m)
-        new_cost = compute_marker_cost(part, predict_markers(subject, (root_position, local_rotations)))
+    for start in starts:
+        found = part.minimise(start, RECOVERY_ROBUST_SCALES_M + options.robust_scales_m, part_tracking)
+        new_cost = compute_marker_cost(part, predict_markers(subject, found.poses))
         is_better = new_cost < least_cost
-        pose[0][frames[is_better]], pose[1][frames[is_better]] = root_position[is_better], local_rotations[is_better]
+        for values, new_values in zip(pose, found.poses, strict=True):
+            values[frames[is_better]] = new_values[is_better]
         least_cost = np.minimum(least_cost, new_cost)
 
 
@@ -421,7 +418,7 @@ def find_neighbours(is_lost: Bool[np.ndarray, " T"], frames: Int[np.ndarray, " N
     return [sound[np.maximum(position - 1, 0)], sound[np.minimum(position, len(sound) - 1)]]
 
 
-def compute_marker_cost(problem: "PoseProblem", predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:
+def compute_marker_cost(problem: PoseProblem, predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:
     """Return the cost of each frame's visible markers, half the sum of squares in standard deviations, at a wide robust scale."""
     square = ((problem.marker_positions - predicted) ** 2).sum(-1) / problem.marker_sd**2
     scale2 = (COMPARED_ROBUST_SCALE_M / problem.marker_sd) ** 2
@@ -429,60 +426,63 @@ def compute_marker_cost(problem: "PoseProblem", predicted: Float[np.ndarray, "T 
 
 
 class WindowSolution(NamedTuple):
-    """The solution of T consecutive frames besides their poses: status and iterations (T,), and the evidence."""
+    """The solution of T consecutive frames: poses, status and iterations (T,), and the evidence."""
 
+    poses: Poses
     status: np.ndarray
     iterations: np.ndarray
     evidence: PoseEvidence
 
 
 class IndependentSolution(NamedTuple):
-    """What remains of the independent solves of T frames besides their poses.
+    """The solution of T frames before their trajectories are smoothed.
 
     uncertainty   uncertainty of the poses
     gap_variance  (T, J) rad^2: variance of the interpolated rotations of uncertain joints
     """
 
+    poses: Poses
     uncertainty: PoseUncertainty
     gap_variance: np.ndarray
 
 
-def solve_window(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
-    """Solve all frames of a window, from the poses given, which are overwritten.
+def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
+    """Return the solution of all frames of a window.
 
     is_restarted  frames whose start may be far from the solution
     """
-    root_position, local_rotations = pose
-    iterations = solve_from_starts(window, pose, is_restarted)
+    poses, iterations = solve_from_starts(window, start, is_restarted)
     if window.conditioner is not None:
-        window = set_frame_prior(window, window.conditioner, pose)
-        every_frame = np.zeros(len(root_position), bool)
-        iterations += solve_from_starts(window, pose, every_frame)
+        window = set_frame_prior(window, window.conditioner, poses)
+        poses, more_iterations = solve_from_starts(window, poses, np.zeros(len(poses[0]), bool))
+        iterations = iterations + more_iterations
     problem, options, rate = window.pose_problem, window.options, window.rate
-    alone = solve_uncertain_frames(window, pose)
-    known, own_pose = alone.uncertainty, (root_position.copy(), local_rotations.copy())
+    alone = solve_uncertain_frames(window, poses)
+    root_position, local_rotations = alone.poses
     tracking = smoothing.smooth_poses(
-        root_position, local_rotations.copy(), known, window.is_uncertain, problem.tree.free, rate, options
+        root_position, local_rotations.copy(), alone.uncertainty, window.is_uncertain, problem.tree.free, rate, options
     )
-    local_rotations[window.is_unobserved] = tracking.rotations[window.is_unobserved]
-    status, second_iterations = problem.solve(root_position, local_rotations, tracking, options.robust_scales_m[-1:])
+    tracked = np.where(window.is_unobserved[..., None, None], tracking.rotations, local_rotations)
+    solution = problem.minimise((root_position, tracked), options.robust_scales_m[-1:], tracking)
     recover_lost_limbs(
         problem,
         window.subject,
         window.prior,
-        pose,
-        own_pose=own_pose,
+        solution.poses,
+        own_pose=alone.poses,
         tracking=tracking,
         is_uncertain=window.is_uncertain,
         options=options,
     )
+    root_position, local_rotations = solution.poses
     anchor_position = root_position + kinematics.compute_anchor_offset(problem.tree, local_rotations)
     anchor_position = smoothing.remove_pose_jitter(
         anchor_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate, options
     )
     root_position[:] = anchor_position - kinematics.compute_anchor_offset(problem.tree, local_rotations)
+    known = alone.uncertainty
     evidence = PoseEvidence(known.marker_sd, known.rotation_variance, alone.gap_variance, tracking.root_weight)
-    return WindowSolution(status, iterations + second_iterations, evidence)
+    return WindowSolution(solution.poses, solution.status, iterations + solution.iterations, evidence)
 
 
 def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: Poses) -> MotionProblem:
@@ -502,40 +502,41 @@ def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: 
     return window.set_pose_prior(term)
 
 
-def solve_uncertain_frames(window: MotionProblem, pose: Poses) -> IndependentSolution:
-    """Solve frames with uncertain joints again from their neighbours, tracking an interpolation of each frame's own solution.
-
-    The poses are overwritten with the solution.
-    """
+def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> IndependentSolution:
+    """Solve frames with uncertain joints again from their neighbours, tracking an interpolation of each frame's own solution."""
     problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
-    no_tracking, robust_scale_m = build_no_tracking(pose[1].shape[1]), options.robust_scales_m[-1]
-    uncertainty = problem.compute_uncertainty(*pose, no_tracking, robust_scale_m)
+    robust_scale_m = options.robust_scales_m[-1]
+    uncertainty = problem.compute_uncertainty(poses, robust_scale_m)
     tracking, gap_variance = smoothing.track_across_gaps(
-        pose[1], uncertainty.rotation_variance, is_uncertain, window.rate, options
+        poses[1], uncertainty.rotation_variance, is_uncertain, window.rate, options
     )
     frames = np.flatnonzero(is_uncertain.any(1))
     if len(frames):  # only these are solved again, and have another uncertainty
-        problem.solve_from_neighbours(*pose, tracking, is_uncertain, robust_scale_m)
-        solved_again = problem.select_frames(frames).compute_uncertainty(
-            pose[0][frames], pose[1][frames], no_tracking, robust_scale_m
-        )
+        order = order_from_gap_ends(find_runs(np.any(is_uncertain, axis=1)), is_uncertain)
+        poses = problem.minimise(poses, (robust_scale_m,), tracking, order=order).poses
+        solved_again = problem.select_frames(frames).compute_uncertainty((poses[0][frames], poses[1][frames]), robust_scale_m)
         for values, new_values in zip(uncertainty, solved_again, strict=True):
             values[frames] = new_values
     tracked_variance = gap_variance + options.rotation_tracking_sd_rad**2
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
     )
-    return IndependentSolution(uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
+    return IndependentSolution(poses, uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
 
 
-def solve_from_starts(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
+def solve_from_starts(
+    window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]
+) -> tuple[Poses, Int[np.ndarray, " T"]]:
     """Solve each frame on its own. Restarted frames pass through all robust scales; the others are near their solution.
 
-    A frame without a pose starts from the solution of the frame before; then all frames must be restarted.
+    A frame without a pose starts from the solution of the frame before; then all frames must be restarted. Return poses and
+    iterations.
     """
-    problem, scales_m, no_tracking = window.pose_problem, window.options.robust_scales_m, build_no_tracking(pose[1].shape[1])
+    problem, scales_m = window.pose_problem, window.options.robust_scales_m
     if is_restarted.all():
-        return problem.solve(*pose, no_tracking, scales_m)[1]
-    restarted, others = np.flatnonzero(is_restarted), np.flatnonzero(~is_restarted)
-    iterations = problem.solve_each(restarted, *pose, no_tracking, scales_m)[1]
-    return iterations + problem.solve_each(others, *pose, no_tracking, scales_m[-1:])[1]
+        solution = problem.minimise(start, scales_m)
+        return solution.poses, solution.iterations
+    joints = start[1].shape[1]
+    restarted = problem.minimise(start, scales_m, order=order_independently(np.flatnonzero(is_restarted), joints))
+    others = problem.minimise(restarted.poses, scales_m[-1:], order=order_independently(np.flatnonzero(~is_restarted), joints))
+    return others.poses, restarted.iterations + others.iterations

@@ -17,7 +17,6 @@ from mocapfix.model.skeleton import load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve.kinematics import compute_tree_poses
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.stats.sequences import select_farthest_rows
 from mocapfix.subject import refinement
 from mocapfix.subject.calibration import CalibrationFrames, build_average_subject
@@ -71,14 +70,7 @@ def compute_place_residuals(state: RefinementState, *, without_marker: int | Non
     if without_marker is not None:
         mask = problem.solver_mask.copy()
         mask[:, without_marker] = False
-        root, local = root.copy(), local.copy()
-        replace(problem, solver_mask=mask).solve(
-            root,
-            local,
-            build_no_tracking(local.shape[1]),
-            (refinement.CALIBRATION_ROBUST_SCALE_M,),
-            refinement.MAX_CALIBRATION_POSE_ITERATIONS,
-        )
+        root, local = refinement.pose_calibrated_frames(replace(problem, solver_mask=mask), (root, local))
     position, rotation = compute_tree_poses(problem.tree, root, local)
     joints, offsets = problem.attachment
     columns = np.arange(len(joints)) if without_marker is None else np.array([without_marker])

@@ -23,23 +23,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.schur import eliminate_pose_frames
-from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.solve.pose_problem import (
-    MarkerAttachment,
-    PoseProblem,
-    build_no_joint_limits,
-    build_no_tracking,
-    build_pose_prior_term,
-)
+from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
+from mocapfix.solve.terms import BodyTerms, KinematicTree, build_no_joint_limits, build_pose_prior_term
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF, evaluate_matern
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.parameters import (
@@ -69,7 +63,7 @@ class SharedResponses(NamedTuple):
 
 def compute_shared_responses(
     tree: KinematicTree,
-    terms: tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm],
+    terms: BodyTerms,
     deformations: ShapeDeformations,
     squared_robust_scale: float,
     root: Float[np.ndarray, "T 3"],
@@ -254,13 +248,13 @@ def build_calibration_problem(
     start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray, calibrated: CalibratedBody
 ) -> PoseProblem:
     """Return the pose problem of frames (N, K, 3) on a body with calibrated offsets and mean pose."""
-    tree = KinematicTree(start.skeleton.parents, calibrated.offsets, body.free_joints)
+    skeleton = replace(start.skeleton, offsets=calibrated.offsets)
+    subject = replace(start, skeleton=skeleton, marker_offsets=calibrated.marker_offsets)
     prior_term = build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT))
-    return PoseProblem(
-        tree,
-        MarkerAttachment(start.joints, calibrated.marker_offsets),
+    return build_marker_problem(
+        subject,
+        body.free_joints,
         markers,
-        ~np.isnan(markers[..., 0]),
         CALIBRATION_MARKER_SD_M,
         prior_term._replace(mean_vectors=calibrated.mean_pose_vectors),
         build_no_joint_limits(len(calibrated.offsets)),
@@ -272,9 +266,9 @@ def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: 
     motion = register_poses(start, body.free_joints, prior, markers)
     uncalibrated = CalibratedBody(start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3)))
     problem = build_calibration_problem(start, body, prior, markers, uncalibrated)
-    no_tracking = build_no_tracking(len(body.free_joints))
-    problem.solve(motion.root_position, motion.local_rotations, no_tracking, SELECTION_ROBUST_SCALES_M, MAX_SELECTION_ITERATIONS)
-    return motion
+    poses = motion.root_position, motion.local_rotations
+    solution = problem.minimise(poses, SELECTION_ROBUST_SCALES_M, max_iterations=MAX_SELECTION_ITERATIONS)
+    return replace(motion, root_position=solution.root_position, local_rotations=solution.local_rotations)
 
 
 def refine_subject(
@@ -298,7 +292,7 @@ def refine_subject(
 
     def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
-        return solve_and_linearise(parameters, problem, unknowns, root_position.copy(), local_rotations.copy())
+        return solve_and_linearise(parameters, problem, unknowns, root_position, local_rotations)
 
     unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
     state = fit(unknowns, root_position, local_rotations)
@@ -328,10 +322,14 @@ def solve_and_linearise(
     root_position: np.ndarray,
     local_rotations: np.ndarray,
 ) -> RefinementState:
-    """Solve the poses from those given, which are overwritten, and return the state there."""
-    no_tracking = build_no_tracking(local_rotations.shape[1])
-    problem.solve(root_position, local_rotations, no_tracking, (CALIBRATION_ROBUST_SCALE_M,), MAX_CALIBRATION_POSE_ITERATIONS)
-    return linearise_frames(parameters, problem, unknowns, root_position, local_rotations)
+    """Solve the poses from those given, and return the state there."""
+    poses = pose_calibrated_frames(problem, (root_position, local_rotations))
+    return linearise_frames(parameters, problem, unknowns, *poses)
+
+
+def pose_calibrated_frames(problem: PoseProblem, start: Poses) -> Poses:
+    """Return the poses of frames on a body that is nearly calibrated."""
+    return problem.minimise(start, (CALIBRATION_ROBUST_SCALE_M,), max_iterations=MAX_CALIBRATION_POSE_ITERATIONS).poses
 
 
 def linearise_frames(
@@ -376,7 +374,7 @@ def respond_in_frames(
     part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
     return compute_shared_responses(
         part.tree,
-        part.build_terms(build_no_tracking(local_rotations.shape[1])),
+        part.build_terms(),
         parameters.deformations,
         part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0],
         root_position[frames],

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
-from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel
@@ -22,13 +21,8 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
-from mocapfix.solve.pose_problem import (
-    MarkerAttachment,
-    PoseProblem,
-    build_joint_limit_term,
-    build_no_tracking,
-    build_pose_prior_term,
-)
+from mocapfix.solve.pose_problem import build_marker_problem
+from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import refinement
 from mocapfix.subject.body_size import scale_skeleton
@@ -130,10 +124,8 @@ def fit_bodies_to_markers(
 ) -> MarkerAssignment:
     """Return the assignment (H, M) and misfit (H,) of the H best bodies fitted to one frame's markers of a height in metres."""
     root_position, local_rotations, subject = build_standing_bodies(markers, height, atlas, body, prior)
-    tree = KinematicTree(body.skeleton.parents, subject.skeleton.offsets, body.free_joints)
     prior_term, limit_term = build_pose_prior_term(prior), build_joint_limit_term(limits, MATCHING_LIMIT_SD_RAD)
     indices, misfit = np.full((len(root_position), len(markers)), -1), np.full(len(root_position), np.inf)
-    attachment, no_tracking = MarkerAttachment(subject.joints, subject.marker_offsets), build_no_tracking(len(tree.parents))
     for solve_round, gate in enumerate(np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS)):
         if solve_round == BODY_SCREENING_ROUNDS:
             best = np.sort(np.argsort(misfit, kind="stable")[:CONTINUED_BODIES])
@@ -146,9 +138,9 @@ def fit_bodies_to_markers(
             indices[h], misfit[h] = assign_nearest(np.linalg.norm(markers[:, None] - positions, axis=-1), float(gate))
             is_assigned = indices[h] >= 0
             target[h, indices[h, is_assigned]] = markers[is_assigned]
-        visible = ~np.isnan(target[..., 0])
-        problem = PoseProblem(tree, attachment, target, visible, MATCHING_MARKER_SD_M, prior_term, limit_term)
-        problem.solve(root_position, local_rotations, no_tracking, (float(gate),), MATCHING_ITERATIONS)
+        problem = build_marker_problem(subject, body.free_joints, target, MATCHING_MARKER_SD_M, prior_term, limit_term)
+        start = root_position, local_rotations
+        root_position, local_rotations = problem.minimise(start, (float(gate),), max_iterations=MATCHING_ITERATIONS).poses
     return MarkerAssignment(indices, misfit)
 
 

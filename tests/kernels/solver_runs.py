@@ -31,7 +31,14 @@ def solve_frames_from(frame: Frame, scales2: np.ndarray, frames: int = 1, most: 
     """Return root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,) and iterations (T,) from the frame's pose or a start."""
     root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
     ends = solve_in_order(
-        parallel.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
+        parallel.order_independently(np.arange(frames), len(frame.local)),
+        frame.tree,
+        frame.terms,
+        scales2,
+        root,
+        local,
+        shared,
+        most,
     )
     return root, local, shared, *ends
 

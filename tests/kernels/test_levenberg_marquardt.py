@@ -210,7 +210,7 @@ def test_solutions_do_not_depend_on_the_blocks():
     exact = draw_exact_markers(rng, frame, sd=0.01)
     seen = exact.measured + rng.normal(0, 0.05, (frames, *exact.measured.shape[1:]))
     terms = random_terms.build_terms(joints, frames, points=exact._replace(measured=seen, weight=np.full(seen.shape[:2], 1e4)))
-    order, results = order_independently(frames, joints), []
+    order, results = order_independently(np.arange(frames), joints), []
     for blocks in ([(0, 12)], [(0, 5), (5, 12)], [(t, t + 1) for t in reversed(range(12))]):
         root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
         out = root, local, np.zeros((frames, 0)), np.zeros(frames, int), np.zeros(frames, int)

@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
-from mocapfix.lab.compared_priors import NaturalnessModel, solve_natural_poses
-from mocapfix.solve import pose_solver
+from mocapfix.lab.compared_priors import NaturalnessModel, NaturalnessTerm
+from mocapfix.solve import model_terms
+from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.pose_prior import remove_heading
 from tests.kernels import dense_oracle
 from tests.solve.test_autoencoder import REFERENCE, SKELETON, draw_model
-from tests.solve.test_pose_solver import given
+from tests.solve.test_model_terms import given, record_rounds
 
 RNG = np.random.default_rng(0)
 
@@ -114,39 +115,36 @@ def costs(measure, term, root, local, scale=1.0):
     )
 
 
-def test_cost_decreases_monotonically(measure):
-    term, states = points(HANDS_AND_FEET, 1), [START]
-    solve_natural_poses(
-        TREE,
-        (term,),
-        measure,
-        *START,
-        prior_scale=0.1,
-        callback=lambda root, local, _: states.append((root.copy(), local.copy())),
-    )
-    changes = np.diff([costs(measure, term, *each, scale=0.1) for each in states], axis=0)
+def solve(measure, term, start=START, scale=1.0):
+    return minimise(TREE, (term, NaturalnessTerm(measure, scale)), start, SolverSettings(max_iterations=30))
+
+
+def test_cost_decreases_monotonically(measure, monkeypatch):
+    term, states = points(HANDS_AND_FEET, 1), record_rounds(monkeypatch)
+    solve(measure, term, scale=0.1)
+    changes = np.diff([costs(measure, term, *each[:2], scale=0.1) for each in [START, *states]], axis=0)
     assert (changes <= 1e-6).all()
     assert (changes[1:] < -0.05).any()
 
 
 def test_stronger_prior_gives_more_natural_poses(measure):
     term = points(HANDS_AND_FEET, 1)
-    found = [solve_natural_poses(TREE, (term,), measure, *START, prior_scale=scale) for scale in (0.1, 1e6)]
+    found = [solve(measure, term, scale=scale) for scale in (0.1, 1e6)]
     natural, free = (measure.evaluate(each.local_rotations)[0] for each in found)
     assert (natural < free).all()
 
 
 def test_complete_observations_change_little(measure):
-    found = solve_natural_poses(TREE, (points(np.arange(31), 4),), measure, *START)
+    found = solve(measure, points(np.arange(31), 4))
     np.testing.assert_allclose(found.local_rotations[:, 1:], LOCAL[:, 1:], atol=0.05)
     assert found.codes.shape == (4, 0)
 
 
 def test_batches_and_frame_order_are_irrelevant(measure, monkeypatch):
     term = points(HANDS_AND_FEET, 1)
-    found = solve_natural_poses(TREE, (term,), measure, *START)
+    found = solve(measure, term)
     order = np.array([2, 0, 3, 1])
-    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 3)
+    monkeypatch.setattr(model_terms, "MAX_BATCH_FRAMES", 3)
     turned = term._replace(measured=term.measured[order], weight=term.weight[order])
-    again = solve_natural_poses(TREE, (turned,), measure, *(each[order] for each in START))
+    again = solve(measure, turned, tuple(each[order] for each in START))
     np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-4)

@@ -29,7 +29,7 @@ def build_uncertain_joints(frames, lost):
 
 
 def test_independent_frames_start_from_their_own_poses():
-    order = parallel.order_independently(3, 4)
+    order = parallel.order_independently(np.arange(3), 4)
     assert list_chains(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
     assert not order.copied_joints.any()
 

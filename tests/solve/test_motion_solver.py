@@ -23,8 +23,8 @@ from mocapfix.solve import (
     window_solver,
 )
 from mocapfix.solve.mean_pose import load_joint_limits
-from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.terms import build_no_tracking
 from mocapfix.subject.library import load_marker_set
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")

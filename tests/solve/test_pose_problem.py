@@ -7,13 +7,9 @@ import numpy as np
 from mocapfix.kernels.compilation_cache import find_module_folder
 from mocapfix.model.motion import FrameStatus
 from mocapfix.solve.mean_pose import MeanPosePrior
-from mocapfix.solve.pose_problem import (
-    MarkerAttachment,
-    PoseProblem,
-    build_no_joint_limits,
-    build_no_tracking,
-    build_pose_prior_term,
-)
+from mocapfix.solve.parallel import order_from_gap_ends
+from mocapfix.solve.pose_problem import PoseProblem
+from mocapfix.solve.terms import MarkerAttachment, build_no_joint_limits, build_pose_prior_term
 from tests.kernels import dense_oracle, random_terms
 
 FRAMES, JOINTS, SD = 6, 5, 0.01
@@ -50,12 +46,15 @@ def off(root, local):
 
 def test_exact_markers_recover_poses_and_the_compiled_solver_is_cached():
     body, root, local = problem()
-    found = off(root, local)
-    status, iterations = body.solve(*found, build_no_tracking(JOINTS), PLAIN, 50)
-    assert np.isin(status, [FrameStatus.CONVERGED, FrameStatus.EXACT]).all()
-    assert (iterations > 0).all()
-    np.testing.assert_allclose(found[0], root, atol=1e-3 * SD)
-    np.testing.assert_allclose(found[1], local, atol=1e-3)
+    start = off(root, local)
+    given = start[0].copy(), start[1].copy()
+    found = body.minimise(start, PLAIN, max_iterations=50)
+    assert np.isin(found.status, [FrameStatus.CONVERGED, FrameStatus.EXACT]).all()
+    assert (found.iterations > 0).all()
+    np.testing.assert_allclose(found.root_position, root, atol=1e-3 * SD)
+    np.testing.assert_allclose(found.local_rotations, local, atol=1e-3)
+    for now, before in zip(start, given, strict=True):
+        np.testing.assert_array_equal(now, before)
     assert list(find_module_folder("mocapfix.kernels.levenberg_marquardt").glob("*.solve_frames-*.nbi"))
 
 
@@ -75,26 +74,25 @@ def test_masked_markers_are_ignored():
         body, marker_positions=np.full_like(body.marker_positions, np.nan), solver_mask=np.zeros_like(body.solver_mask)
     )
     start = off(root, local)
-    found = start[0].copy(), start[1].copy()
-    status, _ = deaf.solve(*found, build_no_tracking(JOINTS), PLAIN)
-    assert (status == FrameStatus.UNCONSTRAINED).all()
-    np.testing.assert_array_equal(found[0], start[0])
-    np.testing.assert_array_equal(found[1], start[1])
+    found = deaf.minimise(start, PLAIN)
+    assert (found.status == FrameStatus.UNCONSTRAINED).all()
+    np.testing.assert_array_equal(found.root_position, start[0])
+    np.testing.assert_array_equal(found.local_rotations, start[1])
 
 
 def test_frame_without_pose_starts_from_the_solution_before():
     body, root, local = problem()
     start = root.copy(), local.copy()
     start[0][1:], start[1][1:] = np.nan, np.nan
-    status, iterations = body.solve(*start, build_no_tracking(JOINTS), PLAIN)
-    assert (status == FrameStatus.EXACT).any()  # the first starts where it belongs
-    assert iterations[0] == 0
-    assert (iterations[1:] > 0).all()
-    np.testing.assert_allclose(start[0], root, atol=1e-3 * SD)
+    solution = body.minimise(start, PLAIN)
+    assert (solution.status == FrameStatus.EXACT).any()  # the first starts where it belongs
+    assert solution.iterations[0] == 0
+    assert (solution.iterations[1:] > 0).all()
+    np.testing.assert_allclose(solution.root_position, root, atol=1e-3 * SD)
     deaf = replace(body, solver_mask=np.zeros_like(body.solver_mask))
+    start = solution.poses
     start[0][3:], start[1][3:] = np.nan, np.nan
-    deaf.solve(*start, build_no_tracking(JOINTS), PLAIN)
-    for found in start:
+    for found in deaf.minimise(start, PLAIN).poses:
         np.testing.assert_array_equal(found[3:], np.broadcast_to(found[2], found[3:].shape))
 
 
@@ -104,11 +102,12 @@ def test_robust_scales_are_in_metres():
 
 def test_uncertain_joints_start_from_their_neighbours():
     body, root, local = problem()
-    found = root.copy(), local.copy()
-    found[1][2:4] = off(root, local)[1][2:4]
+    start = root.copy(), local.copy()
+    start[1][2:4] = off(root, local)[1][2:4]
     solver_mask, uncertain_joints = body.solver_mask.copy(), np.zeros((FRAMES, JOINTS), bool)
     uncertain_joints[2:4, 3], solver_mask[2:4] = True, False
-    replace(body, solver_mask=solver_mask).solve_from_neighbours(*found, build_no_tracking(JOINTS), uncertain_joints, 0.05)
+    order = order_from_gap_ends([(2, 3)], uncertain_joints)
+    found = replace(body, solver_mask=solver_mask).minimise(start, (0.05,), order=order).poses
     np.testing.assert_array_equal(found[1][2:4, 3], local[[1, 4], 3])
     np.testing.assert_array_equal(found[1][2:4, :3], off(root, local)[1][2:4, :3])
     np.testing.assert_array_equal(found[0], root)
@@ -117,9 +116,7 @@ def test_uncertain_joints_start_from_their_neighbours():
 def test_pose_uncertainty_is_proportional_to_marker_sd():
     """But for the last digits: what holds an unknown that nothing holds is there, too."""
     body, root, local = problem()
-    one, two = (
-        replace(body, marker_sd=sd).compute_uncertainty(root, local, build_no_tracking(JOINTS), np.inf) for sd in (SD, 2 * SD)
-    )
+    one, two = (replace(body, marker_sd=sd).compute_uncertainty((root, local), np.inf) for sd in (SD, 2 * SD))
     for half, whole, power in zip(one, two, (1, 1, 2, 2), strict=True):
         np.testing.assert_allclose(whole, 2**power * half, rtol=1e-3)
     assert one.marker_sd.shape == (FRAMES, 4 * JOINTS)

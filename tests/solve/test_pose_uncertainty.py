@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.motion_solver import (
@@ -16,9 +15,10 @@ from mocapfix.solve.motion_solver import (
     estimate_actual_marker_sd,
     estimate_marker_sd,
 )
-from mocapfix.solve.pose_problem import (
+from mocapfix.solve.pose_problem import PoseProblem
+from mocapfix.solve.terms import (
+    KinematicTree,
     MarkerAttachment,
-    PoseProblem,
     build_no_joint_limits,
     build_no_tracking,
     build_pose_prior_term,
@@ -71,13 +71,13 @@ def scene():
 
 def predict_sd(scene, tracking_sd=None, subject=None):
     person, motion, problem = scene
-    nominal_sd = problem.compute_uncertainty(motion.root_position, motion.local_rotations, build_no_tracking(31), 0.05).marker_sd
     time = build_no_tracking(31)
     if tracking_sd is not None:
         weight = np.zeros((1, 31))
         weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / tracking_sd**2
         time = time._replace(rotations=motion.local_rotations[:1], weight=weight)
     pose = motion.root_position, motion.local_rotations
+    nominal_sd = problem.compute_uncertainty(pose, 0.05).marker_sd
     marker_sd = estimate_actual_marker_sd(problem, pose, person, nominal_sd)
     return compute_pose_sd(problem, pose, subject or person, MEAN, marker_sd, time, 0.05)
 

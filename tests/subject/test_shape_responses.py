@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.solve.pose_problem import MarkerAttachment, PoseProblem, build_no_tracking
+from mocapfix.solve.pose_problem import PoseProblem
+from mocapfix.solve.terms import MarkerAttachment, build_no_tracking
 from mocapfix.subject.parameters import ShapeDeformations
 from mocapfix.subject.refinement import compute_shared_responses, reduce_shared_curvature, reduce_shared_gradient
 from tests.kernels import dense_oracle, random_terms
@@ -129,9 +130,9 @@ def test_gradient_is_that_of_the_minimised_cost():
 
     def solved(unknowns):
         trial = changed(frame, deformations, unknowns)
-        root, local = frame.root[None].copy(), frame.local[None].copy()
-        problem_of(trial).solve(root, local, frame.terms[1], (PLAIN, PLAIN, PLAIN), 100)
-        return respond(trial._replace(root=root[0], local=local[0]), deformations, PLAIN)
+        start = frame.root[None], frame.local[None]
+        found = problem_of(trial).minimise(start, (PLAIN, PLAIN, PLAIN), frame.terms[1], max_iterations=100)
+        return respond(trial._replace(root=found.root_position[0], local=found.local_rotations[0]), deformations, PLAIN)
 
     unknowns = count(frame)
     slope = dense_oracle.compute_jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import LatentCodeTerm, PointTerm
 from mocapfix.model.motion import FrameStatus
-from mocapfix.solve import latent_solver, pose_solver
+from mocapfix.solve import model_terms
+from mocapfix.solve.minimise import SolverSettings, minimise
+from mocapfix.solve.model_terms import PoseModelTerm
 from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
 from tests.kernels import dense_oracle, random_terms
 
@@ -50,6 +52,24 @@ class Bent(GaussianModel):
 
 def bent(rng, **how) -> Bent:
     return Bent(**vars(build_linear_model(rng)), evaluated_counts=[], **how)
+
+
+def solve(tree, points, model, start, *, prior_scale=1.0, codes=None, max_iterations=30):
+    """Return the poses of least cost under points and a model."""
+    term = PoseModelTerm(model, prior_scale, codes)
+    return minimise(tree, (points, term), start, SolverSettings(max_iterations=max_iterations))
+
+
+def record_rounds(monkeypatch):
+    """Return a list to which each round of a solve adds roots, rotations and codes of all frames."""
+    states, run_round = [], model_terms.ModelRounds.run_round
+
+    def recorded(self, *arguments):
+        run_round(self, *arguments)
+        states.append((self.root_position.copy(), self.local_rotations.copy(), self.prior_scale * self.scaled_codes))
+
+    monkeypatch.setattr(model_terms.ModelRounds, "run_round", recorded)
+    return states
 
 
 def body(rng) -> KinematicTree:
@@ -102,7 +122,7 @@ def test_poses_of_the_model_are_recovered_from_all_joints(make):
     rng = np.random.default_rng(0)
     model = make(rng)
     tree, points, start, codes = case(rng, model, joints=range(JOINTS))
-    found = pose_solver.solve_poses(tree, (points,), model, *start)
+    found = solve(tree, points, model, start)
     np.testing.assert_allclose(
         found.local_rotations, posed(model, codes), atol=0.02
     )  # a code of zero is likelier than the true one
@@ -114,7 +134,7 @@ def test_linear_model_gives_the_least_squares_solution():
     rng = np.random.default_rng(1)
     model = build_linear_model(rng)
     tree, points, start, _ = case(rng, model)
-    found = pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=1.5)
+    found = solve(tree, points, model, start, prior_scale=1.5)
     np.testing.assert_allclose(found.cost, costs(tree, points, model, found, 1.5), rtol=1e-9)
     for t, cost in enumerate(found.cost):
         slopes = 1.5 * np.moveaxis(model.components, 0, -1)[None]
@@ -147,7 +167,7 @@ def test_nonlinear_model_ends_at_a_local_minimum():
     rng = np.random.default_rng(2)
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
-    found = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
+    found = solve(tree, points, model, start, max_iterations=200)
     reached = costs(tree, points, model, found)
     for t in range(len(reached)):
         frame = dense_oracle.Frame(tree, (), found.root_position[t], found.local_rotations[t], found.codes[t])
@@ -157,14 +177,12 @@ def test_nonlinear_model_ends_at_a_local_minimum():
 
 
 @pytest.mark.parametrize("height", [0.3, 3.0])
-def test_true_cost_never_increases(height):
+def test_true_cost_never_increases(height, monkeypatch):
     rng = np.random.default_rng(3)
     model = bent(rng, height=height)
     tree, points, start, _ = case(rng, model, joints=(2, 5))
-    states = []
-    found = pose_solver.solve_poses(
-        tree, (points,), model, *start, callback=lambda *state: states.append([each.copy() for each in state])
-    )
+    states = record_rounds(monkeypatch)
+    found = solve(tree, points, model, start)
     after = [costs(tree, points, model, replace(found, root_position=r, local_rotations=q, codes=z)) for r, q, z in states]
     fell = np.diff(after, axis=0)
     np.testing.assert_allclose(found.cost, after[-1], rtol=1e-6)
@@ -177,11 +195,11 @@ def test_batches_and_frame_order_are_irrelevant(make, monkeypatch):
     rng = np.random.default_rng(4)
     model = make(rng)
     tree, points, start, _ = case(rng, model, frames=7)
-    found = pose_solver.solve_poses(tree, (points,), model, *start)
+    found = solve(tree, points, model, start)
     order = rng.permutation(7)
     turned = points._replace(measured=points.measured[order], weight=points.weight[order])
-    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 2)
-    for name, again in vars(pose_solver.solve_poses(tree, (turned,), model, *(each[order] for each in start))).items():
+    monkeypatch.setattr(model_terms, "MAX_BATCH_FRAMES", 2)
+    for name, again in vars(solve(tree, turned, model, tuple(each[order] for each in start))).items():
         np.testing.assert_allclose(again, getattr(found, name)[order], atol=1e-9)
 
 
@@ -191,8 +209,8 @@ def test_prior_scale_multiplies_all_model_deviations():
     tree, points, start, _ = case(rng, model)
     wider = replace(model, residual_sd_rad=2 * model.residual_sd_rad, components=2 * model.components)
     expected, found = (
-        pose_solver.solve_poses(tree, (points,), wider, *start),
-        pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=2.0),
+        solve(tree, points, wider, start),
+        solve(tree, points, model, start, prior_scale=2.0),
     )
     np.testing.assert_allclose(found.local_rotations, expected.local_rotations, atol=1e-9)
     np.testing.assert_allclose(found.codes, 2 * expected.codes, atol=1e-9)
@@ -203,24 +221,25 @@ def test_converged_frames_are_not_linearised_again(monkeypatch):
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
     with monkeypatch.context() as finer:
-        finer.setattr(latent_solver, "MIN_ROUND_COST_DECREASE", 1e-4)
-        first = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
+        finer.setattr(model_terms, "MIN_ROUND_COST_DECREASE", 1e-4)
+        first = solve(tree, points, model, start, max_iterations=200)
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end
         root[t], local[t], codes[t] = first.root_position[t], first.local_rotations[t], first.codes[t]
     model.evaluated_counts.clear()
-    again = pose_solver.solve_poses(tree, (points,), model, root, local, codes, max_iterations=200)
+    again = solve(tree, points, model, (root, local), codes=codes, max_iterations=200)
     assert (again.status == FrameStatus.CONVERGED).all()
     assert model.evaluated_counts[:2] == [5, 2]  # the codes of the first round differ, otherwise one evaluation would serve all
 
 
-def test_linear_model_is_linearised_once_and_callback_is_called():
+def test_linear_model_is_linearised_once(monkeypatch):
     rng = np.random.default_rng(7)
-    model, states = build_linear_model(rng), []
+    model, counts = build_linear_model(rng), []
+    linearise = type(model).linearise
+    monkeypatch.setattr(type(model), "linearise", lambda self, codes: counts.append(len(codes)) or linearise(self, codes))
     tree, points, start, _ = case(rng, model)
-    found = pose_solver.solve_poses(tree, (points,), model, *start, callback=lambda *state: states.append(state))
-    assert len(states) == 1
-    np.testing.assert_array_equal(states[0][2], found.codes)
+    solve(tree, points, model, start)
+    assert counts == [1]
 
 
 def test_start_is_not_modified_and_iterations_are_limited():
@@ -228,7 +247,7 @@ def test_start_is_not_modified_and_iterations_are_limited():
     model = bent(rng)
     tree, points, start, codes = case(rng, model)
     kept = *(each.copy() for each in start), codes.copy()
-    found = pose_solver.solve_poses(tree, (points,), model, *start, codes, max_iterations=1)
+    found = solve(tree, points, model, start, codes=codes, max_iterations=1)
     for now, before in zip((*start, codes), kept, strict=True):
         np.testing.assert_array_equal(now, before)
     assert (found.status == FrameStatus.ITERATION_LIMIT).any()
@@ -243,7 +262,7 @@ def test_model_determines_the_tilt_but_not_the_heading():
     heading = Rotation.from_rotvec([0, 1.2, 0]).as_matrix()
     local[0, 0] = heading @ Rotation.from_rotvec([0.4, 0, -0.3]).as_matrix()
     points = PointTerm(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 1, 3)), np.full((1, 1), 1e4))
-    found = pose_solver.solve_poses(tree, (points,), model, root, local)
+    found = solve(tree, points, model, (root, local))
     np.testing.assert_allclose(
         compute_pose_vectors(found.local_rotations, model.reference_rotations)[0], model.mean_vectors, atol=1e-3
     )

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocapfix.model.motion import FrameStatus
-from mocapfix.solve import pose_solver
+from mocapfix.solve import model_terms
 from mocapfix.solve.pose_prior import GaussianModel, MixtureModel, compute_pose_vectors
-from tests.solve.test_pose_solver import CODE, JOINTS, body, build_linear_model, given, posed
+from tests.solve.test_model_terms import CODE, JOINTS, body, build_linear_model, given, posed, solve
 
 
 def mixed(rng, count=2) -> MixtureModel:
@@ -58,14 +58,14 @@ def test_poses_end_in_their_component_as_under_it_alone():
     rng = np.random.default_rng(0)
     model, chosen = mixed(rng), [0, 1, 1, 0]
     tree, points, start = case(rng, model, chosen)
-    found = pose_solver.solve_poses(tree, (points,), model, *start)
+    found = solve(tree, points, model, start)
     assert (found.status == FrameStatus.CONVERGED).all()
     assert (
         model.select_components(compute_pose_vectors(found.local_rotations, model.reference_rotations)).component_index.tolist()
         == chosen
     )
     for c in (0, 1):
-        alone = pose_solver.solve_poses(tree, (points,), component(model, c), *start)
+        alone = solve(tree, points, component(model, c), start)
         own = np.array(chosen) == c
         np.testing.assert_allclose(found.local_rotations[own], alone.local_rotations[own], atol=5e-3)
         np.testing.assert_allclose(found.codes[own], alone.codes[own], atol=5e-2)
@@ -76,8 +76,8 @@ def test_mixture_of_one_equals_a_gaussian(scale):
     rng = np.random.default_rng(2)
     model = mixed(rng, 1)
     tree, points, start = case(rng, model, [0, 0, 0])
-    found = pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=scale)
-    expected = pose_solver.solve_poses(tree, (points,), component(model, 0), *start, prior_scale=scale)
+    found = solve(tree, points, model, start, prior_scale=scale)
+    expected = solve(tree, points, component(model, 0), start, prior_scale=scale)
     np.testing.assert_allclose(found.local_rotations, expected.local_rotations, atol=5e-3)
     np.testing.assert_allclose(found.codes, expected.codes, atol=5e-2)
 
@@ -89,7 +89,7 @@ def test_likelier_component_costs_less():
     tree, (one, other) = body(rng), (posed(replace(model, component_index=np.array([c])), np.zeros((1, CODE))) for c in (0, 1))
     local, root = np.concatenate([one, other]), np.zeros((2, 3))
     points = given(rng, tree, root, local, np.arange(JOINTS), sd=0.05)
-    found = pose_solver.solve_poses(tree, (points,), model, root, local)
+    found = solve(tree, points, model, (root, local))
     assert found.cost[1] - found.cost[0] == pytest.approx(np.log(9), abs=1e-6)
 
 
@@ -97,9 +97,9 @@ def test_batches_and_frame_order_are_irrelevant(monkeypatch):
     rng = np.random.default_rng(3)
     model = mixed(rng)
     tree, points, start = case(rng, model, [0, 1, 1, 0, 1])
-    found = pose_solver.solve_poses(tree, (points,), model, *start)
+    found = solve(tree, points, model, start)
     order = rng.permutation(5)
     turned = points._replace(measured=points.measured[order], weight=points.weight[order])
-    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 2)
-    again = pose_solver.solve_poses(tree, (turned,), model, *(each[order] for each in start))
+    monkeypatch.setattr(model_terms, "MAX_BATCH_FRAMES", 2)
+    again = solve(tree, turned, model, tuple(each[order] for each in start))
     np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-9)
