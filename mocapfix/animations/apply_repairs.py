@@ -157,8 +157,7 @@ def _list_changes(
 
 
 LEG_BONES = ("UpLeg", "Leg", "Foot")
-MIN_LOCK_DISPLACEMENT_M = 1e-4
-"""Displacement of a heel or a ball of a foot below which a frame keeps its values."""
+MIN_LOCK_DISPLACEMENT_M = 1e-4  # displacement of a heel or a ball of a foot below which a frame keeps its values
 MIN_ROTATION_CHANNELS = 3
 LOCK_METHOD = "the place at which the foot stands"
 

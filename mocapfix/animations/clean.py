@@ -64,8 +64,7 @@ if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
 
 
-JOINT_SOURCE = "joints"
-"""The source of events that follow from joints."""
+JOINT_SOURCE = "joints"  # the source of events that follow from joints
 
 
 def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, subject: Subject, motion: Motion) -> BodyContacts:

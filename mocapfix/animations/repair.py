@@ -34,14 +34,11 @@ from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, 
 from mocapfix.stats.rigid_alignment import compose_transforms
 from mocapfix.stats.sequences import find_runs, sample_evenly, select_training_frames
 
-MIN_STEADY_FRAMES = 3
-"""Frames without jitter that the smoothing requires."""
+MIN_STEADY_FRAMES = 3  # frames without jitter that the smoothing requires
 QUATERNION_VARIANCE_RATIO = 0.75
 """Variance of a number of twice a quaternion over the variance of the rotation per axis: four numbers for three axes."""
-OFFSET_CONTEXT_S = 0.3
-"""Time on either side of each edge over which the smoothness is evaluated."""
-MIN_CONTEXT_FRAMES = 4
-"""The same in frames, at low frame rates."""
+OFFSET_CONTEXT_S = 0.3  # time on either side of each edge over which the smoothness is evaluated
+MIN_CONTEXT_FRAMES = 4  # the same in frames, at low frame rates
 
 
 class FrameSpan(NamedTuple):
@@ -137,25 +134,18 @@ def _solve_offset(
     return constant_offsets.fit_smoothest_offset(known, context_frames / span.rate, models, span.frames / span.rate, near_edges)
 
 
-INTERPOLATION_TIMESCALE_S = 0.45
-"""Time scale of the interpolated signals."""
-INTERPOLATION_NOISE_VARIANCE = 1e-4
-"""Variance of a sample relative to the power of the signal."""
+INTERPOLATION_TIMESCALE_S = 0.45  # time scale of the interpolated signals
+INTERPOLATION_NOISE_VARIANCE = 1e-4  # variance of a sample relative to the power of the signal
 MIN_QUATERNION_NORM = 1e-9  # of an interpolated quaternion: a smaller one is no rotation
-INTERPOLATION_MEAN_VARIANCE = 100.0
-"""Variance of the mean of a signal relative to its power."""
-INTERPOLATION_CONTEXT_S = 0.6
-"""Time on either side of a gap from which it is interpolated."""
-MAX_TRAINING_STRETCHES = 250
-"""Stretches from which the bias is learned."""
-MIN_TRAINING_STRETCHES = 8
-"""Stretches that learning the bias requires."""
+INTERPOLATION_MEAN_VARIANCE = 100.0  # variance of the mean of a signal relative to its power
+INTERPOLATION_CONTEXT_S = 0.6  # time on either side of a gap from which it is interpolated
+MAX_TRAINING_STRETCHES = 250  # stretches from which the bias is learned
+MIN_TRAINING_STRETCHES = 8  # stretches that learning the bias requires
 GAP_BIAS_KERNEL = StateCovariance(
     time_scale_s=1.0, similarity_rate=0.5, time_power=0.0, recurrence_power=1.6, linear_power=0.0, noise_power=0.05
 )
 """Covariance of the bias between stretches."""
-DISPLACEMENT_UNIT_M = 1.0
-"""Difference of the displacements between the edges that counts as one."""
+DISPLACEMENT_UNIT_M = 1.0  # difference of the displacements between the edges that counts as one
 
 
 class InterpolatedBody(NamedTuple):
@@ -349,10 +339,8 @@ def _measure_gap_bias(
     return np.concatenate([rotation_vectors.reshape(length, -1), displacement], axis=1).ravel()
 
 
-EXACT_VARIANCE_RAD2 = 1e-8
-"""Variance of rotations without a fault."""
-MIN_JOINT_MOTION_RAD = 1e-3
-"""Range of a rotation matrix's entries above which a joint counts as moving."""
+EXACT_VARIANCE_RAD2 = 1e-8  # variance of rotations without a fault
+MIN_JOINT_MOTION_RAD = 1e-3  # range of a rotation matrix's entries above which a joint counts as moving
 
 
 class RepairMethod(IntEnum):

@@ -22,8 +22,7 @@ from mocapfix.synthetic import compose_take, write_synthetic_take
 
 HeaderModel = TypeVar("HeaderModel", bound=StrictModel)
 WILDCARD_CHARACTERS = set("*?[")
-COMPOSED_FOLDER = "composed"
-"""the folder for composed takes, within the output folder"""
+COMPOSED_FOLDER = "composed"  # the folder for composed takes, within the output folder
 FILE_OPTIONS = ("marker_set", "hierarchy", "characters", "character_map")
 """options that name something shipped or a file; a file beside the job takes precedence"""
 

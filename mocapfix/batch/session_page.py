@@ -32,8 +32,7 @@ from mocapfix.report.terms import format_kind_counts, format_number
 CSV_NAME = "summary.csv"
 PARQUET_NAME = "summary.parquet"
 
-ColumnKind = Literal["string", "int64", "float64"]
-"""type of a column, by its name in pyarrow"""
+ColumnKind = Literal["string", "int64", "float64"]  # type of a column, by its name in pyarrow
 SUMMARY_COLUMNS: dict[str, ColumnKind] = {
     **dict.fromkeys(("take", "subject", "status", "reason", "error", "marker_set"), "string"),
     "frame_count": "int64", "rate_hz": "float64", "duration_s": "float64",

@@ -75,8 +75,7 @@ def read_people_file(output_folder: Path) -> SessionPeople | None:
 
 
 PEOPLE_FOLDER = "people"
-RECORDS_FOLDER = ".records"
-"""in that folder: hidden, so that no outputs of a take are there, whatever its name"""
+RECORDS_FOLDER = ".records"  # in that folder: hidden, so that no outputs of a take are there, whatever its name
 COMPARE_FUNCTION = "mocapfix.batch.session_people:measure_recorded_take"
 SURVEY_FUNCTION = "mocapfix.batch.session_people:survey_recorded_take"
 CALIBRATE_FUNCTION = "mocapfix.batch.session_people:calibrate_recorded_person"
@@ -243,8 +242,7 @@ def _write_record(path: Path, record: dict[str, Any]) -> None:
 
 
 COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE = "compare", "survey", "calibrate"
-MIN_PERSON_TAKES = 2
-"""Takes of a person from which a subject is calibrated; a single take is calibrated while it is cleaned."""
+MIN_PERSON_TAKES = 2  # takes of a person from which a subject is calibrated; a single take is calibrated while it is cleaned
 
 
 def assign_subjects(

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
 
 
-AXIS_COUNT = 3
-"""axes of a position, whose errors are alike: the predicted distance error is the root of their sum of squares"""
+AXIS_COUNT = 3  # axes of a position, whose errors are alike: the predicted distance error is the root of their sum of squares
 
 
 class SubjectFigures(StrictModel):
@@ -106,14 +105,10 @@ def _compute_worst_error_mm(result: "CleaningResult") -> float | None:
     return round(float(AXIS_COUNT**0.5 * known.max()) * 1e3, 1) if known.size else None
 
 
-MAX_TITLE_MARKERS = 4
-"""labels of lost markers in the title of a picture"""
-MAX_TITLE_LABEL_LENGTH = 24
-"""letters of a label in the title of a picture"""
-MAX_PICTURE_MARKERS = 200
-"""markers of one state in a picture"""
-CROSS_RADIUS_CM = 3
-"""half the width of the cross at a marker that stays empty"""
+MAX_TITLE_MARKERS = 4  # labels of lost markers in the title of a picture
+MAX_TITLE_LABEL_LENGTH = 24  # letters of a label in the title of a picture
+MAX_PICTURE_MARKERS = 200  # markers of one state in a picture
+CROSS_RADIUS_CM = 3  # half the width of the cross at a marker that stays empty
 
 
 def find_worst_moment(result: CleaningResult) -> int:

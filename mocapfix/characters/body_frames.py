@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import SIDE_SEGMENTS, SIDES, Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.character import LIMB_ENDS, SIDE_SEGMENTS, SIDES, Character, CharacterMotion, compute_character_poses
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
@@ -21,8 +21,7 @@ LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0
 DOWN = np.array([0.0, -1.0, 0.0])
 OUTER_BONE_SEGMENTS = ("upper_arm", "thigh")
 """Segments whose outermost bone has the twist of the whole; of the other limb segments it is the innermost bone."""
-MAX_FOOT_YAW_RAD = np.deg2rad(45.0)
-"""A foot that points more to the side in the rest pose is not turned straight ahead."""
+MAX_FOOT_YAW_RAD = np.deg2rad(45.0)  # a foot that points more to the side in the rest pose is not turned straight ahead
 DEFAULT_BALL_HEIGHT = 0.03
 """Height of the ball joint above the sole, as a share of the leg's length, where the rest pose does not stand at height 0."""
 MAX_BALL_HEIGHT = 0.15
@@ -31,10 +30,8 @@ MAX_BALL_DEPTH = 0.03
 DEFAULT_FOOT_LENGTH = 0.15
 """Distance from the ankle to the ball of the foot, as a share of the leg's length, of a foot without toes and tail."""
 DEFAULT_ANKLE_HEIGHT = 0.08
-PALM_SHARE = 0.7
-"""The middle of the hand, as a share of its bone, which ends at the knuckles."""
-DEFAULT_PALM = 0.13
-"""The same as a share of the arm's length, for a hand without a tail."""
+PALM_SHARE = 0.7  # the middle of the hand, as a share of its bone, which ends at the knuckles
+DEFAULT_PALM = 0.13  # the same as a share of the arm's length, for a hand without a tail
 
 
 @dataclass(frozen=True)
@@ -160,10 +157,7 @@ def build_body_frame(character: Character) -> BodyFrame:
     facing = _compute_facing(position, bones)
     turns = _compute_segment_turns(character, position, rotation, facing)
     standard: dict[int, Float[np.ndarray, "3 3"]] = {}
-    for segment, chain in bones.items():
-        for bone in chain:
-            standard[bone] = turns.get(segment, np.eye(3)) @ facing.T @ rotation[bone]
-    for segment, chain in character.mapping.twists.items():
+    for segment, chain in (*bones.items(), *character.mapping.twists.items()):
         for bone in chain:
             standard[bone] = turns.get(segment, np.eye(3)) @ facing.T @ rotation[bone]
     return BodyFrame(character, segment_bones, standard, position, rotation, facing)
@@ -191,12 +185,8 @@ def _compute_segment_turns(
     heads = {segment: facing.T @ position[chain[0]] for segment, chain in bones.items() if chain}
     turns: dict[str, Float[np.ndarray, "3 3"]] = {}
     for side in SIDES:
-        for start, end, direction in (
-            ("upper_arm", "forearm", LIMB_DIRECTIONS[side]),
-            ("forearm", "hand", LIMB_DIRECTIONS[side]),
-            ("thigh", "shin", DOWN),
-            ("shin", "foot", DOWN),
-        ):
+        for start, end in LIMB_ENDS.items():
+            direction = DOWN if start in ("thigh", "shin") else LIMB_DIRECTIONS[side]
             bone = bones[f"{side}_{start}"][-1]
             tail = facing.T @ (position[bone] + rotation[bone] @ character.tails[bone])
             vector = heads.get(f"{side}_{end}", tail) - heads[f"{side}_{start}"]

@@ -1,6 +1,7 @@
 """Map the bones of a character to the segments of a body: by their names, otherwise by the shape of the skeleton.
 
-Segments of a body by the names of bones: those of the shipped characters and naming conventions.
+Names are those of the shipped characters and naming conventions. Twist bones beside the chain of a limb are children that lie on
+its axis and carry a share of its twist.
 """
 
 import re
@@ -12,47 +13,34 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.characters.bone_geometry import find_segments_by_shape
+from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
 from mocapfix.characters.character import (
     REQUIRED_SEGMENTS,
     SEGMENT_CHAINS,
+    SEGMENT_JOINTS,
     SIDES,
+    TRUNK_JOINTS,
+    TWISTING_SEGMENTS,
     BoneMapping,
     Character,
     find_common_ancestor,
+    get_next_segment,
     is_below,
     list_path,
 )
-from mocapfix.characters.limb_geometry import find_side_twists
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
 from mocapfix.options import CHARACTER_PRESETS
 
-NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-"""words and numbers in a bone's name: LeftArm, upper_arm.L.001"""
+NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
 SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
-CENTRE_WORD = "c"
-"""marks bones in the middle in some conventions, such as J_Bip_C_Hips"""
-MIN_PREFIX_SHARE = 0.5
-"""share of the bones that begin with a word from which it is a prefix, such as mixamorig or DEF"""
+CENTRE_WORD = "c"  # marks bones in the middle in some conventions, such as J_Bip_C_Hips
+MIN_PREFIX_SHARE = 0.5  # share of the bones that begin with a word from which it is a prefix, such as mixamorig or DEF
 MAX_PREFIX_PARTS = 4
-SEGMENT_OF_JOINT = {
-    "Hips": "pelvis", "LowerBack": "spine", "Spine": "spine", "Spine1": "spine", "Neck": "neck", "Neck1": "neck", "Head": "head",
-} | {
-    f"{side.capitalize()}{joint}": f"{side}_{segment}"
-    for side in SIDES
-    for joint, segment in {
-        "Shoulder": "clavicle", "Arm": "upper_arm", "ForeArm": "forearm", "Hand": "hand",
-        "UpLeg": "thigh", "Leg": "shin", "Foot": "foot", "ToeBase": "toe",
-    }.items()
-}  # fmt: skip
+SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() for joint in joints} | {
+    f"{side.capitalize()}{joint}": f"{side}_{segment}" for side in SIDES for segment, joint in SEGMENT_JOINTS.items()
+}
 """the segments of the 31 joints that the naming conventions name; joints that are missing here have none"""
-FILLED_SEGMENTS = tuple(
-    (f"{side}_{upper}", f"{side}_{lower}")
-    for side in SIDES
-    for upper, lower in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
-)
-"""segments of limbs, and the segments at whose first bone they end: bones between are parts of the limb"""
 NameKey = tuple[str, str]
 """side ("left", "right" or "") and the other words of a name, in lower case without separators and leading zeros"""
 
@@ -205,15 +193,15 @@ def _fill_chains(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -
             chains[segment][0] for side in SIDES for segment in (f"{side}_clavicle", f"{side}_upper_arm") if chains.get(segment)
         ]
         chains["neck"] = [bone for bone in between if not any(is_below(arm, bone, parents) for arm in arms)]
-    for upper, lower in FILLED_SEGMENTS:
+    for upper in TWISTING_SEGMENTS:
+        lower = get_next_segment(upper)
         if chains.get(upper) and chains.get(lower):
             chains[upper] = list_path(int(parents[chains[lower][0]]), int(parents[chains[upper][0]]), parents)
 
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
-CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")
-"""of the bones between Rigify's controls and its deform bones"""
+CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")  # of the bones between Rigify's controls and its deform bones
 
 
 def map_bones(character: Character) -> BoneMapping:
@@ -272,3 +260,57 @@ def _build_mapping(
     twists = find_side_twists(character.names, character.parents, positions, bones)
     count = sum(map(len, (*bones.values(), *twists.values())))
     return BoneMapping(bones, twists, f"{how}: {count} of {len(character.names)} bones.")
+
+
+MAX_TWIST_SHARE = 0.98
+"""position along the segment up to which a bone without a telling name is a twist bone; others are helpers of the joints"""
+NAMED_TWIST_MARGIN = 0.1  # share of the segment by which a bone named as a twist bone may lie outside it
+TWIST_WORDS = ("twist", "roll")
+CORRECTIVE_WORDS = ("cor", "corrective", "drv")  # ends of the names of bones that correct the skin at a twist bone
+
+
+def find_side_twists(
+    names: Sequence[str],
+    parents: Int[np.ndarray, " J"],
+    positions: Float[np.ndarray, "J 3"],
+    bones: Mapping[str, tuple[int, ...]],
+) -> dict[str, tuple[int, ...]]:
+    """Find the twist bones beside the chains of the limbs.
+
+    Args:
+        names: Names of the bones; those with "twist" or "roll" may lie a little outside their segment.
+        parents: (J,) index of each bone's parent.
+        positions: (J, 3) m, world, in the rest pose.
+        bones: Segment to the bones of its chain.
+
+    Returns:
+        Segment to its twist bones, from near to far; segments without any are missing.
+    """
+    used = {bone for chain in bones.values() for bone in chain}
+    found: dict[str, tuple[int, ...]] = {}
+    for segment in TWISTING_SEGMENTS:
+        chain, following = bones.get(segment, ()), bones.get(get_next_segment(segment), ())
+        if not chain or not following:
+            continue
+        start, axis = positions[chain[0]], positions[following[0]] - positions[chain[0]]
+        length = float(np.linalg.norm(axis))
+        shares: dict[int, float] = {}
+        for bone in np.flatnonzero(np.isin(parents, chain)).tolist():
+            if bone in used or length == 0.0:
+                continue
+            share = float((positions[bone] - start) @ axis) / length**2
+            distance = float(np.linalg.norm(positions[bone] - start - share * axis))
+            if distance <= MAX_AXIS_DISTANCE_SHARE * length and _is_twist(names[bone], share):
+                shares[bone] = share
+        if shares:
+            found[segment] = tuple(sorted(shares, key=shares.__getitem__))
+    return found
+
+
+def _is_twist(name: str, share: float) -> bool:
+    name = name.lower()
+    if any(word in name for word in TWIST_WORDS):
+        stem = name.removesuffix(")").rstrip("_.0123456789lr")
+        is_corrective = any(stem.endswith(word) for word in CORRECTIVE_WORDS) or "twistcor" in name
+        return not is_corrective and -NAMED_TWIST_MARGIN < share < 1 + NAMED_TWIST_MARGIN
+    return MIN_TWIST_SHARE < share < MAX_TWIST_SHARE

@@ -19,15 +19,20 @@ SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
 SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_{segment}" for side in SIDES for segment in SIDE_SEGMENTS))
 """The body segments that bones form."""
-TWISTING_SEGMENTS = tuple(f"{side}_{segment}" for side in SIDES for segment in ("upper_arm", "forearm", "thigh", "shin"))
-"""Segments that may have twist bones."""
+LIMB_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
+"""The segments of a limb, and the segments at which they end; both of the same side."""
+TWISTING_SEGMENTS = tuple(f"{side}_{segment}" for side in SIDES for segment in LIMB_ENDS)  # segments that may have twist bones
 SINGLE_BONE_SEGMENTS = (
     "pelvis", "head", *(f"{side}_{segment}" for side in SIDES for segment in ("clavicle", "hand", "foot", "toe")),
 )  # fmt: skip
 """Segments of one bone; the others may have several: vertebrae, or parts of a limb that share its twist."""
-REQUIRED_SEGMENTS = (
-    "pelvis", *(f"{side}_{segment}" for side in SIDES for segment in ("upper_arm", "forearm", "thigh", "shin", "foot")),
-)  # fmt: skip
+REQUIRED_SEGMENTS = ("pelvis", *(f"{side}_{segment}" for side in SIDES for segment in (*LIMB_ENDS, "foot")))
+
+
+def get_next_segment(segment: str) -> str:
+    """Return the segment at which one of TWISTING_SEGMENTS ends."""
+    side, _, name = segment.partition("_")
+    return f"{side}_{LIMB_ENDS[name]}"
 
 
 @dataclass(frozen=True)
@@ -140,8 +145,7 @@ def compute_character_poses(
     return compose_transforms(character.parents, positions, motion.local_rotations)
 
 
-MIN_TAIL_FRACTION = 0.5
-"""of the distance of a bone's farthest child: nearer children, such as a thumb, do not count for its tail"""
+MIN_TAIL_FRACTION = 0.5  # of the distance of a bone's farthest child: nearer children, such as a thumb, do not count for its tail
 
 
 def compute_tail(children: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:

@@ -23,12 +23,10 @@ from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineMapping, InlineSequenc
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
-MIN_TAIL_LENGTH_M = 1e-6
-"""shorter bones have no direction"""
+MIN_TAIL_LENGTH_M = 1e-6  # shorter bones have no direction
 MIN_SIDE_SINE = 1e-3
 """sine of the angle between a bone and the direction of its second axis, below which that direction determines no rotation"""
-POSITION_DECIMALS, ROTATION_DECIMALS = 7, 9
-"""of the written positions in metres and quaternions"""
+POSITION_DECIMALS, ROTATION_DECIMALS = 7, 9  # of the written positions in metres and quaternions
 CHARACTER_FILE_HEADER = """\
 # A character of mocapfix: the bones of an armature in its rest pose and the segments of the body that they form.
 # head, tail: positions in metres in the world, Y up; the rest pose faces +Z, the character's left is +X.

@@ -29,16 +29,12 @@ from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 NEAR_DISTANCE = 0.3
 """Distance of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept."""
-FAR_DISTANCE = 0.45
-"""Distance from which only the arm's directions are kept."""
-NEARNESS_POWER = 4
-"""Power of the nearness with which the places beside several parts are weighted: the nearest part decides."""
+FAR_DISTANCE = 0.45  # distance from which only the arm's directions are kept
+NEARNESS_POWER = 4  # power of the nearness with which the places beside several parts are weighted: the nearest part decides
 MIN_PLACE_WEIGHT = 1e-12
-MAX_REACH = 0.999
-"""Share of the arm's length up to which a hand's target is reached."""
+MAX_REACH = 0.999  # share of the arm's length up to which a hand's target is reached
 MIN_PALM_DISTANCE_M = 1e-6
-MIN_LINE_LENGTH2_M2 = 1e-12
-"""Squared length of a line below which it has no direction."""
+MIN_LINE_LENGTH2_M2 = 1e-12  # squared length of a line below which it has no direction
 
 
 class BodyPart(NamedTuple):
@@ -224,12 +220,10 @@ def limit_reach(
     return shoulder + ratio[:, None] * vector
 
 
-MIN_FLAT_S = 0.1
-"""Time in which a foot must be flat, all contacts together, to be measured."""
+MIN_FLAT_S = 0.1  # time in which a foot must be flat, all contacts together, to be measured
 MAX_INCLINATION_RAD = np.deg2rad(15.0)
 """A foot that is more inclined in contact does not lie flat: it stands on its toes or on an edge."""
-MAX_HEIGHT_CHANGE = 0.05
-"""Largest difference of the measured height of the ball from that of the skeleton, in lengths of the leg."""
+MAX_HEIGHT_CHANGE = 0.05  # largest difference of the measured height of the ball from that of the skeleton, in lengths of the leg
 LOWEST_BALL_PERCENTILE = 2.0
 MAX_HEIGHT_ABOVE_LOWEST_M = 0.01
 """The ball of a flat foot is at most so much higher than in the lowest frames of the take, which are not below the floor."""
@@ -369,8 +363,7 @@ def resample_foot_contacts(contacts: BodyContacts, frame_count: int, rate: float
     return replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known, rate=rate)
 
 
-FREE_REACH = 0.985
-"""Share of a leg's length up to which the distance from hip to ankle is kept as it is."""
+FREE_REACH = 0.985  # share of a leg's length up to which the distance from hip to ankle is kept as it is
 BELOW_COSINE, BESIDE_COSINE = 0.9, 0.7
 """Cosines of the angle between a leg and the vertical from which it bears the body, and up to which it does not."""
 LARGER_DROP_POWER = 4

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.bone_mapping import map_bones
-from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, compute_tail
+from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
 from mocapfix.errors import ReadError, SceneError
@@ -26,21 +26,15 @@ from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
-MAX_BACKWARD_COSINE = -0.5
-"""cosine of the horizontal angle between a foot and the front, below which it points backwards"""
+MAX_BACKWARD_COSINE = -0.5  # cosine of the horizontal angle between a foot and the front, below which it points backwards
 MIN_HORIZONTAL_FOOT_SHARE = 0.3
 """horizontal length of a foot, as a share of its length, from which it points anywhere; on high heels it may not"""
-MAX_REST_TILT_DEG = 40.0
-"""angle of the trunk, the thighs and the shins from the vertical in T- and A-poses"""
-MAX_REST_DIFFERENCE_DEG = 25.0
-"""angle between a limb and the mirrored one of the other side in T- and A-poses"""
+MAX_REST_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical in T- and A-poses
+MAX_REST_DIFFERENCE_DEG = 25.0  # angle between a limb and the mirrored one of the other side in T- and A-poses
 MIN_SPREAD_RAD, MAX_SPREAD_RAD = np.deg2rad(12.0), np.deg2rad(30.0)
 """of the shins from the vertical, in skeletons like those of CMU's recordings, whose legs are spread by 20 degrees"""
 MAX_SPREAD_DIFFERENCE_RAD = np.deg2rad(3.0)
-MAX_STRAIGHT_YAW_RAD = np.deg2rad(2.0)
-"""angle between the front and a foot that points straight ahead"""
-LIMB_SEGMENTS = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
-"""segments of limbs, and the segments at which they end"""
+MAX_STRAIGHT_YAW_RAD = np.deg2rad(2.0)  # angle between the front and a foot that points straight ahead
 
 
 def check_sides(character: Character, name: str) -> None:
@@ -82,7 +76,7 @@ def describe_posed_limbs(character: Character) -> str:
     different: list[tuple[float, str]] = []
     if (tilt := _measure_trunk_tilt_deg(character)) > MAX_REST_TILT_DEG:
         tilted.append((tilt, f"trunk {tilt:.0f} degrees from the vertical"))
-    for segment, _ in LIMB_SEGMENTS:
+    for segment in LIMB_ENDS:
         pair = [axes.T @ vectors[f"{side}_{segment}"] for side in SIDES if f"{side}_{segment}" in vectors]
         if len(pair) < len(SIDES):
             continue
@@ -155,7 +149,7 @@ def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"
     return {
         f"{side}_{segment}": position[bones[f"{side}_{end}"][0]] - position[bones[f"{side}_{segment}"][0]]
         for side in SIDES
-        for segment, end in LIMB_SEGMENTS
+        for segment, end in LIMB_ENDS.items()
         if bones.get(f"{side}_{end}")
     }
 
@@ -249,8 +243,7 @@ def read_character_skeletons(path: str | Path) -> list[Character]:
     raise ReadError(f"{path}: is no character that mocapfix reads; give a .glb, .gltf, .vrm, .bvh or .yaml file.")
 
 
-UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")
-"""in the name of a character, which is part of the names of files"""
+UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")  # in the name of a character, which is part of the names of files
 MIN_LIMB_LENGTH_M = 1e-6
 
 
@@ -301,7 +294,7 @@ def check_lengths(character: Character, name: str) -> None:
     position, _ = character.compute_rest_pose()
     bones = character.mapping.bones
     for side in SIDES:
-        for start, end in (("thigh", "shin"), ("shin", "foot"), ("upper_arm", "forearm"), ("forearm", "hand")):
+        for start, end in LIMB_ENDS.items():
             first, last = bones[f"{side}_{start}"][0], bones.get(f"{side}_{end}", ())
             if last and not np.linalg.norm(position[last[0]] - position[first]) > MIN_LIMB_LENGTH_M:
                 pair = f"{character.names[first]!r} and {character.names[last[0]]!r}"

@@ -26,8 +26,8 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix.characters.bone_mapping import find_side_twists
 from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, build_bone_mapping, compute_tail
-from mocapfix.characters.limb_geometry import find_side_twists
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.gltf import (
     MAX_GLB_BYTES,

@@ -31,7 +31,7 @@ from mocapfix.characters.body_frames import (
     keep_chain_direction,
     resample_chain,
 )
-from mocapfix.characters.character import SIDES, Character, CharacterMotion
+from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion
 from mocapfix.characters.kept_positions import (
     compute_hand_targets,
     compute_kept_positions,
@@ -56,7 +56,6 @@ from mocapfix.solve.kinematics import Poses, compute_tree_poses
 LEG_AXIS = np.array([0.0, 1.0, 0.0])
 NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "hand", "shin": "foot"}
 """The segment relative to which each limb segment twists."""
-LIMB_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
 
 def compute_twisted_bones(
@@ -108,8 +107,7 @@ def _find_share_along(frame: BodyFrame, bone: int, start: str, end: str) -> floa
 
 MAX_SEPARATIONS = 3
 """How often hands are moved out of thighs: the arms do not reach a new target at once, since other terms hold them back."""
-MIN_SEPARATION_M = 5e-4
-"""Movement of a hand's target below which a frame is not solved again."""
+MIN_SEPARATION_M = 5e-4  # movement of a hand's target below which a frame is not solved again
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,10 @@ from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.state import CleaningState
 
-STEP_TIME_RANGE_S = (0.2, 1.2)
-"""Time between the strikes of the two feet that make a step; a longer one is a pause."""
-MIN_CADENCE_STEPS = 4
-"""Steps from which a cadence is computed."""
+STEP_TIME_RANGE_S = (0.2, 1.2)  # time between the strikes of the two feet that make a step; a longer one is a pause
+MIN_CADENCE_STEPS = 4  # steps from which a cadence is computed
 SOURCE_NAMES = {"force plate": "its force plate", "file": "the file", "markers": "the markers"}
-MAX_FLOOR_ERROR_M = 0.03
-"""Difference between the floor's height and the one that motion files assume above which a note names it."""
+MAX_FLOOR_ERROR_M = 0.03  # difference between the floor's height and the one that motion files assume above which a note names it
 
 
 def build_contact_section(contacts: BodyContacts, take: Take) -> ContactSection:

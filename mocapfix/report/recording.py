@@ -52,10 +52,8 @@ FLOOR_COLOUR = 0x59636EFF
 CONTACT_POINT_RADIUS_M = 0.03
 FLOOR_LINE_RADIUS_M = 0.003
 GRID_SPACING_M = 0.5
-GRID_MARGIN_M = 0.5
-"""Distance from the places of contacts to the edge of the grid, at least."""
-MAX_GRID_LINES = 200
-"""Lines of a grid in each direction; of a larger one the spacing is wider."""
+GRID_MARGIN_M = 0.5  # distance from the places of contacts to the edge of the grid, at least
+MAX_GRID_LINES = 200  # lines of a grid in each direction; of a larger one the spacing is wider
 CONTACT_STATES = ("none", "inferred", "contact")
 STATE_RGBA = np.array([0x333A43FF, INFERRED_CONTACT_COLOUR, CONTACT_COLOUR], np.uint32)
 
@@ -154,8 +152,7 @@ STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)  # by Sam
 RESIDUAL_CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # one curve each
 
 RECORDING_END = b"RRF2FOOT"
-RECORDING_END_BYTES = 16
-"""of the end of a complete recording, among which RECORDING_END is"""
+RECORDING_END_BYTES = 16  # of the end of a complete recording, among which RECORDING_END is
 
 INPUT_POINT_RADIUS_M = 0.011
 UNLABELLED_POINT_RADIUS_M = 0.008

@@ -146,10 +146,8 @@ def _draw_line(values: Float[np.ndarray, " N"]) -> str:
     return "".join("M" + "L".join(f"{x[i]:.4f} {1 - values[i]:.3f}" for i in range(a, b + 1)) for a, b in intervals)
 
 
-MAX_STRIP_S = 30.0
-"""Longest strip; shorter contacts than a hundredth of it are hard to see."""
-MAX_STRIPS = 8
-"""Number of strips above which they are longer."""
+MAX_STRIP_S = 30.0  # longest strip; shorter contacts than a hundredth of it are hard to see
+MAX_STRIPS = 8  # number of strips above which they are longer
 CONTACT_NAMES = {
     "LeftFoot": "left heel", "LeftToeBase": "left toes", "RightFoot": "right heel", "RightToeBase": "right toes",
     "LeftLeg": "left knee", "RightLeg": "right knee", "LeftHand": "left wrist", "RightHand": "right wrist",

@@ -143,8 +143,7 @@ def explain_why_not(take: CleanedTake) -> str:
     return ""
 
 
-MAX_LISTED_DIFFERENCES = 200
-"""markers and changes in the list of what differs from the cleaning before"""
+MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs from the cleaning before
 
 
 @dataclass(frozen=True)
@@ -374,8 +373,7 @@ def compare_cleanings(before: _Cleaning, after: _Cleaning) -> dict[str, Any]:
 Event = dict[str, Any]
 REVIEW_LOCK_NAME = ".review.lock"
 MAX_TAKES_READ_AT_ONCE = 30
-MAX_OPEN_VIEWS = 2
-"""takes whose samples are kept in memory"""
+MAX_OPEN_VIEWS = 2  # takes whose samples are kept in memory
 
 
 class ReviewSession:

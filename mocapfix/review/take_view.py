@@ -25,8 +25,7 @@ from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
 
 JOINT_BLOCK_FRAMES = 1000
-MAX_SAMPLES_COMPARED_AT_ONCE = 20_000
-"""samples that are compared with all others of their frame at a time"""
+MAX_SAMPLES_COMPARED_AT_ONCE = 20_000  # samples that are compared with all others of their frame at a time
 NO_INPUT_NOTE = (
     "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
 )
