@@ -1,7 +1,7 @@
 """The pipeline: every stage of cleaning a take, in order.
 
 `clean` cleans the take of each subject in a file: detect, calibrate, initialise, solve, detect again, fill, apply decisions. Each
-stage takes a `CleaningState` and the `CleanOptions` and returns it with more fields filled. Animations: `mocapfix.animations`.
+stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
 """
 
 import os
@@ -9,22 +9,27 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from threadpoolctl import threadpool_limits
 
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
 from mocapfix.contacts.body_contacts import hold_standing_feet
-from mocapfix.detect.contradictions import check_contradictions, try_learned_set
+from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError, join_names
 from mocapfix.fill.computed_points import update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import NO_REVIEW, Review, build_review_filter
+from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
 from mocapfix.labels.requested_labels import describe_missing_labels, label_capture, label_take
 from mocapfix.model.animation import Animation
+from mocapfix.model.body_fit import BodyFit, SubjectInTake
+from mocapfix.model.detected import Detected
+from mocapfix.model.faults import FaultReview
+from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -40,11 +45,23 @@ from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_processes
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.prior_conditioner import build_prior_conditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.prior_files import build_pose_model_loader
-from mocapfix.state import CleaningState, DetectionState
-from mocapfix.subject.calibration import CalibrationFrames, calibrate_body, place_moved_markers, select_calibration_frames
-from mocapfix.subject.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
+from mocapfix.subject.calibration import (
+    Calibrated,
+    CalibrationFrames,
+    calibrate_body,
+    place_moved_markers,
+    select_calibration_frames,
+)
+from mocapfix.subject.library import (
+    SubjectChoice,
+    choose_marker_set,
+    describe_marker_set_match,
+    load_requested_subject,
+    resolve_subject,
+)
+from mocapfix.subject.own_set import withdraw_marker_set
 from mocapfix.subject.person_calibration import calibrate_person
 
 DEFAULT_OPTIONS = CleanOptions()
@@ -116,15 +133,14 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     return labelled
 
 
-def start_cleaning(take: Take, options: SubjectOptions, review: Review = NO_REVIEW) -> CleaningState:
-    """Return the state in which the cleaning of one subject's take begins. Raises TakeError if the marker set does not fit it."""
+def identify_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
+    """Return the subject and the marker set of one subject's take. Raises TakeError if the given marker set does not fit it."""
     choice = resolve_subject(take, choose_subject(take, options))
     if choice.marker_set is None and not options.known_sets_only:
         from mocapfix.subject.own_set import find_own_marker_set  # few takes need it
 
         choice = find_own_marker_set(take, choice)
-    known = choice.marker_set, choice.is_learned, choice.subject
-    return CleaningState(take, DetectionState(take), *known, None, review, build_review_filter(take, review), choice.notes)
+    return choice
 
 
 def clean_subjects(
@@ -145,8 +161,7 @@ def clean_subjects(
     def clean_one(index: int) -> CleaningResult:
         take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        state = replace(start_cleaning(take, options.subject, reviews[index]), prior_conditioner=conditioner)
-        return clean_subject(state, options, StageTimer(dict(timer.stage_seconds), report_progress))
+        return clean_subject(take, reviews[index], options, conditioner, StageTimer(dict(timer.stage_seconds), report_progress))
 
     while len(results) < len(takes):
         for result in map_in_processes(clean_one, range(len(results), len(takes)), multi_subject.list_shared_data(takes)):
@@ -170,79 +185,126 @@ def report_in_this_process(progress: ProgressCallback | None) -> ProgressCallbac
     return report_stage
 
 
-def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
+def clean_subject(
+    take: Take, review: Review, options: CleanOptions, conditioner: PriorConditioner | None, timer: StageTimer
+) -> CleaningResult:
     """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
-    state = detect_and_fit(state, options, timer)
-    check_contradictions(state, options)
-    with timer("solve"):
-        state = hold_standing_feet(complete_body(state, options), options)
+    choice = identify_subject(take, options.subject)
+    if choice.marker_set and choice.marker_set.point_sd:
+        reject_corrections(review, take.name, "these are keypoints")
+    subject, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
+    check_contradictions(detected, body, options)
+    standing, marker_set = None, subject.marker_set
+    if body:
+        with timer("solve"):
+            standing = hold_standing_feet(complete_body(body, conditioner, options), take, options.contacts.feet)
     with timer("fill"):
-        state = fill_gaps(state, options)
-        state = apply_decisions(state, options)
-        assert state.cleaned_take is not None
-        state = replace(state, cleaned_take=update_computed_points(state.original_take, state.cleaned_take, options.fill))
-    assert state.cleaned_take is not None
-    detection, body = state.detection, state.body
+        filling_body = replace(standing.fit, motion=standing.filling_motion) if standing else None
+        props = marker_set.props if marker_set else {}
+        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill, is_own_set=subject.is_learned)
+        is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
+        decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
+        decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
     return CleaningResult(
-        input_take=state.original_take,
-        relabelled_take=detection.take,
-        take=state.cleaned_take,
-        faults=detection.faults,
-        changes=state.changes,
-        unfilled_runs=state.unfilled_runs,
-        fragment_donors=detection.donor_markers,
-        subject=body.subject if body else None,
-        motion=body.motion if body else None,
-        joint_position_world=body.solved_joint_positions if body else None,
-        contacts=body.contacts if body else None,
-        residual_m=state.residual_m,
-        report=build_report(state, options, timer.stage_seconds),
-        review=state.review,
+        input_take=take,
+        relabelled_take=detected.take,
+        take=decided.take,
+        faults=detected.faults,
+        changes=decided.changes,
+        unfilled_runs=decided.unfilled_runs,
+        fragment_donors=detected.donor_markers,
+        subject=standing.fit.subject if standing else None,
+        motion=standing.fit.motion if standing else None,
+        joint_position_world=standing.fit.solved_joint_positions if standing else None,
+        contacts=standing.contacts if standing else None,
+        residual_m=detected.measure_residuals(standing.fit) if standing else None,
+        report=build_report(take, subject, standing, decided, options, timer.stage_seconds),
+        review=review,
     )
 
 
-def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
+class FittedTake(NamedTuple):
+    """A take with its faults, the subject and marker set that were used, and the body; None without a marker set."""
+
+    subject: SubjectChoice
+    detected: Detected
+    body: BodyFit | None
+
+
+def detect_and_fit(
+    take: Take,
+    choice: SubjectChoice,
+    review: FaultReview,
+    options: CleanOptions,
+    conditioner: PriorConditioner | None,
+    timer: StageTimer,
+) -> FittedTake:
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
     fitted to the inliers known before. A learned marker set that contradicts the take is withdrawn.
 
     Raises TakeError where too few markers are visible.
     """
-    first = state
     with timer("detect"):
-        state = detect_on_trajectories(state, options)
-    check_visible_markers(state)
-    if state.marker_set is None:
-        return state
-    max_rounds = 1 if options.initialise.is_fast else options.solve.max_solve_rounds
-    for solve_round in range(1, max_rounds + 1):
-        state = fit_body(state, options, timer)
-        if solve_round == max_rounds:
-            break
-        detection = state.detection
+        detected = detect_on_trajectories(take, choice.marker_set, choice.subject, review, options)
+    check_visible_markers(detected)
+    if choice.marker_set is None:
+        return FittedTake(choice, detected, None)
+    calibrated, body = fit_body(detected, choice.marker_set, choice.subject, None, options, conditioner, timer)
+    for _ in range(0 if options.initialise.is_fast else options.solve.max_solve_rounds - 1):
         with timer("detect"):
-            state = detect_on_body(state, options)
-        if state.detection is detection:
+            found = detect_on_body(detected, body, calibrated.marker_set, review, options.detect)
+        if found is detected:
             break
-    return try_learned_set(first, state, options, timer, detect_and_fit) if state.has_learned_set else state
+        detected, known = found, (calibrated, body)
+        calibrated, body = fit_body(detected, calibrated.marker_set, choice.subject, known, options, conditioner, timer)
+    if choice.is_learned:
+        with timer("detect"):
+            without_set = detect_on_trajectories(take, None, None, review, options)
+        marker_set = select_consistent_set(choice.marker_set, without_set, detected)
+        if marker_set is None:
+            return FittedTake(withdraw_marker_set(choice), without_set, None)
+        if marker_set is not choice.marker_set:
+            return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, conditioner, timer)
+    return FittedTake(replace(choice, marker_set=calibrated.marker_set), detected, body)
 
 
-def fit_body(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
-    """Calibrate the body and solve its poses, with the markers that moved on it at each of their places."""
-    with timer("calibrate") if state.known_subject is None else nullcontext():
-        state = calibrate_body(state, options)
-    state = initialise_and_solve(state, options, timer)
+def fit_body(
+    detected: Detected,
+    marker_set: MarkerSet,
+    subject: Subject | None,
+    previous: tuple[Calibrated, BodyFit] | None,
+    options: CleanOptions,
+    conditioner: PriorConditioner | None,
+    timer: StageTimer,
+) -> tuple[Calibrated, BodyFit]:
+    """Calibrate the body, unless its subject is known, and solve its poses: all of them, or those that changed since the previous
+    round. Markers that moved on the body are then placed on it where they were moved to, and it is solved again."""
+    calibrated, body = previous or (None, None)
+    with timer("calibrate") if subject is None else nullcontext():
+        calibrated = calibrate_body(detected, marker_set, subject, calibrated)
+    body = initialise_and_solve(calibrated, body, options, conditioner, timer)
     if options.initialise.is_fast:
-        return state
-    extended = place_moved_markers(state, options)
-    return state if extended is state else initialise_and_solve(extended, options, timer)
+        return calibrated, body
+    extended = place_moved_markers(calibrated, body)
+    if extended is calibrated:
+        return calibrated, body
+    return extended, initialise_and_solve(extended, body, options, conditioner, timer)
 
 
-def initialise_and_solve(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
+def initialise_and_solve(
+    subject: SubjectInTake,
+    previous: BodyFit | None,
+    options: CleanOptions,
+    conditioner: PriorConditioner | None,
+    timer: StageTimer,
+) -> BodyFit:
     """Solve the poses of the calibrated subject: those of all frames, or those that changed since the body was solved."""
     with timer("initialise"):
-        state = initialise_body(state, options)
+        start = initialise_body(subject, previous, options.initialise.method_used)
     with timer("solve"):
-        return place_body(state) if options.initialise.is_fast else solve_body(state, options)
+        if options.initialise.is_fast:
+            return place_body(subject, start.motion)
+        return solve_body(subject, start, previous, conditioner, options)
 
 
 @limit_blas_threads
@@ -264,9 +326,9 @@ def inspect(
 
     def inspect_one(take: Take) -> InspectionReport:
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
-        faults = detect_and_fit(state, options, timer).detection.faults
-        marker_set = state.marker_set
+        choice = identify_subject(take, options.subject)
+        faults = detect_and_fit(take, choice, FaultReview(), options, conditioner, timer).detected.faults
+        marker_set = choice.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
         notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
         return build_inspection_report(take, marker_set and marker_set.name, take, faults, notes)
@@ -313,28 +375,42 @@ def survey_person(paths: Sequence[str | Path], ids: Sequence[str], options: Clea
 @limit_blas_threads
 def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_id: str = "") -> list[CalibrationFrames]:
     """Return the best frames of each subject in a take, from which persons are calibrated. Raises TakeError without a body."""
-    return [survey_subject(state, options, take_id) for state in find_bodies_to_calibrate(path, options)]
+    return [survey_subject(body, options, take_id) for body in find_bodies_to_calibrate(path, options)]
 
 
-def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[CleaningState]:
-    """Return the state of each subject in a take before its cleaning. Raises TakeError if none has a marker set."""
+class BodyToCalibrate(NamedTuple):
+    """The take of one subject, its marker set, whether that was learned from the take, and the subject if it is known."""
+
+    take: Take
+    marker_set: MarkerSet
+    is_learned: bool
+    subject: Subject | None
+
+
+def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[BodyToCalibrate]:
+    """Return each subject in a take that has a marker set. Raises TakeError if none has."""
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
     capture = label_take(capture, load_requested_subject(options.subject))
-    states = [start_cleaning(take, options.subject) for take in split_known_subjects(capture, options.subject)]
-    found = [state for state in states if state.marker_set is not None]
+    takes = split_known_subjects(capture, options.subject)
+    choices = [identify_subject(take, options.subject) for take in takes]
+    found = [
+        BodyToCalibrate(take, each.marker_set, each.is_learned, each.subject)
+        for take, each in zip(takes, choices, strict=True)
+        if each.marker_set is not None
+    ]
     if not found:
-        raise TakeError(f"{capture.name}: {states[0].notes[0]} There is no body to calibrate.")
+        raise TakeError(f"{capture.name}: {choices[0].notes[0]} There is no body to calibrate.")
     return found
 
 
 @limit_blas_threads
-def survey_subject(state: CleaningState, options: CleanOptions, take_id: str) -> CalibrationFrames:
+def survey_subject(body: BodyToCalibrate, options: CleanOptions, take_id: str) -> CalibrationFrames:
     """Return the best frames of one subject: its sound samples in frames that differ in pose. Raises TakeError."""
-    assert state.marker_set is not None
-    detection = detect_on_trajectories(state, options).detection
-    shown = detection.take.select(state.marker_set.find_columns(detection.take.labels), detection.inlier_mask)
-    body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
-    prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    return select_calibration_frames(take_id, shown, state.marker_set, body, prior)
+    marker_set = body.marker_set
+    detected = detect_on_trajectories(body.take, marker_set, body.subject, FaultReview(), options)
+    shown = detected.take.select(marker_set.find_columns(detected.take.labels), detected.inlier_mask)
+    model = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
+    prior = load_mean_pose_prior("mean-pose", model.skeleton)
+    return select_calibration_frames(take_id, shown, marker_set, model, prior)

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.detect.moved_markers import split_moved_markers
 from mocapfix.errors import (
     MAX_LIST_LENGTH,
     MAX_LISTED_NAMES,
@@ -24,6 +23,7 @@ from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.io.capture import read_capture
 from mocapfix.labels import multi_subject
 from mocapfix.labels.label_summary import describe_labelling
+from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions, SubjectOptions
 from mocapfix.report import notes

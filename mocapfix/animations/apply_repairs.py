@@ -18,11 +18,11 @@ from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.animations.retarget import SkeletonAlignment, compute_file_rotation
 from mocapfix.contacts.body_contacts import hold_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
-from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_unfilled_samples
+from mocapfix.fill.gap_filling import compute_gap_durations, explain_unfilled_samples
 from mocapfix.io.changes_file import ReviewedChange
 from mocapfix.model import changes
 from mocapfix.model.animation import Animation
-from mocapfix.model.changes import Change, UnfilledRun, find_unfilled_runs
+from mocapfix.model.changes import Change, UnfilledRun, compute_editable_mask, find_unfilled_runs
 from mocapfix.model.faults import Fault, Faults, build_fault_mask
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton

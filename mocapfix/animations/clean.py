@@ -35,7 +35,7 @@ from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_fill_options
-from mocapfix.io.changes_file import read_changes_files
+from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation
@@ -307,10 +307,7 @@ def clean_animation(
     reject_marker_options(animation, options)
     check_fill_options(joint_mapping.build_joint_take(animation), options.fill, "joint")
     review = read_changes_files(options.review.review_files, [joint_mapping.build_tip_take(animation)])[0]
-    if review.corrections:
-        raise TakeError(
-            f"{animation.name}: corrections in a changes file are for markers, and this is an animation; remove them."
-        )
+    reject_corrections(review, animation.name, "this is an animation")
     with timer("detect"):
         body, mapping_note = find_body(animation, options.subject.hierarchy)
         faults = [fault for fault in detect_animation_faults(animation) if not any(each.keeps(fault) for each in review.declined)]

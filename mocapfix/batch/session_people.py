@@ -26,7 +26,7 @@ from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 if TYPE_CHECKING:
     from distributed import Client
 
-    from mocapfix.state import CleaningState
+    from mocapfix.pipeline import BodyToCalibrate
     from mocapfix.subject.people import Person
 
 
@@ -131,14 +131,13 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
 
     def measure(key: str) -> dict[str, Any]:
         try:
-            states = pipeline.find_bodies_to_calibrate(request.path, request.options)
-            if any(state.has_learned_set or state.original_take.labelled_file is not None for state in states):
+            found = pipeline.find_bodies_to_calibrate(request.path, request.options)
+            if any(body.is_learned or body.take.labelled_file is not None for body in found):
                 survey = SurveyRequest(request)
-                _use_record(*locate_record(survey), lambda survey_key: _write_surveys(survey, survey_key, states))
+                _use_record(*locate_record(survey), lambda survey_key: _write_surveys(survey, survey_key, found))
         except MocapfixError as error:
             return {"key": key, "files": [], "bodies": [], "error": str(error)}
-        sets = [(state.original_take, state.marker_set) for state in states]
-        bodies = [asdict(measure_body(request.take, take, marker_set)) for take, marker_set in sets if marker_set]
+        bodies = [asdict(measure_body(request.take, body.take, body.marker_set)) for body in found]
         return {"key": key, "files": [], "bodies": bodies, "error": ""}
 
     return _use_record(*locate_record(request), measure)
@@ -160,13 +159,13 @@ def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), survey)
 
 
-def _write_surveys(request: SurveyRequest, key: str, states: "Sequence[CleaningState]") -> dict[str, Any]:
+def _write_surveys(request: SurveyRequest, key: str, bodies: "Sequence[BodyToCalibrate]") -> dict[str, Any]:
     """Write the calibration frames of the subjects of a take; return the record. Raises MocapfixError."""
     from mocapfix import pipeline
     from mocapfix.subject.calibration import write_calibration_frames
 
     path, take = locate_record(request)[0], request.take
-    found = [pipeline.survey_subject(state, take.options, take.take) for state in states]
+    found = [pipeline.survey_subject(body, take.options, take.take) for body in bodies]
     files = {frames.subject_name: str(path.with_suffix(f".{number}.npz")) for number, frames in enumerate(found)}
     make_output_folder(path.parent)
     for frames in found:

@@ -10,7 +10,7 @@ that no knee jumps where one begins.
 The root yields by MAX_ROOT_DISPLACEMENT_M at most: a place that a leg does not reach from there is not where its foot stands.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +25,12 @@ from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, merge_events
 from mocapfix.io.c3d_events import read_gait_events
 from mocapfix.io.force_plates import read_force_plates
+from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, Take
-from mocapfix.options import FEET_LOCK, FEET_OFF, CleanOptions
+from mocapfix.options import FEET_LOCK, FEET_OFF
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.measured_segments import (
@@ -41,7 +42,6 @@ from mocapfix.solve.measured_segments import (
 )
 from mocapfix.solve.minimise import minimise
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
-from mocapfix.state import BodyFit, CleaningState
 from mocapfix.stats.sequences import find_runs
 
 ROLLING_SD_M = 0.006
@@ -285,23 +285,41 @@ PARTIAL_ROUNDS = 3
 MAX_YIELD_ROUNDS = 8
 
 
-def hold_standing_feet(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Find the contacts and the events of gait of the solved body, and hold its feet. Advances `body` of the state."""
-    body = state.body
-    if body is None:
-        return state
-    skeleton, standing = body.subject.skeleton, find_body_contacts(body, state.original_take.rate)
-    contacts = add_gait_events(standing, body, state.solver_take.markers, state.original_take)
-    if options.contacts.feet == FEET_OFF or not standing.is_contact.any():
-        return replace(state, body=replace(body, contacts=contacts))
-    held = hold_measured_feet(body, state.solver_take.markers, standing, is_locked=options.contacts.feet == FEET_LOCK)
+@dataclass(frozen=True)
+class StandingBody:
+    """A body with its contacts, whose standing feet are held.
+
+    Attributes:
+        fit: the body.
+        contacts: when its joints are in contact with the floor, and the events of gait.
+        filling_motion: the motion from which lost markers are filled: its standing feet are held also where those of the body
+            yield to visible markers.
+    """
+
+    fit: BodyFit
+    contacts: BodyContacts
+    filling_motion: Motion
+
+
+def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
+    """Find the contacts and the events of gait of the solved body, and hold its feet.
+
+    Args:
+        body: the solved body.
+        take: the take as it was read, whose file may have force plates and events.
+        mode: one of FEET_MODES.
+    """
+    skeleton, standing = body.subject.skeleton, find_body_contacts(body, take.rate)
+    contacts = add_gait_events(standing, body, body.take.markers, take)
+    if mode == FEET_OFF or not standing.is_contact.any():
+        return StandingBody(body, contacts, body.motion)
+    held = hold_measured_feet(body, body.take.markers, standing, is_locked=mode == FEET_LOCK)
     subject = body.extended_subject
     motion = reduce_held_uncertainty(subject, held.body.motion, select_held_contacts(standing, held.share))
     filling = reduce_held_uncertainty(subject, held.filling_motion, standing)
-    done = describe_held_feet(skeleton, body.joint_positions, held.body.joint_positions, options.contacts.feet)
+    done = describe_held_feet(skeleton, body.joint_positions, held.body.joint_positions, mode)
     done = done._replace(yielded_s=float((held.share < MIN_HOLDING_SHARE).any(1).sum() / contacts.rate))
-    moved = replace(held.body, motion=motion, filling_motion=filling, contacts=replace(contacts, held_feet=done))
-    return replace(state, body=moved)
+    return StandingBody(replace(held.body, motion=motion), replace(contacts, held_feet=done), filling)
 
 
 class HeldBody(NamedTuple):

@@ -7,17 +7,16 @@ The trial of a learned marker set: what it changes in the very take from which i
 consistent without a skeleton should stay as they are with it. A wrong skeleton contradicts them, and the set is withdrawn.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Int
 
-from mocapfix.detect.loop import detect_on_trajectories
 from mocapfix.errors import TakeError
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected
+from mocapfix.model.marker_set import MarkerSet
 from mocapfix.options import CleanOptions
-from mocapfix.report.stage_timer import StageTimer
-from mocapfix.state import CleaningState, DetectionState
 
 MAX_FAULTY_SHARE = 1 / 3  # of the measured samples; at most 0.006 in 35 captures
 MAX_MEDIAN_RESIDUAL_M = 0.1  # of the measured samples from the body; at most 0.005 m in 35 captures
@@ -43,16 +42,15 @@ class WholeTakeFigures:
     median_speed_m_per_s: float
 
 
-def measure_whole_take(state: CleaningState) -> WholeTakeFigures:
+def measure_whole_take(detected: Detected, body: BodyFit | None) -> WholeTakeFigures:
     """Return how well a take fits its body after detection and solve."""
-    detection, body = state.detection, state.body
-    take = detection.take
+    take = detected.take
     measured = take.measured
-    judged = np.delete(measured, detection.donor_markers, axis=1)
-    sound = np.delete(detection.inlier_mask & measured, detection.donor_markers, axis=1)
+    judged = np.delete(measured, detected.donor_markers, axis=1)
+    sound = np.delete(detected.inlier_mask & measured, detected.donor_markers, axis=1)
     residual_m, leg_m = 0.0, None
     if body is not None:
-        distances = np.linalg.norm(take.markers - body.expand_to_take(detection.epochs), axis=-1)[measured]
+        distances = np.linalg.norm(take.markers - detected.place_on_body(body), axis=-1)[measured]
         residual_m = float(np.median(distances[np.isfinite(distances)])) if np.isfinite(distances).any() else 0.0
         skeleton = body.subject.skeleton
         shown = [[skeleton.find_joint(name) for name in leg] for leg in LEGS]
@@ -68,11 +66,11 @@ def measure_whole_take(state: CleaningState) -> WholeTakeFigures:
     )
 
 
-def check_contradictions(state: CleaningState, options: CleanOptions) -> None:
+def check_contradictions(detected: Detected, body: BodyFit | None, options: CleanOptions) -> None:
     """Raise TakeError if a take contradicts its body as a whole, and the options do not accept that."""
     if options.read.accept_contradictions:
         return
-    figures = measure_whole_take(state)
+    figures = measure_whole_take(detected, body)
     if figures.leg_m is not None and not LEG_LENGTH_RANGE_M[0] <= figures.leg_m <= LEG_LENGTH_RANGE_M[1]:
         problem = f"its person would have legs of {figures.leg_m:.2g} m"
         cause = "check the unit (--unit)" if options.subject.subject is None else _find_cause(figures, options)
@@ -84,8 +82,8 @@ def check_contradictions(state: CleaningState, options: CleanOptions) -> None:
         cause = _find_cause(figures, options)
     else:
         return
-    others = " --subject-prefix cleans another subject alone." if state.original_take.subject_name else ""
-    raise TakeError(f"{state.original_take.name}: {problem}; {cause}. --accept-contradictions cleans it all the same.{others}")
+    others = " --subject-prefix cleans another subject alone." if detected.take.subject_name else ""
+    raise TakeError(f"{detected.take.name}: {problem}; {cause}. --accept-contradictions cleans it all the same.{others}")
 
 
 def _find_cause(figures: WholeTakeFigures, options: CleanOptions) -> str:
@@ -100,8 +98,6 @@ def _find_cause(figures: WholeTakeFigures, options: CleanOptions) -> str:
         return "check --up, --mirror, --unit and --rate, or leave them out"
     return "check its labels and the marker set (--marker-set)"
 
-
-FitStage = Callable[[CleaningState, CleanOptions, StageTimer], CleaningState]
 
 MAX_CONTRADICTED_SAMPLE_SHARE = 2e-4
 """Share of the samples of the set's markers that a body with a correct set may reject or relabel."""
@@ -141,29 +137,23 @@ class SetTrial:
         return np.sort(order[left_out_count:])
 
 
-def try_learned_set(
-    first: CleaningState, fitted: CleaningState, options: CleanOptions, timer: StageTimer, detect_and_fit: FitStage
-) -> CleaningState:
-    """Return the fitted state if its learned set contradicts hardly any sample, else one with a part of the set or without.
+def select_consistent_set(marker_set: MarkerSet, without_set: Detected, with_set: Detected) -> MarkerSet | None:
+    """Return a learned set if its body contradicts hardly any sample, else a part of it that may not; None if there is none.
 
-    first           the state before any detection
-    detect_and_fit  fits a body with a part of the set
+    Args:
+        marker_set: the learned set.
+        without_set: what is detected in the take without the set.
+        with_set: what is detected with it.
     """
-    assert first.marker_set is not None
-    with timer("detect"):
-        without_set = detect_on_trajectories(withdraw_marker_set(first), options)
-    columns = first.marker_set.find_columns(first.original_take.labels)
-    trial = compare_detections(without_set.detection, fitted.detection, columns)
+    trial = compare_detections(without_set, with_set, marker_set.find_columns(without_set.take.labels))
     if trial.is_passed:
-        return fitted
-    kept, labels = trial.select_kept_markers(), first.marker_set.labels
-    narrowed = first.marker_set.select_markers([labels[k] for k in kept])
-    if not len(kept) or narrowed.describe_missing_body(narrowed.labels):
-        return without_set
-    return detect_and_fit(replace(first, marker_set=narrowed), options, timer)
+        return marker_set
+    kept = trial.select_kept_markers()
+    narrowed = marker_set.select_markers([marker_set.labels[k] for k in kept])
+    return None if not len(kept) or narrowed.describe_missing_body(narrowed.labels) else narrowed
 
 
-def compare_detections(without_set: DetectionState, with_set: DetectionState, columns: Int[np.ndarray, " K"]) -> SetTrial:
+def compare_detections(without_set: Detected, with_set: Detected, columns: Int[np.ndarray, " K"]) -> SetTrial:
     """Return what the detection with a learned set contradicts in the take as detected without it.
 
     columns  the take's columns of the K markers of the set, -1 for one that it does not have
@@ -173,10 +163,3 @@ def compare_detections(without_set: DetectionState, with_set: DetectionState, co
     is_rejected = without_set.inlier_mask & ~with_set.inlier_mask
     is_contradicted = (is_relabelled | is_rejected)[:, columns] & (columns >= 0)
     return SetTrial(is_contradicted.sum(0), int(without_set.take.visible[:, columns[columns >= 0]].sum()))
-
-
-def withdraw_marker_set(state: CleaningState) -> CleaningState:
-    """Return the state without its learned marker set, and with the reason."""
-    notes = (*state.notes[:1], "A marker set learned from this take would reject or relabel measured samples, so it is not used.")
-    notes = (*notes, "The take was cleaned without a skeleton: there is no BVH.")
-    return replace(state, marker_set=None, has_learned_set=False, notes=notes)

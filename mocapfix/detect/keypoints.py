@@ -19,7 +19,6 @@ from the trunk outwards, each against joints whose sides are corrected already. 
 that the smaller part of a take is the exchanged one.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,15 +26,15 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
 from mocapfix.detect import gaps
-from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.labels.label_swaps import undo_label_exchanges
-from mocapfix.model.faults import Fault, FaultKind, Faults
+from mocapfix.model.changes import compute_editable_mask
+from mocapfix.model.detected import Detected
+from mocapfix.model.faults import Fault, FaultKind, FaultReview, Faults
 from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE
-from mocapfix.state import CleaningState, DetectionState
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_cheapest_states, find_runs, smooth_path
 
 # Variance of the third difference of white noise, relative to that of the noise.
@@ -346,14 +345,12 @@ KEYPOINT_NOTE = (
 )
 
 
-def detect_on_keypoints(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Correct exchanged sides, find outliers, and remove the noise of the take. Sets `detection` of the state."""
-    assert state.marker_set is not None
-    marker_set, original = state.marker_set, state.original_take
-    noise_sd_m = estimate_noise_sd(original.markers)
-    swaps = [fault for fault in detect_keypoint_swaps(original, marker_set, noise_sd_m) if state.accepts_fault(fault)]
-    take = undo_label_exchanges(original, swaps)
-    markers, is_editable = take.markers.copy(), compute_editable_mask(original, options.fill)
+def detect_on_keypoints(take: Take, marker_set: MarkerSet, review: FaultReview, options: CleanOptions) -> Detected:
+    """Correct exchanged sides, find outliers, and remove the noise of a take."""
+    is_editable, noise_sd_m = compute_editable_mask(take, options.fill), estimate_noise_sd(take.markers)
+    swaps = review.select(detect_keypoint_swaps(take, marker_set, noise_sd_m))
+    take = undo_label_exchanges(take, swaps)
+    markers = take.markers.copy()
     outliers: list[Fault] = []
     for m in range(len(take.labels)):
         smoothed = smooth_point(take.markers[:, m], float(noise_sd_m[m]), take.rate, marker_set.point_sd)
@@ -361,16 +358,14 @@ def detect_on_keypoints(state: CleaningState, options: CleanOptions) -> Cleaning
             _build_outlier_fault(take, m, first, last, smoothed.path, options.detect.max_spike_duration_s)
             for first, last in find_runs(smoothed.is_outlier)
         ]
-        accepted = [fault for fault in found if state.accepts_fault(fault)]
-        outliers += accepted
+        outliers += review.select(found)
         is_smoothed = is_editable[:, m] & take.measured[:, m] & ~smoothed.is_outlier
         markers[is_smoothed, m] = smoothed.path[is_smoothed]
     take = take.replace_markers(markers)
-    lost = gaps.detect_lost_segments(take, marker_set)
-    missing = [fault for fault in (*gaps.detect_gaps(take), *lost) if state.accepts_fault(fault)]
+    missing = review.select([*gaps.detect_gaps(take), *gaps.detect_lost_segments(take, marker_set)])
     faults = Faults().add_faults([*missing, *outliers])
     note = KEYPOINT_NOTE.format(noise_mm=float(np.median(noise_sd_m)) * 1e3)
-    return replace(state, detection=DetectionState(take, tuple(swaps), faults), notes=(*state.notes, note))
+    return Detected(take, tuple(swaps), faults, notes=(note,))
 
 
 def _build_outlier_fault(take: Take, marker: int, first: int, last: int, path: np.ndarray, max_spike_duration_s: float) -> Fault:

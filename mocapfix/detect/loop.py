@@ -18,11 +18,11 @@ from mocapfix.detect.body_outliers import is_body_wrong
 from mocapfix.detect.keypoints import detect_on_keypoints
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.errors import TakeError
-from mocapfix.io.changes_file import list_label_corrections, list_marked_faults
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
 from mocapfix.labels.label_swaps import detect_label_swaps, undo_label_exchanges
 from mocapfix.labels.mislabelled import detect_mislabelled
-from mocapfix.labels.trajectory_segments import find_namesakes
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected, find_namesakes
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
     LABEL_KINDS,
@@ -30,6 +30,7 @@ from mocapfix.model.faults import (
     REPLACED_SAMPLE_KINDS,
     SHIFT_KINDS,
     Fault,
+    FaultReview,
     Faults,
     Fragment,
     build_fault_mask,
@@ -39,7 +40,6 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions
-from mocapfix.state import BodyFit, CleaningState, DetectionState
 from mocapfix.stats.marker_distances import estimate_distances
 
 # A marker's place after a shift must differ from its place before by at least this part of the measured shift.
@@ -92,15 +92,14 @@ def detect_body_faults(
     return sorted(faults + shift_faults, key=lambda fault: (fault.marker, fault.first))
 
 
-def detect_epoch_faults(detection: DetectionState, body: BodyFit, options: DetectOptions) -> list[Fault]:
+def detect_epoch_faults(detected: Detected, body: BodyFit, options: DetectOptions) -> list[Fault]:
     """Detect faults against the body, with markers as indices into the take.
 
     Uncertain label swaps are left out, and so is everything within a burst of jitter that is already known.
     """
-    epochs = detection.epochs
+    epochs = detected.epochs
     inliers, solver_take = (
-        epochs.take.select(body.marker_columns, epochs.split_mask(mask))
-        for mask in (detection.inlier_mask, detection.solver_mask)
+        detected.select_columns(body.marker_columns, mask) for mask in (detected.inlier_mask, detected.solver_mask)
     )
     faults = detect_body_faults(
         inliers,
@@ -115,7 +114,7 @@ def detect_epoch_faults(detection: DetectionState, body: BodyFit, options: Detec
         replace(fault, marker=take_marker[fault.marker], other_markers=tuple(take_marker[m] for m in fault.other_markers))
         for fault in faults
     ]
-    has_jitter = build_fault_mask(detection.sample_faults.select_kinds("jitter"), detection.take.visible.shape)
+    has_jitter = build_fault_mask(detected.sample_faults.select_kinds("jitter"), detected.take.visible.shape)
     return [
         fault
         for fault in mapped
@@ -125,7 +124,7 @@ def detect_epoch_faults(detection: DetectionState, body: BodyFit, options: Detec
     ]
 
 
-def find_unconfirmed_shifts(detection: DetectionState, body: BodyFit) -> list[Fault]:
+def find_unconfirmed_shifts(detected: Detected, body: BodyFit) -> list[Fault]:
     """Return the marker shifts after which the body carries the marker where it did before.
 
     There the joint or the skin moved, not the marker.
@@ -134,8 +133,8 @@ def find_unconfirmed_shifts(detection: DetectionState, body: BodyFit) -> list[Fa
         int(column): body.extended_subject.marker_offsets[k] for k, column in enumerate(body.marker_columns) if column >= 0
     }
     unconfirmed: list[Fault] = []
-    for fault in detection.sample_faults.select_kinds(*SHIFT_KINDS):
-        before, after = (detection.epochs.find_column(fault.marker, frame) for frame in (fault.first - 1, fault.last))
+    for fault in detected.sample_faults.select_kinds(*SHIFT_KINDS):
+        before, after = (detected.epochs.find_column(fault.marker, frame) for frame in (fault.first - 1, fault.last))
         if fault.marker not in offsets:
             continue
         if after in offsets:
@@ -190,99 +189,98 @@ MIN_VISIBLE_MARKERS = 3
 """Inliers in at least one frame: fewer do not determine the position of anything."""
 
 
-def check_visible_markers(state: CleaningState) -> None:
+def check_visible_markers(detected: Detected) -> None:
     """Raise TakeError if no frame shows enough markers after the detection."""
-    if state.detection.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
+    if detected.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
         raise TakeError(
-            f"{state.original_take.name}: no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated; "
+            f"{detected.take.name}: no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated; "
             "check the labels and the export."
         )
 
 
-def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Detect faults in the trajectories of the original take and correct its labels. Sets `detection` of the state.
+def detect_on_trajectories(
+    take: Take, marker_set: MarkerSet | None, subject: Subject | None, review: FaultReview, options: CleanOptions
+) -> Detected:
+    """Detect faults in the trajectories of a take and correct its labels. The corrections of a reviewer come first.
 
-    The corrections of a reviewer come first. Raises TakeError for corrections of keypoints.
+    Args:
+        take: the take as it was read.
+        marker_set: its marker set, if it has one.
+        subject: the subject from an earlier calibration, if it is known.
+        review: what a reviewer decided.
+        options: those of detection and `fill.refill`.
     """
-    if state.marker_set and state.marker_set.point_sd:
-        if state.review.corrections:
-            name = state.original_take.name
-            raise TakeError(f"{name}: corrections in a changes file are for markers, and these are keypoints; remove them.")
-        return detect_on_keypoints(state, options)
-    label_faults = list_label_corrections(state.review.corrections)
-    take = relabel_samples(state.original_take, label_faults)
-    if state.marker_set:
-        found = detect_mislabelled(take, state.marker_set, state.known_subject)
-        mislabelled = [fault for fault in found if state.accepts_fault(fault)]
+    if marker_set and marker_set.point_sd:
+        return detect_on_keypoints(take, marker_set, review, options)
+    label_faults = list(review.label_corrections)
+    take = relabel_samples(take, label_faults)
+    if marker_set:
+        mislabelled = review.select(detect_mislabelled(take, marker_set, subject))
         take = undo_label_exchanges(take, mislabelled)
         label_faults += mislabelled
     for _ in range(options.detect.max_rounds):
-        fragments = [fault for fault in detect_fragments(take) if state.accepts_fault(fault)]
+        fragments = review.select([*detect_fragments(take)])
         joined = join_fragments(take, fragments)
         swaps = [
             fault
-            for fault in detect_label_swaps(joined.masked(joined.measured))
-            if state.accepts_fault(fault) and fault.confidence >= MIN_LABEL_CONFIDENCE
+            for fault in review.select(detect_label_swaps(joined.masked(joined.measured)))
+            if fault.confidence >= MIN_LABEL_CONFIDENCE
         ]
         # A fragment that was not joined is detected again in each round.
         label_faults = [*(fault for fault in label_faults if not _is_unused_fragment(fault)), *fragments, *swaps]
         take = undo_label_exchanges(joined, swaps)
         if not swaps:
             break
-    sample_faults = detect_remaining_faults(take, state, options)
+    sample_faults = detect_remaining_faults(take, marker_set, review, options.detect)
     replaced_kinds = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS) if options.fill.refill else REPLACED_SAMPLE_KINDS
-    return replace(state, detection=DetectionState(take, tuple(label_faults), sample_faults, replaced_kinds))
+    return Detected(take, tuple(label_faults), sample_faults, replaced_kinds)
 
 
-def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Detect what does not fit the solved body and correct labels again.
-
-    Returns the state with a new `detection`, or the very same state where nothing new is found.
-    """
-    detection, body = state.detection, state.body
-    if body is None or (state.marker_set and state.marker_set.point_sd):
-        return state  # what would be a fault of a marker is within the errors of keypoints
-    unconfirmed_shifts = (*detection.unconfirmed_shifts, *find_unconfirmed_shifts(detection, body))
-    known = {_identify_fault(fault) for fault in detection.faults.items}
-    new_faults = [
-        fault
-        for fault in detect_epoch_faults(detection, body, options.detect)
-        if state.accepts_fault(fault) and _identify_fault(fault) not in known
-    ]
+def detect_on_body(
+    detected: Detected, body: BodyFit, marker_set: MarkerSet, review: FaultReview, options: DetectOptions
+) -> Detected:
+    """Detect what does not fit the solved body and correct labels again. Returns `detected` itself where nothing new is found."""
+    if marker_set.point_sd:
+        return detected  # what would be a fault of a marker is within the errors of keypoints
+    unconfirmed_shifts = (*detected.unconfirmed_shifts, *find_unconfirmed_shifts(detected, body))
+    known = {_identify_fault(fault) for fault in detected.faults.items}
+    found = review.select(detect_epoch_faults(detected, body, options))
+    new_faults = [fault for fault in found if _identify_fault(fault) not in known]
     swaps = [fault for fault in new_faults if fault.kind in LABEL_KINDS]
-    is_swapped = build_fault_mask(swaps, detection.take.visible.shape)
+    is_swapped = build_fault_mask(swaps, detected.take.visible.shape)
     others = [fault for fault in new_faults if fault.kind not in LABEL_KINDS and not fault.meets_mask(is_swapped)]
-    if not swaps and not others and len(unconfirmed_shifts) == len(detection.unconfirmed_shifts):
-        return state
-    take = undo_label_exchanges(detection.take, swaps)
-    body_faults = (*(fault for fault in detection.body_faults if not fault.meets_mask(is_swapped)), *others)
+    if not swaps and not others and len(unconfirmed_shifts) == len(detected.unconfirmed_shifts):
+        return detected
+    take = undo_label_exchanges(detected.take, swaps)
+    body_faults = (*(fault for fault in detected.body_faults if not fault.meets_mask(is_swapped)), *others)
     if swaps:
-        remaining = detect_remaining_faults(take, state, options)
-        sample_faults = remaining.add_faults(body_faults)
+        sample_faults = detect_remaining_faults(take, marker_set, review, options).add_faults(body_faults)
     else:
-        sample_faults = detection.sample_faults.add_faults(others)
+        sample_faults = detected.sample_faults.add_faults(others)
     rejected = {_identify_fault(fault) for fault in unconfirmed_shifts}
     confirmed = tuple(fault for fault in sample_faults.items if _identify_fault(fault) not in rejected)
-    label_faults = (*detection.label_faults, *swaps)
-    advanced = DetectionState(take, label_faults, Faults(confirmed), detection.replaced_kinds, body_faults, unconfirmed_shifts)
-    return replace(state, detection=advanced, calibration=None if swaps else state.calibration)
+    return replace(
+        detected,
+        take=take,
+        label_faults=(*detected.label_faults, *swaps),
+        sample_faults=Faults(confirmed),
+        body_faults=body_faults,
+        unconfirmed_shifts=unconfirmed_shifts,
+    )
 
 
-def detect_remaining_faults(take: Take, state: CleaningState, options: CleanOptions) -> Faults:
+def detect_remaining_faults(take: Take, marker_set: MarkerSet | None, review: FaultReview, options: DetectOptions) -> Faults:
     """Detect the faults of the samples of a take with correct labels, and add those that a reviewer marked.
 
     Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Otherwise a second
     cleaning would find new faults. Markers whose labels name fragments of other markers are not judged.
     """
     donors, memory = find_namesakes(take), RoundMemory()
-    known = Faults().add_faults(list_marked_faults(state.review.corrections))
-    for _ in range(options.detect.max_rounds):
+    known = Faults().add_faults(review.marked_faults)
+    for _ in range(options.max_rounds):
         remaining = replace(take, computed=take.visible & ~take.measured | known.compute_faulty_mask(take))
-        faults = [
-            fault
-            for fault in detect_sample_faults(remaining, state.marker_set, options.detect, memory).items
-            if fault.marker not in donors and state.accepts_fault(fault)
-        ]
+        found = detect_sample_faults(remaining, marker_set, options, memory).items
+        faults = [fault for fault in found if fault.marker not in donors and review.accepts(fault)]
         replaced = [fault for fault in faults if fault.kind in REPLACED_SAMPLE_KINDS]
         others = Faults(tuple(fault for fault in faults if fault.kind not in REPLACED_SAMPLE_KINDS))
         known = others.add_faults((*known.select_kinds(*REPLACED_SAMPLE_KINDS), *replaced))

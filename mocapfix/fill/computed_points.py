@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.gap_filling import compute_editable_mask
+from mocapfix.model.changes import compute_editable_mask
 from mocapfix.model.take import ComputedPoints, Take
 from mocapfix.options import FillOptions
 from mocapfix.stats.point_function_search import find_point_functions

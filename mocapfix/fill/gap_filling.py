@@ -1,7 +1,7 @@
 """The fill: every missing or faulty sample gets its most precise estimate, or stays empty with a reason."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +20,12 @@ from mocapfix.fill.marker_estimates import (
 )
 from mocapfix.fill.requested_fills import FillRequest, explain_requested_fills, locate_requested_fills, use_requested_methods
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
-from mocapfix.model.changes import UnfilledRun, expand_unfilled_reasons
+from mocapfix.io.changes_file import Correction
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.changes import UnfilledRun, compute_editable_mask, expand_unfilled_reasons
+from mocapfix.model.detected import Detected
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.state import BodyFit, CleaningState, FillProposal
+from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
@@ -47,30 +49,65 @@ class FilledTake(NamedTuple):
     method: Int[np.ndarray, "T M"]
 
 
-def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Fill the take's missing and faulty samples. Sets `fill` of the state.
+@dataclass(frozen=True)
+class Filled:
+    """A take with every gap and faulty sample filled or emptied, before decisions are applied.
+
+    Attributes:
+        detected: its faults.
+        take: the filled take.
+        unfilled_reasons: the reason why each sample stays empty, else "".
+        methods: for each filled sample the name of its fill method, else "".
+        body_markers: metres: where the solved body carries the markers; None without a body.
+        rigid_groups: groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
+    """
+
+    detected: Detected
+    take: Take
+    unfilled_reasons: Shaped[np.ndarray, "T M"]
+    methods: Shaped[np.ndarray, "T M"]
+    body_markers: Float[np.ndarray, "T M 3"] | None
+    rigid_groups: tuple[RigidGroup, ...] = ()
+
+
+def fill_gaps(
+    detected: Detected,
+    body: BodyFit | None,
+    props: Mapping[str, Sequence[str]],
+    corrections: Sequence[Correction],
+    options: FillOptions,
+    *,
+    is_own_set: bool,
+) -> Filled:
+    """Fill a take's missing and faulty samples.
 
     Fills of other programs stay as they are (unless they were detected as faulty), and labels that only name fragments of other
     markers are not filled.
+
+    Args:
+        detected: the take and its faults.
+        body: the body that is solved from it, with the motion from which lost markers are filled.
+        props: the labels of each prop that the marker set names.
+        corrections: those of a reviewer, who may request the fills of samples.
+        options: the options of filling.
+        is_own_set: whether the marker set was learned from this take.
     """
-    detection, body = state.detection, state.body
-    take, inliers, epochs = detection.take, detection.inlier_mask, detection.epochs
+    take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
-    groups = find_rigid_groups_outside(state)
-    is_partial = body is not None and (state.has_learned_set or not body.subject.solved_joints.all())
+    groups = find_rigid_groups_outside(detected, body, props)
     filled = fill_take(
         epochs.take,
         epochs.split_mask(inliers),
         gap_durations_s,
         find_ends(inliers)[:, epochs.column_marker],
         body,
-        options.fill,
-        is_partial_body=is_partial,
+        options,
+        is_partial_body=body is not None and (is_own_set or not body.subject.solved_joints.all()),
         rigid_groups=groups,
-        requests=locate_requested_fills(state.review.corrections, epochs),
+        requests=locate_requested_fills(corrections, epochs),
     )
     is_kept = take.visible & ~take.measured
-    is_kept[:, list(detection.donor_markers)] = True
+    is_kept[:, list(detected.donor_markers)] = True
     is_kept |= inliers  # while a marker slides between two places its samples belong to no epoch
     sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
@@ -78,24 +115,23 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     reasons = epochs.merge_columns(expand_unfilled_reasons(filled.unfilled, filled.take.visible.shape))
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
-    body_markers = body.expand_to_take(epochs) if body else None
-    return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers), rigid_groups=groups)
+    return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, groups)
 
 
-def find_rigid_groups_outside(state: CleaningState) -> tuple[RigidGroup, ...]:
+def find_rigid_groups_outside(
+    detected: Detected, body: BodyFit | None, props: Mapping[str, Sequence[str]]
+) -> tuple[RigidGroup, ...]:
     """Return the rigid groups of markers that the body does not carry, as columns of the take's epochs."""
-    epochs, body, marker_set = state.detection.epochs, state.body, state.marker_set
+    epochs = detected.epochs
     is_on_body = np.zeros(len(epochs.column_marker), bool)
     if body is not None:
         is_on_body[body.marker_columns[body.marker_columns >= 0]] = True
-    is_on_body |= np.isin(epochs.column_marker, [*state.detection.donor_markers, *epochs.column_marker[is_on_body]])
+    is_on_body |= np.isin(epochs.column_marker, [*detected.donor_markers, *epochs.column_marker[is_on_body]])
     if (~is_on_body).sum() < MIN_GROUP_MARKERS:
         return ()
     from mocapfix.subject.props import find_props  # few takes need it
 
-    return find_props(
-        epochs.take.masked(epochs.split_mask(state.detection.inlier_mask)), is_on_body, marker_set.props if marker_set else {}
-    )
+    return find_props(epochs.take.masked(epochs.split_mask(detected.inlier_mask)), is_on_body, props)
 
 
 def fill_take(
@@ -193,23 +229,11 @@ def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: Bod
     has_column = columns >= 0
     subject_take = take.select(columns, is_inlier)
     is_missing = ~is_inlier[:, columns] & has_column
-    motion = body.filling_motion or body.motion
     filled, filled_sd = marker_estimates.fill_from_body(
-        subject_take.markers, is_missing, body.extended_subject, motion, take.rate
+        subject_take.markers, is_missing, body.extended_subject, body.motion, take.rate
     )
     positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
     return build_marker_estimate(positions, sd, FillMethod.BODY)
-
-
-def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, "T M"]:
-    """Return which samples the options `keep` and `frames` allow to change."""
-    is_editable = np.ones(take.visible.shape, bool)
-    for m, (label, bare_label) in enumerate(zip(take.labels, take.bare_labels, strict=True)):
-        is_editable[:, m] = label not in options.keep and bare_label not in options.keep
-    if options.frames:
-        numbers = take.first_frame + np.arange(take.frame_count)
-        is_editable &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
-    return is_editable
 
 
 def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from mocapfix.detect.moved_markers import MarkerEpochs
 from mocapfix.fill.cluster_fill import fill_from_clusters
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate
 from mocapfix.fill.spline_fill import (
@@ -17,6 +16,7 @@ from mocapfix.fill.spline_fill import (
     measure_spline_error,
 )
 from mocapfix.io.changes_file import Correction, RequestedFill
+from mocapfix.model.detected import MarkerEpochs
 
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"

@@ -4,7 +4,7 @@ It is written by a cleaning, edited by hand or in the browser, and read by the n
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool
 from pydantic import Field, model_validator
 
-from mocapfix.errors import SceneError, format_name_list
+from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, dump_yaml_list, read_yaml_model
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
-from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, Fragment
+from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, FaultReview, Fragment
 from mocapfix.model.take import Take
 
 CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
@@ -389,11 +389,11 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
     return Review(declined, tuple(corrections), reviewed_ids, notes)
 
 
-def build_review_filter(take: Take, review: Review) -> Callable[[Fault], bool]:
-    """Return the function that decides whether a fault may be detected.
+def build_fault_review(take: Take, review: Review) -> FaultReview:
+    """Return what a review says of the faults of a take.
 
-    Excluded are faults of samples that the review keeps as measured, marker shifts that it declines, and faults of labels that
-    the reviewer corrected.
+    Not accepted are faults of samples that the review keeps as measured, marker shifts that it declines, and faults of labels
+    that the reviewer corrected.
     """
     count, index = len(take.labels), ReviewIndex(review.declined)
     kept = np.zeros((take.frame_count, count), bool)
@@ -412,4 +412,11 @@ def build_review_filter(take: Take, review: Review) -> Callable[[Fault], bool]:
             return False
         return not kept[samples[0]][:, samples[1]].any()
 
-    return is_accepted
+    labels, marked = list_label_corrections(review.corrections), list_marked_faults(review.corrections)
+    return FaultReview(tuple(labels), tuple(marked), is_accepted)
+
+
+def reject_corrections(review: Review, name: str, kind: str) -> None:
+    """Raise TakeError if a review has corrections and is on another kind of file than markers, such as "this is an animation"."""
+    if review.corrections:
+        raise TakeError(f"{name}: corrections in a changes file are for markers, and {kind}; remove them.")

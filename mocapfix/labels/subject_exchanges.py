@@ -26,10 +26,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
 from mocapfix.errors import format_name_list
-from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.io.changes_file import Review
 from mocapfix.labels.tracklets import link_points
-from mocapfix.model.changes import Change, build_changes
+from mocapfix.model.changes import Change, build_changes, compute_editable_mask
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions

@@ -8,7 +8,6 @@ The rigid signature of a marker is its distances to the markers of its segment, 
 not distinguish a position from its mirror image. The signed height above the plane of three of the markers does.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -16,11 +15,11 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.model.detected import find_namesakes
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import estimate_distance_statistics, estimate_distances_from, sample_coordinates
 
 # A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
-NUMBERED_LABEL = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")
 # A longer pause ends a segment.
 MAX_PAUSE_S = 0.025
 # A step that deviates more from a straight path belongs to another point: a constant, and a term in the square of its time.
@@ -74,25 +73,6 @@ def find_loose_segments(take: Take) -> list[TrajectorySegment]:
         for donor, marker, path in loose
         for frames in split_trajectory(np.flatnonzero(~np.isnan(path[:, 0])), path, take.rate)
     ]
-
-
-def find_namesakes(take: Take) -> dict[int, int]:
-    """Find the markers that have another marker's label; return their indices and those of the other markers.
-
-    If several markers have the same label, the one that is visible longest is the marker. A numbered label whose base label
-    is not in the take is a label of its own.
-    """
-    visible_count = take.visible.sum(0)
-    first_of_label: dict[str, int] = {}
-    for m in np.argsort(-visible_count, kind="stable"):
-        first_of_label.setdefault(take.labels[m], int(m))
-    bases = [label if first_of_label[label] != m else _strip_number(label) for m, label in enumerate(take.labels)]
-    return {m: first_of_label[base] for m, base in enumerate(bases) if base in first_of_label}
-
-
-def _strip_number(label: str) -> str | None:
-    numbered = NUMBERED_LABEL.fullmatch(label)
-    return numbered.group(1) if numbered else None
 
 
 def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3"], rate: float) -> list[Int[np.ndarray, " _"]]:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Decision, Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
+from mocapfix.options import FillOptions
 from mocapfix.stats.rigid_alignment import compute_lengths
 
 # The frame and the marker of each of N samples.
@@ -265,3 +266,14 @@ def find_unfilled_runs(take: Take, reasons: Shaped[np.ndarray, "T M"]) -> tuple[
             for a, b in zip([0, *(breaks + 1)], [*breaks, len(frames) - 1], strict=True):
                 unfilled.append(UnfilledRun(m, int(frames[a]), int(frames[b]), str(reason)))
     return tuple(sorted(unfilled, key=lambda run: (run.marker, run.first)))
+
+
+def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, "T M"]:
+    """Return which samples the options `keep` and `frames` allow to change."""
+    is_editable = np.ones(take.visible.shape, bool)
+    for m, (label, bare_label) in enumerate(zip(take.labels, take.bare_labels, strict=True)):
+        is_editable[:, m] = label not in options.keep and bare_label not in options.keep
+    if options.frames:
+        numbers = take.first_frame + np.arange(take.frame_count)
+        is_editable &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
+    return is_editable

@@ -1,6 +1,6 @@
 """Faults of a take: what is wrong, where, and with which confidence."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -165,3 +165,22 @@ def build_fault_mask(faults: Iterable[Fault], shape: tuple[int, ...]) -> Bool[np
     for fault in faults:
         mask[fault.frame_slice, list(fault.markers)] = True
     return mask
+
+
+@dataclass(frozen=True)
+class FaultReview:
+    """What a reviewer decided about faults.
+
+    Attributes:
+        label_corrections: the faults of labels that the reviewer named, in their order.
+        marked_faults: the faults of samples that the reviewer named.
+        accepts: False for a fault whose samples are kept, or a marker shift that was declined.
+    """
+
+    label_corrections: tuple[Fault, ...] = ()
+    marked_faults: tuple[Fault, ...] = ()
+    accepts: Callable[[Fault], bool] = lambda fault: True
+
+    def select(self, faults: list[Fault]) -> list[Fault]:
+        """Return the faults that the reviewer accepts."""
+        return [fault for fault in faults if self.accepts(fault)]

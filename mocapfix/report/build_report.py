@@ -1,4 +1,4 @@
-"""Build the report of one subject's take, section by section, from the state at the end of its cleaning.
+"""Build the report of one subject's take, section by section, from what the stages of its cleaning returned.
 
 The report's section on contacts with the floor, and the notes on what a technician must know of them.
 """
@@ -10,10 +10,12 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix.contacts.body_contacts import StandingBody
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
 from mocapfix.errors import join_words
 from mocapfix.labels.label_summary import build_labelling_section
 from mocapfix.model.changes import UnfilledRun, serialize_changes
+from mocapfix.model.detected import MarkerEpochs
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.subject import Subject
@@ -39,8 +41,11 @@ from mocapfix.report.report import (
     UnfilledEntry,
 )
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
+from mocapfix.review.apply_decisions import Decided
 from mocapfix.solve.lost_in_sight import LostPart
-from mocapfix.state import CleaningState
+from mocapfix.solve.motion_solver import PREVIEW_NOTE
+from mocapfix.stats.marker_distances import RigidGroup
+from mocapfix.subject.library import SubjectChoice
 
 STEP_TIME_RANGE_S = (0.2, 1.2)  # time between the strikes of the two feet that make a step; a longer one is a pause
 MIN_CADENCE_STEPS = 4  # steps from which a cadence is computed
@@ -352,13 +357,28 @@ def _count_left_by_marker(unfilled: Sequence[UnfilledEntry]) -> list[LeftEmptyEn
     return sorted(entries, key=lambda entry: -entry["samples"])
 
 
-def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dict[str, float]) -> Report:
-    """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician."""
-    assert state.cleaned_take is not None
-    take, detection, body, residual_m = state.original_take, state.detection, state.body, state.residual_m
-    solve, body_notes = None, list[str]()
-    if body and residual_m is not None:
-        lost_parts = notes.find_lost_body_parts(detection, detection.epochs, body)
+def build_report(
+    take: Take,
+    subject: SubjectChoice,
+    standing: StandingBody | None,
+    decided: Decided,
+    options: CleanOptions,
+    stage_seconds: dict[str, float],
+) -> Report:
+    """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
+
+    Args:
+        take: the take as it was read.
+        subject: its subject and marker set.
+        standing: the body that was solved; None without a marker set.
+        decided: the cleaned take, its faults and its changes.
+        options: those of the cleaning.
+        stage_seconds: the seconds of each stage.
+    """
+    detected, solve, body_notes = decided.filled.detected, None, list[str]()
+    if standing:
+        body, residual_m = standing.fit, detected.measure_residuals(standing.fit)
+        lost_parts = notes.find_lost_body_parts(detected, body)
         solve = build_solve_section(
             take,
             body.subject,
@@ -369,46 +389,48 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             options.initialise.method_used,
             lost_parts=lost_parts,
         )
-        body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
-        if body.contacts:
-            body_notes += describe_contacts(body.contacts, options.contacts.feet, options.output.floor_height_m, MARKER_TERMS)
+        body_notes += [PREVIEW_NOTE] * options.initialise.is_fast
+        body_notes += notes.build_body_notes(detected, body, residual_m, lost_parts)
+        floor_m = options.output.floor_height_m
+        body_notes += describe_contacts(standing.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:
         body_notes.append(notes.NO_PREVIEW_NOTE)
-    rigid_groups = _build_rigid_group_entries(state)
+    rigid_groups = _build_rigid_group_entries(take, detected.epochs, decided.filled.rigid_groups)
+    marker_set = subject.marker_set
     report: Report = {
-        "take": build_take_section(take, state.marker_set.name if state.marker_set else None, state.cleaned_take),
-        "faults": build_fault_entries(take, detection.faults),
-        "changes": serialize_changes(state.changes),
-        "subject": build_subject_section(body.subject) if body else None,
+        "take": build_take_section(take, marker_set.name if marker_set else None, decided.take),
+        "faults": build_fault_entries(take, detected.faults),
+        "changes": serialize_changes(decided.changes),
+        "subject": build_subject_section(standing.fit.subject) if standing else None,
         "solve": solve,
-        "fill": build_fill_section(take, detection.take, state.cleaned_take, state.unfilled_runs, detection.donor_markers),
+        "fill": build_fill_section(take, detected.take, decided.take, decided.unfilled_runs, detected.donor_markers),
         "seconds": stage_seconds,
         "notes": [
             *take.notes,
             *notes.describe_up_axis(take),
-            *notes.describe_computed_points(state.cleaned_take),
-            *state.notes,
+            *notes.describe_computed_points(decided.take),
+            *subject.notes,
+            *detected.notes,
             *body_notes,
-            *notes.describe_rigid_groups(rigid_groups, has_body=body is not None),
-            *notes.describe_uncertain_fills(state.cleaned_take),
+            *notes.describe_rigid_groups(rigid_groups, has_body=standing is not None),
+            *notes.describe_uncertain_fills(decided.take),
         ],
     }
-    if evidence := notes.find_laboratory_evidence(state.marker_set, body):
-        report["take"]["laboratory"] = evidence
-    if body and body.contacts:
-        report["contacts"] = build_contact_section(body.contacts, take)
+    if standing and marker_set:
+        if evidence := notes.find_laboratory_evidence(marker_set, standing):
+            report["take"]["laboratory"] = evidence
+        report["contacts"] = build_contact_section(standing.contacts, take)
     if rigid_groups:
         report["rigid_groups"] = rigid_groups
     return report
 
 
-def _build_rigid_group_entries(state: CleaningState) -> list[RigidGroupEntry]:
-    labels, marker_of_column = state.original_take.labels, state.detection.epochs.column_marker
+def _build_rigid_group_entries(take: Take, epochs: MarkerEpochs, groups: Sequence[RigidGroup]) -> list[RigidGroupEntry]:
     return [
         {
             "name": group.name,
-            "markers": [labels[m] for m in dict.fromkeys(marker_of_column[list(group.markers)].tolist())],
+            "markers": [take.labels[m] for m in dict.fromkeys(epochs.column_marker[list(group.markers)].tolist())],
             "spread_mm": round(group.spread_m * 1e3, 2),
         }
-        for group in state.rigid_groups
+        for group in groups
     ]

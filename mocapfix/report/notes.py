@@ -5,9 +5,11 @@ from collections.abc import Collection, Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.contacts.body_contacts import StandingBody
 from mocapfix.contacts.contacts import PLATE_SOURCE
-from mocapfix.detect.moved_markers import MarkerEpochs
 from mocapfix.errors import format_name_list, join_names, join_words
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected, MarkerEpochs
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
     LABEL_KINDS,
@@ -23,7 +25,6 @@ from mocapfix.model.take import Take
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
-from mocapfix.state import BodyFit, DetectionState
 from mocapfix.stats.sequences import find_runs
 
 MAX_RELIABLE_FILL_SD_M = 0.06  # per axis; fills with a larger predicted standard deviation are listed
@@ -41,8 +42,7 @@ NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the tak
 
 
 def build_body_notes(
-    detection: DetectionState,
-    epochs: MarkerEpochs,
+    detected: Detected,
     body: BodyFit,
     residual_m: Float[np.ndarray, "T M"],
     lost_parts: tuple[LostPart, ...],
@@ -52,17 +52,17 @@ def build_body_notes(
     residual_m  distance of each inlier marker from the body in metres, NaN for other samples
     lost_parts  the parts of the body that were lost in sight
     """
-    columns = body.marker_columns
-    marker_set_take = epochs.take.select(columns, epochs.split_mask(detection.inlier_take.visible))
+    columns, epochs = body.marker_columns, detected.epochs
+    marker_set_take = detected.select_columns(columns, detected.inlier_take.visible)
     return [
         *describe_unsolved_joints(body.subject),
         *describe_unobserved_joints(marker_set_take, body.extended_subject),
-        *describe_unassigned_markers(detection.take, epochs.column_marker[columns[columns >= 0]], detection.donor_markers),
-        *(describe_lost_part(detection.take, part, columns, epochs, detection.inlier_mask) for part in lost_parts),
+        *describe_unassigned_markers(detected.take, epochs.column_marker[columns[columns >= 0]], detected.donor_markers),
+        *(describe_lost_part(detected.take, part, columns, epochs, detected.inlier_mask) for part in lost_parts),
         *describe_stray_markers(
-            detection.take, residual_m, detection.faults.items, merge_lost_samples(lost_parts, columns, epochs)
+            detected.take, residual_m, detected.faults.items, merge_lost_samples(lost_parts, columns, epochs)
         ),
-        *describe_imported_fills(detection, residual_m),
+        *describe_imported_fills(detected, residual_m),
     ]
 
 
@@ -194,41 +194,40 @@ def merge_lost_samples(
     return epochs.merge_columns(mask)
 
 
-def find_lost_body_parts(detection: DetectionState, epochs: MarkerEpochs, body: BodyFit) -> tuple[LostPart, ...]:
+def find_lost_body_parts(detected: Detected, body: BodyFit) -> tuple[LostPart, ...]:
     """Return the parts of the body that the solve lost in sight, judged by everything that was measured under correct labels."""
-    measured = epochs.take.select(body.marker_columns, epochs.split_mask(detection.take.measured))
-    inlier_take = epochs.take.select(body.marker_columns, epochs.split_mask(detection.inlier_mask))
+    measured = detected.select_columns(body.marker_columns, detected.take.measured)
+    inlier_take = detected.select_columns(body.marker_columns, detected.inlier_mask)
     return find_lost_parts(measured.markers, inlier_take.visible, body.extended_subject, body.marker_positions)
 
 
-def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndarray, "T M"]) -> list[str]:
+def describe_imported_fills(detected: Detected, residual_m: Float[np.ndarray, "T M"]) -> list[str]:
     """Return a note on fills of other programs that are far from the body and were left unchanged."""
-    fills = detection.sample_faults.select_kinds(*EXTERNAL_FILL_KINDS)
+    fills = detected.sample_faults.select_kinds(*EXTERNAL_FILL_KINDS)
     distances = [(float(np.median(residual_m[fill.frame_slice, fill.marker])), fill) for fill in fills]
     far = [(distance, fault) for distance, fault in distances if distance > MAX_IMPORTED_FILL_DISTANCE_M]
-    if detection.replaced_kinds != REPLACED_SAMPLE_KINDS or not far:
+    if detected.replaced_kinds != REPLACED_SAMPLE_KINDS or not far:
         return []
     distance, worst = max(far, key=lambda pair: pair[0])
-    first, last = (detection.take.get_frame_number(frame) for frame in (worst.first, worst.last))
-    farthest = f"{detection.take.labels[worst.marker]}, frames {first} to {last}, {_format_mm(distance)}"
+    first, last = (detected.take.get_frame_number(frame) for frame in (worst.first, worst.last))
+    farthest = f"{detected.take.labels[worst.marker]}, frames {first} to {last}, {_format_mm(distance)}"
     return [
         f"{len(far)} of {len(fills)} fills by another program are more than {_format_mm(MAX_IMPORTED_FILL_DISTANCE_M)} "
         f"from the body (the farthest: {farthest}) and are left unchanged; --refill replaces them."
     ]
 
 
-def find_laboratory_evidence(marker_set: MarkerSet | None, body: BodyFit | None) -> str:
+def find_laboratory_evidence(marker_set: MarkerSet, standing: StandingBody) -> str:
     """Return in a few words what suggests that a take is that of a laboratory; "" if nothing does.
 
     It is force plates, a marker set of laboratories, or a body of which only legs are shown.
     """
-    if body is None or marker_set is None:
-        return ""
-    if body.contacts and any(event.source == PLATE_SOURCE for event in body.contacts.events):
+    if any(event.source == PLATE_SOURCE for event in standing.contacts.events):
         return "force plates"
     if marker_set.is_laboratory:
         return f"the marker set {marker_set.name}"
-    names = {name for name, is_solved in zip(body.subject.skeleton.names, body.subject.solved_joints, strict=True) if is_solved}
+    subject = standing.fit.subject
+    names = {name for name, is_solved in zip(subject.skeleton.names, subject.solved_joints, strict=True) if is_solved}
     upper = {joint for section in ("head", *ARMS) for joint in BODY_SECTIONS[section]}
     return "legs only" if "Hips" in names and not names & upper else ""
 

@@ -1,21 +1,25 @@
 """The last stage: decide which changes are applied, revert the others, and record all of them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.fill.gap_filling import compute_editable_mask
-from mocapfix.io.changes_file import ReviewIndex, list_label_corrections
+from mocapfix.fill.gap_filling import Filled
+from mocapfix.io.changes_file import Review, ReviewIndex, list_label_corrections
 from mocapfix.labels.fragments import relabel_samples
 from mocapfix.model.changes import (
+    Change,
+    UnfilledRun,
     affects_labels,
     build_affected_mask,
     build_changes,
     compare_samples,
+    compute_editable_mask,
     find_unfilled_runs,
     list_affected_markers,
 )
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
     JOINED_RELATIONS,
@@ -29,56 +33,64 @@ from mocapfix.model.faults import (
 )
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.state import CleaningState, DetectionState
 
 # A fill of another program stays as it is if it agrees with the estimate within either of these.
 MAX_AGREEMENT_SD = 3.0
 MAX_AGREEMENT_DISTANCE_M = 0.010
 
 
-def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Apply the accepted changes and revert the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
+@dataclass(frozen=True)
+class Decided:
+    """A cleaned take, with every change that was considered and its decision, and the runs of samples that stay empty."""
+
+    filled: Filled
+    take: Take
+    changes: tuple[Change, ...]
+    unfilled_runs: tuple[UnfilledRun, ...]
+
+
+def apply_decisions(original: Take, filled: Filled, review: Review, options: CleanOptions, *, is_smoothed: bool) -> Decided:
+    """Apply the accepted changes and revert the others.
 
     A change is reverted if `options.detect.repair_kinds` names kinds and its kind is not one of them, if it is a label change
     with samples that must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it.
-    Every change that was considered has an entry in `changes`, with its decision.
+
+    Args:
+        original: the take as it was read.
+        filled: the same without faults and gaps.
+        review: what a reviewer decided.
+        options: those of detection and filling.
+        is_smoothed: whether samples without faults are smoothed as well.
     """
-    assert state.fill is not None
-    original, detection, fill = state.original_take, state.detection, state.fill
-    is_editable = compute_editable_mask(original, options.fill)
-    corrections = list_label_corrections(state.review.corrections)
-    repairable = [fault for fault in detection.faults.items if _is_repairable(fault)]
+    detected, is_editable = filled.detected, compute_editable_mask(original, options.fill)
+    corrections = list_label_corrections(review.corrections)
+    repairable = [fault for fault in detected.faults.items if _is_repairable(fault)]
     considered = [
         fault
         for fault in repairable
         if (_is_requested(fault, options.detect.repair_kinds) or fault in corrections)
         and _is_editable(fault, is_editable)
-        and not _matches_estimate(fault, detection, fill.take)
+        and not _matches_estimate(fault, detected, filled.take)
     ]
-    reviewed = ReviewIndex(state.review.declined)
+    reviewed = ReviewIndex(review.declined)
     decisions = {id(fault): next((each.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered}
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
     reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]
-    cleaned = _revert_faults(original, detection, fill.take, reverted)
-    if options.fill.smooth_keypoints and state.marker_set and state.marker_set.point_sd:
-        cleaned = _smooth_kept_samples(cleaned, detection.take, is_editable)
-    body_markers, methods = fill.body_markers, fill.methods
+    cleaned = _revert_faults(original, detected, filled.take, reverted)
+    if is_smoothed:
+        cleaned = _smooth_kept_samples(cleaned, detected.take, is_editable)
+    body_markers, methods = filled.body_markers, filled.methods
     declined_changes = [
         (replace(change, decision=decisions[id(fault)], samples=0, after=change.before), fault)
-        for change, fault in build_changes(original, detection.take, fill.take, declined, body_markers, methods)
+        for change, fault in build_changes(original, detected.take, filled.take, declined, body_markers, methods)
     ]
-    accepted_changes = build_changes(original, detection.take, cleaned, accepted, body_markers, methods)
+    accepted_changes = build_changes(original, detected.take, cleaned, accepted, body_markers, methods)
     changes = sorted((*accepted_changes, *declined_changes), key=lambda each: (each[1].marker, each[1].first))
     found = {id(each) for _, fault in declined_changes for each in reviewed.find_matches(fault)}
-    not_found = [each.to_change() for each in state.review.declined if id(each) not in found]
-    reasons = np.where(fill.take.visible, "its change was not applied", fill.unfilled_reasons)
-    return replace(
-        state,
-        cleaned_take=cleaned,
-        changes=(*(change for change, _ in changes), *not_found),
-        unfilled_runs=find_unfilled_runs(cleaned, reasons),
-    )
+    not_found = [each.to_change() for each in review.declined if id(each) not in found]
+    reasons = np.where(filled.take.visible, "its change was not applied", filled.unfilled_reasons)
+    return Decided(filled, cleaned, (*(change for change, _ in changes), *not_found), find_unfilled_runs(cleaned, reasons))
 
 
 def revert_samples(repaired: Take, original: Take, revert_mask: Bool[np.ndarray, "T M"]) -> Take:
@@ -92,16 +104,16 @@ def revert_samples(repaired: Take, original: Take, revert_mask: Bool[np.ndarray,
     )
 
 
-def _revert_faults(original: Take, detection: DetectionState, repaired: Take, faults: list[Fault]) -> Take:
+def _revert_faults(original: Take, detected: Detected, repaired: Take, faults: list[Fault]) -> Take:
     """Return the repaired take without the repairs of some faults.
 
     Where a label change is reverted, the repairs of the samples concerned are reverted too.
     """
     reverted_label_faults = {id(fault) for fault in faults if affects_labels(fault)}
-    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if id(fault) not in reverted_label_faults])
-    revert_mask = build_affected_mask([fault for fault in faults if not affects_labels(fault)], detection.take)
-    without_samples = revert_samples(repaired, detection.take, revert_mask)
-    without_labels = revert_samples(without_samples, relabelled, compare_samples(detection.take, relabelled))
+    relabelled = relabel_samples(original, [fault for fault in detected.label_faults if id(fault) not in reverted_label_faults])
+    revert_mask = build_affected_mask([fault for fault in faults if not affects_labels(fault)], detected.take)
+    without_samples = revert_samples(repaired, detected.take, revert_mask)
+    without_labels = revert_samples(without_samples, relabelled, compare_samples(detected.take, relabelled))
     return replace(without_labels, unlabelled=relabelled.unlabelled)
 
 
@@ -134,12 +146,12 @@ def _is_editable(fault: Fault, editable_mask: Bool[np.ndarray, "T M"]) -> bool:
     return bool(editable_mask[fault.frame_slice][:, list_affected_markers(fault, editable_mask.shape[1])].all())
 
 
-def _matches_estimate(fault: Fault, detection: DetectionState, repaired: Take) -> bool:
+def _matches_estimate(fault: Fault, detected: Detected, repaired: Take) -> bool:
     """Return whether the fault is another program's fill that agrees with the estimate."""
     if fault.kind not in EXTERNAL_FILL_KINDS or repaired.sample_sd is None:
         return False
     frames, m = fault.frame_slice, fault.marker
-    distance = repaired.markers[frames, m] - detection.take.markers[frames, m]
+    distance = repaired.markers[frames, m] - detected.take.markers[frames, m]
     sd = repaired.sample_sd[frames, m]
     is_known = ~np.isnan(sd)
     allowed = np.maximum(3 * (MAX_AGREEMENT_SD * sd[is_known]) ** 2, MAX_AGREEMENT_DISTANCE_M**2)

@@ -21,11 +21,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
+from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import BodyModel, Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
+from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.frame_windows import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.solve.hybrik import MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
@@ -35,7 +36,6 @@ from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.twist_regressor import MIN_JOINT_DISTANCE_M
-from mocapfix.state import CleaningState
 
 MIN_MARKER_SPREAD_M = 1e-7
 """Smallest marker spread, which bounds the weight of a marker."""
@@ -284,31 +284,33 @@ def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Mot
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
 
 
-def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Compute a first pose in closed form for every frame that the body was not yet solved for, or whose samples changed since.
+class PoseStart(NamedTuple):
+    """The poses from which the solver starts, and the frames that it has to solve."""
 
-    Sets `initial_motion` and `frame_changes` of the state.
+    motion: Motion
+    changes: FrameChanges
+
+
+def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str) -> PoseStart:
+    """Return a first pose in closed form for every frame that was not yet solved, or whose samples changed since.
+
+    Args:
+        subject: the subject and the samples that the solver uses.
+        solved: the body as it was solved before, if it was.
+        method: one of INIT_METHODS.
     """
-    assert state.extended_subject is not None
-    take, method = state.solver_take, options.initialise.method_used
-    changes = find_frame_changes(state, take) if method != "previous" else change_all_frames(take.frame_count)
-    body = state.extended_subject.body_model
+    take, body = subject.take, subject.extended_subject.body_model
+    changes = change_all_frames(take.frame_count)
+    if solved is not None and solved.evidence is not None and method != "previous":
+        is_same_subject = subject.subject is solved.subject
+        changes = find_changed_frames(solved.take.markers, take.markers, is_same_subject=is_same_subject)
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    if state.body is None or changes.is_restarted.all():
-        motion = initialise_motion(take, state.extended_subject, body, prior, method)
-        return replace(state, initial_motion=motion, frame_changes=change_all_frames(take.frame_count))
+    if solved is None or changes.is_restarted.all():
+        motion = initialise_motion(take, subject.extended_subject, body, prior, method)
+        return PoseStart(motion, change_all_frames(take.frame_count))
     restarted = np.flatnonzero(changes.is_restarted)
-    poses = initialise_frames(take, restarted, state.extended_subject, body, prior, method=method)
-    return replace(state, initial_motion=insert_poses(state.body.motion, restarted, poses), frame_changes=changes)
-
-
-def find_frame_changes(state: CleaningState, take: Take) -> FrameChanges:
-    """Return the frames of the solver's take that changed since the body was solved."""
-    body = state.body
-    if body is None or body.detection is None:
-        return change_all_frames(take.frame_count)
-    old_take = body.detection.select_solver_take(body.marker_columns)
-    return find_changed_frames(old_take.markers, take.markers, is_same_subject=state.subject is body.subject)
+    poses = initialise_frames(take, restarted, subject.extended_subject, body, prior, method=method)
+    return PoseStart(insert_poses(solved.motion, restarted, poses), changes)
 
 
 def insert_poses(motion: Motion, frames: Int[np.ndarray, " N"], poses: Motion) -> Motion:

@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
+from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -38,6 +39,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
 from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
+from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
@@ -45,7 +47,6 @@ from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_motion
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
-from mocapfix.state import BodyFit, CleaningState
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001
@@ -321,71 +322,66 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
     return np.where(is_guessed, int(FrameStatus.GUESSED), np.where(is_poor, int(FrameStatus.POOR_FIT), motion.status))
 
 
-def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Solve the motion in the frames that changed, from the initial poses. Sets `body` of the state.
+PREVIEW_NOTE = (
+    "Preview: the poses are first estimates of each frame, without iterations and without fault detection on the body. "
+    f"Expect errors per axis of about {1e3 * PLACED_JOINT_SD_M:.0f} mm where markers are visible, and of about "
+    f"{1e3 * UNSEEN_JOINT_SD_M:.0f} mm on segments without markers. For the final result, clean without --fast."
+)
+
+
+def solve_body(
+    subject: SubjectInTake, start: PoseStart, solved: BodyFit | None, conditioner: PriorConditioner | None, options: CleanOptions
+) -> BodyFit:
+    """Solve the motion in the frames that changed, from the initial poses.
 
     Unobserved joints follow interpolations, until `complete_body` finds better poses for them.
+
+    Args:
+        subject: the subject and the samples that the solver uses.
+        start: the initial poses.
+        solved: the body as it was solved before, if it was.
+        conditioner: the trained pose prior, if one is used.
+        options: those of the prior and the solve.
     """
-    assert state.subject is not None
-    assert state.extended_subject is not None
-    assert state.initial_motion is not None
-    assert state.marker_columns is not None
-    assert state.frame_changes is not None
-    problem = _build_body_problem(state, options)
-    evidence = state.body.evidence if state.body else None
-    motion, evidence = solve_changed_frames(problem, state.initial_motion, state.frame_changes, evidence)
-    joints, markers = kinematics.compute_joint_and_marker_positions(state.extended_subject, motion)
-    body = BodyFit(
-        state.subject, state.extended_subject, motion, state.marker_columns, joints, markers, state.detection, evidence
-    )
-    return replace(state, body=body, initial_motion=None, frame_changes=None)
+    problem = _build_body_problem(subject, conditioner, options)
+    motion, evidence = solve_changed_frames(problem, start.motion, start.changes, solved.evidence if solved else None)
+    return _build_body_fit(subject, motion, evidence)
 
 
-def place_body(state: CleaningState) -> CleaningState:
-    """Take the initial poses as the motion, without a solve. Sets `body` of the state, whose uncertainty is not computed."""
-    assert state.subject is not None
-    assert state.extended_subject is not None
-    assert state.initial_motion is not None
-    assert state.marker_columns is not None
-    initial, subject = state.initial_motion, state.extended_subject
+def place_body(subject: SubjectInTake, initial: Motion) -> BodyFit:
+    """Return the body with the initial poses as its motion, without a solve. Their uncertainty is a usual one."""
+    extended, visible = subject.extended_subject, subject.take.visible
     is_seen = np.zeros(initial.local_rotations.shape[:2], bool)
-    for marker, joint in enumerate(subject.joints):
-        is_seen[:, joint] |= state.solver_take.visible[:, marker]
+    for marker, joint in enumerate(extended.joints):
+        is_seen[:, joint] |= visible[:, marker]
     joint_sd = np.where(is_seen, PLACED_JOINT_SD_M, UNSEEN_JOINT_SD_M)
-    motion = replace(initial, marker_sd=np.ascontiguousarray(joint_sd[:, subject.joints]), joint_sd=joint_sd)
-    motion = replace(motion, status=classify_frames(motion, subject, state.solver_take.markers))
-    joints, markers = kinematics.compute_joint_and_marker_positions(subject, motion)
-    note = (
-        "Preview: the poses are first estimates of each frame, without iterations and without fault detection on the body. "
-        f"Expect errors per axis of about {1e3 * PLACED_JOINT_SD_M:.0f} mm where markers are visible, and of about "
-        f"{1e3 * UNSEEN_JOINT_SD_M:.0f} mm on segments without markers. For the final result, clean without --fast."
-    )
-    body = BodyFit(state.subject, subject, motion, state.marker_columns, joints, markers, state.detection)
-    return replace(state, body=body, initial_motion=None, frame_changes=None, notes=(*state.notes, note))
+    motion = replace(initial, marker_sd=np.ascontiguousarray(joint_sd[:, extended.joints]), joint_sd=joint_sd)
+    motion = replace(motion, status=classify_frames(motion, extended, subject.take.markers))
+    return _build_body_fit(subject, motion, None)
 
 
-def complete_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Infer the joints that no marker shows from the rest of the solved motion. Advances `body` of the state."""
-    body = state.body
-    if body is None or body.evidence is None:
-        return state
-    problem = _build_body_problem(state, options)
-    motion = complete_motion(problem, body.motion, body.evidence, state.prior_conditioner)
-    body = replace(body, detection=None, evidence=None)  # which are needed for a further solve only
+def complete_body(body: BodyFit, conditioner: PriorConditioner | None, options: CleanOptions) -> BodyFit:
+    """Infer the joints that no marker shows from the rest of the solved motion."""
+    if body.evidence is None:
+        return body
+    problem = _build_body_problem(body, conditioner, options)
+    motion = complete_motion(problem, body.motion, body.evidence, conditioner)
     if motion is body.motion:
-        return replace(state, body=body)
-    joints, markers = kinematics.compute_joint_and_marker_positions(body.extended_subject, motion)
+        return body
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
-    motion = replace(motion, status=status)
-    return replace(state, body=replace(body, motion=motion, joint_positions=joints, marker_positions=markers))
+    return _build_body_fit(body, replace(motion, status=status), body.evidence)
 
 
-def _build_body_problem(state: CleaningState, options: CleanOptions) -> MotionProblem:
+def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:
+    joints, markers = kinematics.compute_joint_and_marker_positions(subject.extended_subject, motion)
+    in_take = subject.subject, subject.extended_subject, subject.marker_columns, subject.take
+    return BodyFit(*in_take, motion, joints, markers, evidence)
+
+
+def _build_body_problem(subject: SubjectInTake, conditioner: PriorConditioner | None, options: CleanOptions) -> MotionProblem:
     """Return the motion problem of the samples that the solver uses."""
-    assert state.extended_subject is not None
-    body = state.extended_subject.body_model
-    prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    limits = load_joint_limits(body.skeleton)
-    problem = build_motion_problem(state.solver_take, state.extended_subject, body, prior, limits, options.solve)
+    body = subject.extended_subject.body_model
+    prior, limits = load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
+    problem = build_motion_problem(subject.take, subject.extended_subject, body, prior, limits, options.solve)
     is_in_every_frame = options.prior.prior_scope == PRIOR_EVERY_FRAME
-    return replace(problem, conditioner=state.prior_conditioner if is_in_every_frame else None)
+    return replace(problem, conditioner=conditioner if is_in_every_frame else None)

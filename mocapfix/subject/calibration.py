@@ -18,15 +18,15 @@ from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError, TakeError
 from mocapfix.io.files import replace_atomically
+from mocapfix.model.body_fit import BodyFit, SubjectInTake
+from mocapfix.model.detected import Detected
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
-from mocapfix.state import CalibrationFit, CleaningState
 from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
 from mocapfix.subject import refinement
 from mocapfix.subject.body_size import MAX_SIZE_RATIO, MIN_SIZE_RATIO, estimate_body_size_ratio, scale_skeleton
@@ -144,6 +144,31 @@ def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior:
     Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
     """
     return fit_calibration(take, marker_set, body, prior).subject
+
+
+@dataclass(frozen=True)
+class CalibrationFit:
+    """A calibration, from which the next round of detection and calibration goes on.
+
+    Attributes:
+        subject: the calibrated subject.
+        start: the average body at the size of the subject.
+        unknowns: (Q,) the calibration parameters, all 0 for `start`.
+        frames: (N,) indices of the calibration frames.
+        markers: (N, K, 3) metres, the samples in these frames.
+        root_positions: (N, 3) metres, the poses in these frames.
+        local_rotations: (N, J, 3, 3), the same.
+        improvement: by how much the refinement decreased its cost, relative to the result.
+    """
+
+    subject: Subject
+    start: Subject
+    unknowns: Float[np.ndarray, " Q"]
+    frames: Int[np.ndarray, " N"]
+    markers: Float[np.ndarray, "N K 3"]
+    root_positions: Float[np.ndarray, "N 3"]
+    local_rotations: Float[np.ndarray, "N J 3 3"]
+    improvement: float
 
 
 def fit_calibration(
@@ -273,37 +298,51 @@ def add_moved_markers(
     return extended, enough
 
 
-def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Take the known subject, or calibrate one from the inliers of the take. Sets `subject` and `marker_columns` of the state.
+@dataclass(frozen=True)
+class Calibrated(SubjectInTake):
+    """A subject that was calibrated from a take, or is known, in this take.
 
-    The marker set of the state becomes that of the joints that the inliers show.
-
-    A further round goes on from the calibration of the round before, unless labels were corrected since.
-
-    Raises TakeError where the markers do not allow a calibration.
+    Attributes:
+        marker_set: that of the joints that the inliers show.
+        detected: the faults of the take.
+        fit: the calibration; None for a known subject.
     """
-    epochs, marker_set = state.detection.epochs, find_visible_part(state)
-    columns = marker_set.find_columns(epochs.take.labels)
-    subject, calibration = state.known_subject, None
-    if subject is not None and len(subject.labels) > len(marker_set.labels):
-        subject = subject.select_markers(marker_set.labels)
-    if subject is None:
-        body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
-        prior = load_mean_pose_prior("mean-pose", body.skeleton)
-        take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
-        previous = state.calibration if marker_set is state.marker_set else None
-        calibration = update_calibration(take, marker_set, body, prior, previous)
-        subject = calibration.subject
-    state = replace(state, marker_set=marker_set, calibration=calibration)
-    return replace(state, subject=subject, extended_subject=subject, marker_columns=columns)
+
+    marker_set: MarkerSet
+    detected: Detected
+    fit: CalibrationFit | None
 
 
-def find_visible_part(state: CleaningState) -> MarkerSet:
-    """Return the take's marker set without the markers of joints that no sample shows: labels may have no samples at all."""
-    marker_set, epochs = state.marker_set, state.detection.epochs
-    assert marker_set is not None
-    columns = marker_set.find_columns(epochs.take.labels)
-    is_visible = (columns >= 0) & epochs.split_mask(state.detection.solver_mask)[:, columns].any(0)
+def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject | None, previous: Calibrated | None) -> Calibrated:
+    """Calibrate a subject from the inliers of a take.
+
+    Args:
+        detected: the take and its faults.
+        marker_set: its marker set.
+        subject: the subject if it is known: it is not calibrated.
+        previous: the result of the round before. Its calibration goes on, unless labels were corrected since.
+
+    Raises:
+        TakeError: where the markers do not allow a calibration.
+    """
+    visible = find_visible_part(detected, marker_set)
+    columns = visible.find_columns(detected.epochs.take.labels)
+    take = detected.select_columns(columns, detected.solver_mask)
+    if subject is not None:
+        if len(subject.labels) > len(visible.labels):
+            subject = subject.select_markers(visible.labels)
+        return Calibrated(subject, subject, columns, take, visible, detected, None)
+    body = restrict_body(load_cmu31_body(), set(visible.joints.tolist()))
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    goes_on = previous is not None and visible is marker_set and detected.label_faults == previous.detected.label_faults
+    fit = update_calibration(take, visible, body, prior, previous.fit if previous and goes_on else None)
+    return Calibrated(fit.subject, fit.subject, columns, take, visible, detected, fit)
+
+
+def find_visible_part(detected: Detected, marker_set: MarkerSet) -> MarkerSet:
+    """Return a marker set without the markers of joints that no sample shows: labels may have no samples at all."""
+    columns = marker_set.find_columns(detected.epochs.take.labels)
+    is_visible = (columns >= 0) & detected.epochs.split_mask(detected.solver_mask)[:, columns].any(0)
     visible_labels = [label for label, is_seen in zip(marker_set.labels, is_visible, strict=True) if is_seen]
     part = marker_set.select_shown_part(visible_labels)
     return part if part.labels else marker_set
@@ -324,19 +363,20 @@ def update_calibration(
     return previous if is_negligible else updated
 
 
-def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:
+def place_moved_markers(calibrated: Calibrated, body: BodyFit) -> Calibrated:
     """Find where the solved body carries each marker after it moved, and add these places to `extended_subject`.
 
-    The poses must be solved again if any was added. Returns the very same state where no marker moved.
+    The poses must be solved again if any was added. Returns `calibrated` itself where no marker moved.
     """
-    assert state.body is not None
-    assert state.marker_columns is not None
-    epochs, columns = state.detection.epochs, state.marker_columns
+    detected, columns = calibrated.detected, calibrated.marker_columns
+    epochs = detected.epochs
     marker_of_column = {int(column): k for k, column in enumerate(columns)}
     added = np.array([c for c in epochs.added_columns if int(epochs.column_marker[c]) in marker_of_column], int)
     if not len(added):
-        return state
-    markers = epochs.take.select(added, epochs.split_mask(state.detection.solver_mask)).markers
+        return calibrated
+    markers = detected.select_columns(added, detected.solver_mask).markers
     subject_markers = np.array([marker_of_column[int(epochs.column_marker[column])] for column in added])
-    extended, is_placed = add_moved_markers(state.body.subject, state.body.motion, markers, subject_markers)
-    return replace(state, extended_subject=extended, marker_columns=np.r_[columns, added[is_placed]])
+    extended, is_placed = add_moved_markers(body.subject, body.motion, markers, subject_markers)
+    columns = np.r_[columns, added[is_placed]]
+    take = detected.select_columns(columns, detected.solver_mask)
+    return replace(calibrated, extended_subject=extended, marker_columns=columns, take=take)

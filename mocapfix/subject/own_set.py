@@ -96,3 +96,10 @@ def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
     if ambiguous:
         notes.append(f"The segment of these markers is ambiguous: {format_name_list(ambiguous)}.")
     return tuple(notes)
+
+
+def withdraw_marker_set(choice: SubjectChoice) -> SubjectChoice:
+    """Return the choice without its learned marker set, and with the reason."""
+    reason = "A marker set learned from this take would reject or relabel measured samples, so it is not used."
+    no_body = "The take was cleaned without a skeleton: there is no BVH."
+    return replace(choice, marker_set=None, is_learned=False, notes=(*choice.notes[:1], reason, no_body))

@@ -19,7 +19,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mocapfix.options import CleanOptions
-from mocapfix.state import CleaningState
 from mocapfix.subject.body_size import BodyMeasurements, compute_body_difference, measure_body
 from mocapfix.subject.calibration import CalibrationFrames
 from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
@@ -194,22 +193,20 @@ def calibrate_people(
     """
     from mocapfix import pipeline
 
-    states: dict[tuple[str, str], CleaningState] = {}
+    found: dict[tuple[str, str], pipeline.BodyToCalibrate] = {}
     path_of_take = dict(zip(name_takes(paths), paths, strict=True))
     for take, path in path_of_take.items():
         with guard(path):
-            for state in pipeline.find_bodies_to_calibrate(path, options):
-                states[take, state.original_take.subject_name] = state
-    bodies = [
-        measure_body(take, state.original_take, state.marker_set) for (take, _), state in states.items() if state.marker_set
-    ]
+            for body in pipeline.find_bodies_to_calibrate(path, options):
+                found[take, body.take.subject_name] = body
+    bodies = [measure_body(take, body.take, body.marker_set) for (take, _), body in found.items()]
     people: list[CalibratedPerson] = []
     for person in group_people(bodies):
         keys = [(body.take, body.subject_name) for body in person.takes]
         surveys: list[CalibrationFrames] = []
         for key in keys:
             with guard(path_of_take[key[0]]):
-                surveys.append(pipeline.survey_subject(states[key], options, key[0]))
+                surveys.append(pipeline.survey_subject(found[key], options, key[0]))
         if surveys:
             people.append(CalibratedPerson(person.name, calibrate_with_one_thread(surveys, mean_pose_prior), person.notes))
     return people

@@ -9,6 +9,7 @@ import pytest
 
 from mocapfix import pipeline, synthetic
 from mocapfix.batch.take_figures import SubjectFigures, describe_moment, draw_worst_moment, find_worst_moment, measure_result
+from mocapfix.io.changes_file import NO_REVIEW
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.report.stage_timer import StageTimer
@@ -27,7 +28,7 @@ def clean_moving_points(labels: tuple[str, ...] = ("A<b>", "B&", 'C"', "D"), gap
     markers[20 : 20 + gap_frames, 0] = np.nan
     markers[50:, 1] = np.nan
     take, options = Take(markers, labels, RATE, 101, Path("points.c3d")), CleanOptions()
-    return pipeline.clean_subject(pipeline.start_cleaning(take, options.subject), options, StageTimer({}, None))
+    return pipeline.clean_subject(take, NO_REVIEW, options, None, StageTimer({}, None))
 
 
 @pytest.fixture(scope="module")

@@ -9,42 +9,42 @@ from mocapfix import pipeline
 from mocapfix.detect import contradictions
 from mocapfix.detect.contradictions import WholeTakeFigures, check_contradictions, measure_whole_take
 from mocapfix.errors import TakeError
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.take import Take
 from mocapfix.options import build_clean_options
-from mocapfix.state import CleaningState, DetectionState
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 SOUND = WholeTakeFigures(0.01, 0.004, 0.85, 1.0)
 
 
-def build_state(faulty_frames: int, speed_m: float = 0.0) -> CleaningState:
-    """Return a state of 90 frames of two markers, whose first marker is judged faulty in some frames."""
+def build_detected(faulty_frames: int, speed_m: float = 0.0) -> Detected:
+    """Return what is detected in 90 frames of two markers, whose first marker is judged faulty in some frames."""
     markers = np.ones((90, 2, 3)) + speed_m * np.arange(90)[:, None, None] * [1.0, 0.0, 0.0]
     take = Take(markers, ("A", "B"), 60.0)
     faults = Faults((Fault("spike", 0, 0, faulty_frames - 1, 1.0, "leaps"),))
-    return CleaningState(take, DetectionState(take, sample_faults=faults))
+    return Detected(take, sample_faults=faults)
 
 
 def test_the_share_of_faulty_samples_and_the_speed_are_measured():
-    figures = measure_whole_take(build_state(45, 0.1))
+    figures = measure_whole_take(build_detected(45, 0.1), None)
     assert figures.faulty_share == pytest.approx(45 / 180)
     assert figures.median_speed_m_per_s == pytest.approx(6.0)
     assert (figures.median_residual_m, figures.leg_m) == (0.0, None)
 
 
 def test_more_than_a_third_of_faulty_samples_is_refused():
-    check_contradictions(build_state(59), build_clean_options())
+    check_contradictions(build_detected(59), None, build_clean_options())
     with pytest.raises(TakeError, match=r"^the take: 34% of its measured samples .*--accept-contradictions"):
-        check_contradictions(build_state(62), build_clean_options())
-    check_contradictions(build_state(62), build_clean_options(accept_contradictions=True))
+        check_contradictions(build_detected(62), None, build_clean_options())
+    check_contradictions(build_detected(62), None, build_clean_options(accept_contradictions=True))
 
 
 def test_the_other_subjects_of_a_file_can_be_cleaned_alone():
-    state = build_state(62)
-    state = replace(state, original_take=replace(state.original_take, subject_name="Jim"))
+    detected = build_detected(62)
+    detected = replace(detected, take=replace(detected.take, subject_name="Jim"))
     with pytest.raises(TakeError, match=r"^the take \(Jim\): .* --subject-prefix cleans another subject alone\.$"):
-        check_contradictions(state, build_clean_options())
+        check_contradictions(detected, None, build_clean_options())
 
 
 @pytest.mark.parametrize(
@@ -64,11 +64,11 @@ def test_the_other_subjects_of_a_file_can_be_cleaned_alone():
     ],
 )
 def test_the_sentence_names_the_cause_and_the_option(monkeypatch, figures, options, sentence):
-    monkeypatch.setattr(contradictions, "measure_whole_take", lambda state: figures)
+    monkeypatch.setattr(contradictions, "measure_whole_take", lambda *_: figures)
     with pytest.raises(TakeError, match=sentence) as raised:
-        check_contradictions(build_state(1), build_clean_options(**options))
+        check_contradictions(build_detected(1), None, build_clean_options(**options))
     assert len(str(raised.value)) < 220
-    check_contradictions(build_state(1), build_clean_options(**options, accept_contradictions=True))
+    check_contradictions(build_detected(1), None, build_clean_options(**options, accept_contradictions=True))
 
 
 def test_the_subject_of_a_far_smaller_person_is_refused_and_without_it_the_take_is_right(tmp_path):

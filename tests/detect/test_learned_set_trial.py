@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mocapfix.detect.contradictions import SetTrial, compare_detections
+from mocapfix.model.detected import Detected
 from mocapfix.model.take import Take
-from mocapfix.state import DetectionState
 
 
 @pytest.mark.parametrize(("counts", "is_passed"), [((0, 0, 0), True), ((2, 4, 0), True), ((0, 7, 0), False)])
@@ -30,7 +30,7 @@ def test_nothing_is_kept_where_many_markers_contradict():
 
 def test_relabelled_samples_are_counted_for_the_markers_of_the_set():
     take = Take(np.random.default_rng(0).normal(size=(10, 4, 3)), ("A", "B", "C", "D"), 100.0)
-    exchanged = DetectionState(take.exchange_labels((0, 3), 2, 4))
-    trial = compare_detections(DetectionState(take), exchanged, np.array([3, 1, -1]))
+    exchanged = Detected(take.exchange_labels((0, 3), 2, 4))
+    trial = compare_detections(Detected(take), exchanged, np.array([3, 1, -1]))
     assert trial.contradicted_counts.tolist() == [3, 0, 0]
     assert trial.sample_count == 20

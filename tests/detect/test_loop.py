@@ -7,29 +7,25 @@ import pytest
 
 from mocapfix.detect import loop
 from mocapfix.io import capture
-from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected
+from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerShift
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.state import BodyFit, CleaningState, DetectionState
-from mocapfix.subject.library import build_subject_marker_set
+from mocapfix.subject.library import build_subject_marker_set, load_marker_set
 from tests.faulty_take import map_labels_to_points
 
 NAN = np.nan
 OPTIONS = CleanOptions()
-
-
-def read_state(faulty, **fields) -> CleaningState:
-    take = capture.read_take(faulty.path)
-    return replace(CleaningState(take, DetectionState(take)), **fields)
+NO_REVIEW = FaultReview()
 
 
 @pytest.fixture(scope="module")
-def detection(faulty) -> DetectionState:
+def detection(faulty) -> Detected:
     marker_set = build_subject_marker_set(faulty.subject)
-    state = read_state(faulty, marker_set=marker_set, known_subject=faulty.subject)
-    return loop.detect_on_trajectories(state, OPTIONS).detection
+    return loop.detect_on_trajectories(capture.read_take(faulty.path), marker_set, faulty.subject, NO_REVIEW, OPTIONS)
 
 
 def test_labels_are_corrected_before_samples_are_judged(faulty, detection):
@@ -54,10 +50,11 @@ def test_fragment_donors_are_not_judged(detection):
 
 
 def test_rejected_faults_change_nothing(faulty):
-    state = read_state(faulty, accepts_fault=lambda fault: fault.kind not in ("swap", "fragment", "spike"))
-    found = loop.detect_on_trajectories(state, OPTIONS).detection
+    take = capture.read_take(faulty.path)
+    review = FaultReview(accepts=lambda fault: fault.kind not in ("swap", "fragment", "spike"))
+    found = loop.detect_on_trajectories(take, None, None, review, OPTIONS)
     assert not {fault.kind for fault in found.faults.items} & {"swap", "fragment", "spike"}
-    np.testing.assert_array_equal(found.take.markers, state.original_take.markers)
+    np.testing.assert_array_equal(found.take.markers, take.markers)
 
 
 def test_every_sample_of_the_file_is_kept_once(faulty, detection):
@@ -70,7 +67,7 @@ def test_every_sample_of_the_file_is_kept_once(faulty, detection):
 
 
 def test_unused_fragments_are_reported_once(faulty):
-    found = loop.detect_on_trajectories(read_state(faulty), OPTIONS).detection
+    found = loop.detect_on_trajectories(capture.read_take(faulty.path), None, None, NO_REVIEW, OPTIONS)
     fragments = [(f.donor, f.first) for f in found.label_faults if isinstance(f, Fragment)]
     assert len(fragments) == len(set(fragments)) == 2
 
@@ -86,16 +83,15 @@ def build_body(marker_columns, marker_offsets) -> BodyFit:
     subject = object.__new__(Subject)
     object.__setattr__(subject, "marker_offsets", np.array(marker_offsets, float))
     motion = object.__new__(Motion)
-    return BodyFit(
-        subject, subject, motion, np.array(marker_columns, int), np.zeros((0, 0, 3)), np.zeros((0, len(marker_columns), 3))
-    )
+    columns = np.array(marker_columns, int)
+    return BodyFit(subject, subject, columns, TAKE, motion, np.zeros((0, 0, 3)), np.zeros((0, len(columns), 3)), None)
 
 
 @pytest.mark.parametrize(("change_m", "is_rejected"), [(0.0239, True), (0.0241, False)])
 def test_shift_is_confirmed_by_the_body(change_m, is_rejected):
     shift = MarkerShift("moved", 1, 50, 99, 0.04, "", settled_frame=50)
     body = build_body([0, 1, 2, 3], [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, change_m, 0]])
-    found = loop.find_unconfirmed_shifts(DetectionState(TAKE, (), Faults((shift,))), body)
+    found = loop.find_unconfirmed_shifts(Detected(TAKE, (), Faults((shift,))), body)
     assert found == ([shift] if is_rejected else [])
 
 
@@ -104,7 +100,7 @@ def test_shift_to_a_rarely_visible_position_is_unconfirmed():
     late = MarkerShift("moved", 1, 90, 99, 0.04, "", settled_frame=90)
     off_body = MarkerShift("moved", 2, 50, 99, 0.04, "", settled_frame=50)
     body = build_body([0, 1], [[0, 0, 0], [0, 0, 0]])
-    detection = DetectionState(TAKE, (), Faults((late, off_body)))
+    detection = Detected(TAKE, (), Faults((late, off_body)))
     assert loop.find_unconfirmed_shifts(detection, body) == [late]
 
 
@@ -114,11 +110,11 @@ def mock_detectors(monkeypatch, *body_faults):
     monkeypatch.setattr(loop, "detect_remaining_faults", lambda *_: Faults((Fault("gap", 2, 0, 3, 0.1, "new"),)))
 
 
-def detect_again(detection, **fields) -> DetectionState | None:
+def detect_again(detection, review=NO_REVIEW) -> Detected | None:
     """Run one round of detection on the body; None if it finds nothing."""
-    state = replace(CleaningState(TAKE, detection, body=build_body([], np.zeros((0, 3)))), **fields)
-    advanced = loop.detect_on_body(state, OPTIONS)
-    return None if advanced is state else advanced.detection
+    body, marker_set = build_body([], np.zeros((0, 3))), load_marker_set("cmu41")
+    found = loop.detect_on_body(detection, body, marker_set, review, OPTIONS.detect)
+    return None if found is detection else found
 
 
 SPIKE, GHOST = Fault("spike", 0, 10, 10, 0.1, ""), Fault("ghost", 1, 30, 60, 0.1, "")
@@ -127,20 +123,20 @@ SWAP = Fault("swap", 0, 20, 40, 0.1, "", 1.0, (1,))
 
 def test_state_is_unchanged_without_new_faults(monkeypatch):
     mock_detectors(monkeypatch, SPIKE)
-    assert detect_again(DetectionState(TAKE, (), Faults((SPIKE,)))) is None
-    assert detect_again(DetectionState(TAKE), accepts_fault=lambda fault: False) is None
+    assert detect_again(Detected(TAKE, (), Faults((SPIKE,)))) is None
+    assert detect_again(Detected(TAKE), FaultReview(accepts=lambda fault: False)) is None
 
 
 def test_body_faults_are_added(monkeypatch):
     mock_detectors(monkeypatch, GHOST)
-    found = detect_again(DetectionState(TAKE, (), Faults((SPIKE,))))
+    found = detect_again(Detected(TAKE, (), Faults((SPIKE,))))
     assert found is not None
     assert (found.take, found.label_faults, found.sample_faults.items) == (TAKE, (), (SPIKE, GHOST))
 
 
 def test_swap_is_undone_and_samples_are_judged_again_without_what_it_explains(monkeypatch):
     mock_detectors(monkeypatch, SWAP, GHOST, SPIKE)
-    found = detect_again(DetectionState(TAKE))
+    found = detect_again(Detected(TAKE))
     assert found is not None
     np.testing.assert_array_equal(found.take.markers, TAKE.exchange_labels((0, 1), 20, 40).markers)
     assert found.label_faults == (SWAP,)
@@ -149,7 +145,7 @@ def test_swap_is_undone_and_samples_are_judged_again_without_what_it_explains(mo
 
 def test_earlier_body_faults_are_kept_when_a_swap_is_found(monkeypatch):
     mock_detectors(monkeypatch, GHOST, SPIKE)
-    once = detect_again(DetectionState(TAKE))
+    once = detect_again(Detected(TAKE))
     assert once is not None
     mock_detectors(monkeypatch, replace(SWAP, first=15, last=25))
     twice = detect_again(once)
@@ -163,7 +159,7 @@ def test_rejected_shift_stays_rejected(monkeypatch):
     monkeypatch.setattr(
         loop, "find_unconfirmed_shifts", lambda found, *_: [f for f in found.sample_faults.items if f.kind == "moved"]
     )
-    found = detect_again(DetectionState(TAKE, (), Faults((SPIKE, shift))))
+    found = detect_again(Detected(TAKE, (), Faults((SPIKE, shift))))
     assert found is not None
     assert (found.sample_faults.items, found.unconfirmed_shifts) == ((SPIKE,), (shift,))
     assert detect_again(found) is None
@@ -180,7 +176,7 @@ def test_faults_hidden_by_replaced_samples_are_found(monkeypatch):
         return Faults((gap, *replaced))
 
     monkeypatch.setattr(loop, "detect_sample_faults", detect)
-    assert loop.detect_remaining_faults(TAKE, CleaningState(TAKE, DetectionState(TAKE)), OPTIONS).items == (burst, spike, gap)
+    assert loop.detect_remaining_faults(TAKE, None, NO_REVIEW, OPTIONS.detect).items == (burst, spike, gap)
     assert len(measured) == 3
     np.testing.assert_array_equal(np.flatnonzero(~measured[-1].all(1)), np.arange(10, 21))
     assert TAKE.computed is None

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
+from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
-from mocapfix.state import BodyFit
 from mocapfix.stats.sequences import find_runs
 
 FIRST, RATE, FRAMES = 501, 100.0, 400
@@ -152,7 +152,7 @@ def test_body_fills_a_lost_limb_and_clusters_fill_other_markers(cleaned):
     markers[500:520, 0] = np.nan
     take = Take(markers, labels, truth.rate)
     joints, on_body = kinematics.compute_joint_and_marker_positions(subject, motion)
-    after, left = fill_with_body(take, BodyFit(subject, subject, motion, columns, joints, on_body))
+    after, left = fill_with_body(take, BodyFit(subject, subject, columns, take, motion, joints, on_body, None))
     assert left == ()
     assert np.linalg.norm(after.markers - true_markers, axis=-1)[300:420, arm].max() < 0.03
     assert np.linalg.norm(after.markers - true_markers, axis=-1)[500:520, 0].max() < 0.01
@@ -167,7 +167,7 @@ def test_marker_set_may_have_markers_that_the_take_lacks(cleaned):
     columns = np.r_[-1, np.arange(len(labels))]
     take = Take(markers, labels, truth.rate)
     joints, on_body = kinematics.compute_joint_and_marker_positions(subject, motion)
-    after, left = fill_with_body(take, BodyFit(subject, subject, motion, columns, joints, on_body))
+    after, left = fill_with_body(take, BodyFit(subject, subject, columns, take, motion, joints, on_body, None))
     assert left == ()
     assert after.markers.shape == markers.shape
     np.testing.assert_allclose(after.markers[40:50, 3], truth.marker_positions[40:50, 4], atol=0.01)

@@ -15,7 +15,7 @@ from mocapfix.io.changes_file import (
     Review,
     ReviewedChange,
     ReviewIndex,
-    build_review_filter,
+    build_fault_review,
     read_changes_file,
     write_changes_file,
 )
@@ -192,7 +192,7 @@ def test_index_finds_what_matches_a_fault(tmp_path_factory, intervals, first, le
 
 def test_kept_samples_have_no_faults(tmp_path):
     swap = build_change("swap", ("Jim:LFHD", "C7"), 110, 119, "keep")
-    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, swap))
+    is_accepted = build_fault_review(build_take(), review_changes(tmp_path, swap)).accepts
     assert not is_accepted(Fault("swap", 0, 9, 18, 0.1, "", 1.0, (1,)))
     assert not is_accepted(Fault("spike", 1, 18, 20, 0.1, ""))
     assert not is_accepted(Fragment("fragment", 2, 5, 10, 0.1, "", donor=1))
@@ -204,12 +204,12 @@ def test_kept_samples_have_no_faults(tmp_path):
 @pytest.mark.parametrize("decision", ["reject", "keep"])
 def test_a_declined_shift_is_not_detected_but_later_spikes_are(tmp_path, decision):
     shift = build_change("moved", ("C7",), 110, 150, decision)
-    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, shift))
+    is_accepted = build_fault_review(build_take(), review_changes(tmp_path, shift)).accepts
     assert not is_accepted(MarkerShift("moved", 1, 10, 49, 0.04, "", settled_frame=10))
     assert is_accepted(MarkerShift("moved", 2, 10, 49, 0.04, "", settled_frame=10))
     assert is_accepted(Fault("spike", 1, 20, 20, 0.1, ""))
 
 
 def test_a_rejected_change_still_has_its_fault(tmp_path):
-    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, build_change()))
+    is_accepted = build_fault_review(build_take(), review_changes(tmp_path, build_change())).accepts
     assert is_accepted(Fault("spike", 1, 9, 11, 0.1, ""))

@@ -14,7 +14,7 @@ from mocapfix.io.changes_file import (
     CorrectionKind,
     CorrectionModel,
     Review,
-    build_review_filter,
+    build_fault_review,
     locate_correction,
     read_changes_file,
     write_changes_file,
@@ -86,7 +86,7 @@ def test_an_error_in_a_correction_names_the_file_and_the_key(tmp_path, entry, se
 
 
 def test_corrected_labels_are_not_corrected_again():
-    is_accepted = build_review_filter(build_take(), build_review(build_correction("swap", ("C7", "RBAC"))))
+    is_accepted = build_fault_review(build_take(), build_review(build_correction("swap", ("C7", "RBAC")))).accepts
     assert not is_accepted(Fault("swap", 1, 12, 14, 0.1, "", other_markers=(2,)))
     assert not is_accepted(Fragment("fragment", 0, 5, 10, 0.1, "", donor=1))
     assert is_accepted(Fault("swap", 1, 19, 25, 0.1, "", other_markers=(2,)))

@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -297,24 +297,17 @@ def test_what_one_subject_takes_is_not_available_to_the_next(assigned, cores, mo
     loose = Take(np.arange(60.0).reshape(4, 5, 3), tuple(f"*{n}" for n in range(5)), 120.0)
     takes = [replace(build_take((f"S{n}:LFHD",)), unlabelled=loose) for n in range(5)]
 
-    def clean_one(state, options, timer):
-        left = state.take.unlabelled
-        if int(state.take.labels[0][1]) in assigned:
+    def clean_one(take, *_):
+        left = take.unlabelled
+        if int(take.labels[0][1]) in assigned:
             left = replace(left, markers=left.markers[:, 1:], labels=left.labels[1:])
-        return SimpleNamespace(take=replace(state.take, unlabelled=left), input_take=state.take)
+        return SimpleNamespace(take=replace(take, unlabelled=left), input_take=take)
 
-    monkeypatch.setattr(pipeline, "start_cleaning", lambda take, options, review: FakeState(take))
     monkeypatch.setattr(pipeline, "clean_subject", clean_one)
     results = pipeline.clean_subjects(takes, [NO_REVIEW] * 5, CleanOptions(), None, StageTimer())
     counts = [sum(each < n for each in assigned) for n in range(5)]
     given = [each.input_take.unlabelled for each in results]
     assert [each and each.labels for each in given] == [loose.labels[count:] for count in counts]
-
-
-@dataclass(frozen=True)
-class FakeState:
-    take: Take
-    prior_conditioner: object = None
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.detect.moved_markers import split_moved_markers
+from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (

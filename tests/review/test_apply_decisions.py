@@ -9,17 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix import pipeline
-from mocapfix.fill.gap_filling import fill_gaps
+from mocapfix.contacts.body_contacts import hold_standing_feet
+from mocapfix.fill.gap_filling import Filled, fill_gaps
 from mocapfix.io import capture, changes_file
 from mocapfix.io.changes_file import Review
 from mocapfix.io.patches import patch_c3d
 from mocapfix.model.changes import compare_samples, serialize_changes
-from mocapfix.model.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.model.detected import Detected
+from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerShift
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.review.apply_decisions import apply_decisions
-from mocapfix.state import CleaningState, DetectionState, FillProposal
+from mocapfix.solve.motion_solver import complete_body
 from mocapfix.stats.sequences import find_runs
 from tests.faulty_take import (
     FAULTS,
@@ -59,13 +61,15 @@ def clean_again(faulty, folder, **options):
 
 
 @pytest.fixture(scope="module")
-def filled_state(faulty) -> CleaningState:
-    """The state of the faulty take before decisions are applied."""
-    options = CleanOptions()
-    take = capture.read_take(faulty.path)
-    state = pipeline.start_cleaning(take, SubjectOptions(subject=faulty.subject))
-    state = pipeline.detect_and_fit(state, options, StageTimer())
-    return fill_gaps(pipeline.hold_standing_feet(pipeline.complete_body(state, options), options), options)
+def proposed(faulty) -> tuple[Take, Filled]:
+    """The faulty take before decisions are applied: as read, and filled."""
+    options, take = CleanOptions(), capture.read_take(faulty.path)
+    choice = pipeline.identify_subject(take, SubjectOptions(subject=faulty.subject))
+    _, detected, body = pipeline.detect_and_fit(take, choice, FaultReview(), options, None, StageTimer())
+    assert body is not None
+    standing = hold_standing_feet(complete_body(body, None, options), take, "soft")
+    body = replace(standing.fit, motion=standing.filling_motion)
+    return take, fill_gaps(detected, body, {}, (), options.fill, is_own_set=False)
 
 
 def test_every_fault_is_repaired(faulty):
@@ -95,22 +99,21 @@ def test_rejected_changes_are_not_made_and_nothing_else_differs(faulty, tmp_path
 
 
 @given(rejected=st.sets(st.sampled_from(sorted(FAULTS))), only=st.sets(st.sampled_from(["gap", "spike", "swap", "fragment"])))
-def test_any_may_be_rejected_and_some_kinds_selected(faulty, filled_state, tmp_path_factory, rejected, only):
+def test_any_may_be_rejected_and_some_kinds_selected(faulty, proposed, tmp_path_factory, rejected, only):
     folder = tmp_path_factory.mktemp("some")
     before = faulty.result.input_take
     reviewed = changes_file.read_changes_file(write_review(faulty, folder, reject=rejected), before)
     options = CleanOptions(detect=DetectOptions(repair_kinds=tuple(only)))
-    state = apply_decisions(replace(filled_state, review=reviewed), options)
-    assert state.cleaned_take is not None
-    patch_c3d(folder / "some.c3d", before, state.cleaned_take)
+    decided = apply_decisions(proposed[0], proposed[1], reviewed, options, is_smoothed=False)
+    patch_c3d(folder / "some.c3d", before, decided.take)
     made = {each for each in set(FAULTS) - rejected if not only or each.split("-")[0] in only}
     alone = {("LWRB", 250, 250)} if SWAP in made else set()
     differs_from_all = list_changed_runs(set(FAULTS) - made) | (alone if INSIDE_SWAP not in made else set())
     assert find_changed_runs(faulty.path, folder / "some.c3d") == list_changed_runs(made)
     assert find_changed_runs(faulty.output, folder / "some.c3d") == differs_from_all
     without_effect = {INSIDE_SWAP} if SWAP not in made else set()
-    assert {change.id for change in state.changes if change.samples} == made - without_effect
-    assert {change.id for change in state.changes if change.decision == "reject"} == rejected
+    assert {change.id for change in decided.changes if change.samples} == made - without_effect
+    assert {change.id for change in decided.changes if change.decision == "reject"} == rejected
 
 
 def test_kept_samples_are_used_in_the_solve(faulty, tmp_path):
@@ -151,12 +154,10 @@ def four(**given) -> Take:
 def decide(before, detection, repaired, kinds=(), keep=(), reviewed=()):
     """Apply decisions to a repaired take; return the cleaned take and the changes."""
     methods = np.where(compare_samples(detection.take, repaired), "guessing", "")
-    fill = FillProposal(repaired, np.full(before.visible.shape, "", object), methods, None)
-    state = CleaningState(before, detection, fill=fill, review=Review(tuple(reviewed)))
+    filled = Filled(detection, repaired, np.full(before.visible.shape, "", object), methods, None)
     options = CleanOptions(detect=DetectOptions(repair_kinds=tuple(kinds)), fill=FillOptions(keep=tuple(keep)))
-    state = apply_decisions(state, options)
-    assert state.cleaned_take is not None
-    return state.cleaned_take, state.changes
+    decided = apply_decisions(before, filled, Review(tuple(reviewed)), options, is_smoothed=False)
+    return decided.take, decided.changes
 
 
 def different(one: Take, other: Take):
@@ -189,7 +190,7 @@ def test_reported_faults_are_no_changes(remark, only):
     before.markers[5:10, :2] = NAN
     gaps = (Fault("gap", 0, 5, 9, 0.1, "Hidden."), Fault("gap", 1, 5, 9, 0.1, "Hidden."))
     repaired = filled(before, (0, 5, 9), (1, 5, 9))
-    after, changes = decide(before, DetectionState(before, (), Faults((remark, *gaps))), repaired, only)
+    after, changes = decide(before, Detected(before, (), Faults((remark, *gaps))), repaired, only)
     assert [change.kind for change in changes] == ["gap", "gap"]
     assert different(before, after) == {"A": [(5, 9)], "B": [(5, 9)]}
 
@@ -198,7 +199,7 @@ def test_gap_within_a_rejected_burst_is_filled():
     before = four()
     before.markers[8:10, 0] = NAN
     burst, gap = Fault("jitter", 0, 5, 14, 0.01, "It has jitter."), Fault("gap", 0, 8, 9, 0.01, "Hidden.")
-    repaired, detection = filled(before, (0, 5, 14)), DetectionState(before, (), Faults((burst, gap)))
+    repaired, detection = filled(before, (0, 5, 14)), Detected(before, (), Faults((burst, gap)))
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
@@ -213,7 +214,7 @@ def test_one_of_two_overlapping_swaps_may_be_refused():
     before = four()
     first, second = Fault("swap", 0, 0, 9, 0.1, "One.", 1.0, (1,)), Fault("swap", 1, 5, 14, 0.1, "Other.", 1.0, (2,))
     righted = before.exchange_labels((0, 1), 0, 9).exchange_labels((1, 2), 5, 14)
-    detection = DetectionState(righted, (first, second), Faults())
+    detection = Detected(righted, (first, second), Faults())
     for kept, swap in ((0, second), (2, first)):
         after, changes = decide(before, detection, righted, keep=(before.labels[kept],))
         np.testing.assert_array_equal(after.markers, before.exchange_labels(swap.markers, swap.first, swap.last).markers)
@@ -224,14 +225,14 @@ def test_marker_shift_is_a_change_without_samples():
     before = four()
     before.markers[12:14, 0] = NAN
     knocked, gap = MarkerShift("moved", 0, 10, 19, 0.04, "Knocked.", settled_frame=10), Fault("gap", 0, 12, 13, 0.01, "Hidden.")
-    _, changes = decide(before, DetectionState(before, (), Faults((knocked, gap))), filled(before, (0, 12, 13)), kinds=("gap",))
+    _, changes = decide(before, Detected(before, (), Faults((knocked, gap))), filled(before, (0, 12, 13)), kinds=("gap",))
     assert {change.kind: change.samples for change in changes} == {"moved": 0, "gap": 2}
 
 
 def test_external_fill_stays_if_the_estimate_agrees():
     before = four()
     straight = Fault("straight", 0, 5, 9, 0.01, "Filled.")
-    detection = DetectionState(before, (), Faults((straight,)))
+    detection = Detected(before, (), Faults((straight,)))
     for off, differing_runs in ((0.001, {}), (0.1, {"A": [(5, 9)]})):
         repaired = replace(filled(before), sample_sd=np.full(before.visible.shape, NAN))
         repaired.markers[5:10, 0] += off

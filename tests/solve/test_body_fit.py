@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
-from mocapfix.detect.moved_markers import split_moved_markers
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.io import capture
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Faults, MarkerShift
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
@@ -16,8 +17,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import kinematics
-from mocapfix.state import BodyFit, CleaningState, DetectionState
-from mocapfix.subject import calibration, subject_file
+from mocapfix.subject import subject_file
 from mocapfix.subject.library import build_subject_marker_set, load_marker_set, resolve_subject
 
 CMU41 = load_marker_set("cmu41")
@@ -62,38 +62,32 @@ def test_named_set_or_subject_must_exist_and_fit(brief):
 
 
 @pytest.fixture(scope="module")
-def moved(brief) -> tuple[CleaningState, StageTimer, int]:
-    """Return the solved state of one second in which LSHN moves by 50 mm in frame 60, the timer, and the marker."""
+def moved(brief) -> tuple[Detected, Subject, BodyFit, StageTimer, int]:
+    """Return what is detected in a second in which LSHN moves by 50 mm, the subject, the solved body, the timer, the marker."""
     whole, subject = capture.read_take(Path(brief.path)), subject_file.read_subject(brief.subject)
     marker = whole.labels.index("LSHN")
     markers = whole.markers.copy()
     markers[60:, marker] += [0.0, 0.05, 0.0]
     take = whole.replace_markers(markers)
     shift = MarkerShift("moved", marker, 60, 119, 0.05, "", settled_frame=60)
-    detection, options = DetectionState(take, sample_faults=Faults((shift,))), CleanOptions()
-    state = CleaningState(take, detection, build_subject_marker_set(subject), known_subject=subject)
-    timer = StageTimer()
-    state = calibration.calibrate_body(state, options)
-    state = pipeline.initialise_and_solve(state, options, timer)
-    state = pipeline.initialise_and_solve(calibration.place_moved_markers(state, options), options, timer)
-    return state, timer, marker
+    detected, timer = Detected(take, sample_faults=Faults((shift,))), StageTimer()
+    _, body = pipeline.fit_body(detected, build_subject_marker_set(subject), subject, None, CleanOptions(), None, timer)
+    return detected, subject, body, timer, marker
 
 
 def test_moved_marker_extends_the_solved_subject_only(moved):
-    state, _, _ = moved
-    body, known = state.body, state.known_subject
+    detected, known, body, _, _ = moved
     assert body.subject is known
     assert body.extended_subject.labels == (*known.labels, "LSHN")
-    assert body.marker_columns[-1] == state.detection.epochs.added_columns[0] == 41
+    assert body.marker_columns[-1] == detected.epochs.added_columns[0] == 41
     assert body.motion.marker_sd.shape == (120, 42)
     before, after = body.extended_subject.marker_offsets[known.labels.index("LSHN")], body.extended_subject.marker_offsets[-1]
     assert 0.03 < np.linalg.norm(after - before) < 0.07
 
 
 def test_body_markers_follow_the_moved_marker(moved):
-    state, _, marker = moved
-    body, take = state.body, state.detection.take
-    predicted = body.expand_to_take(state.detection.epochs)
+    detected, _, body, _, marker = moved
+    take, predicted = detected.take, detected.place_on_body(body)
     assert predicted.shape == take.markers.shape
     assert np.nanmedian(np.linalg.norm(predicted - take.markers, axis=-1)[:, marker]) < 0.01
     expected = kinematics.compute_joint_and_marker_positions(body.subject, body.motion)[0]
@@ -101,15 +95,14 @@ def test_body_markers_follow_the_moved_marker(moved):
 
 
 def test_known_subject_is_not_calibrated(moved):
-    assert set(moved[1].stage_seconds) == {"initialise", "solve", "total"}
+    assert set(moved[3].stage_seconds) == {"initialise", "solve", "total"}
 
 
 def test_markers_without_a_column_have_no_body_position():
     take = Take(np.ones((3, 4, 3)), tuple("ABCD"), 100.0)
-    epochs = split_moved_markers(take, [])
     positions = np.arange(3 * 3 * 3, dtype=float).reshape(3, 3, 3)
     subject, motion = object.__new__(Subject), object.__new__(Motion)
-    body = BodyFit(subject, subject, motion, np.array([2, -1, 0]), np.zeros((3, 1, 3)), positions)
-    expanded = body.expand_to_take(epochs)
+    body = BodyFit(subject, subject, np.array([2, -1, 0]), take, motion, np.zeros((3, 1, 3)), positions, None)
+    expanded = Detected(take).place_on_body(body)
     np.testing.assert_array_equal(expanded[:, [2, 0]], positions[:, [0, 2]])
     assert np.isnan(expanded[:, [1, 3]]).all()

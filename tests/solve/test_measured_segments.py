@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from mocapfix import synthetic
 from mocapfix.contacts.body_contacts import LEGS, compute_held_displacements, displace_feet, hold_measured_feet, move_body
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.measured_segments import (
     MAX_RESIDUAL_GROWTH_M,
@@ -20,7 +22,6 @@ from mocapfix.solve.measured_segments import (
     smooth_share,
     yield_to_markers,
 )
-from mocapfix.state import BodyFit
 
 RATE = 120.0
 TAKE = synthetic.compose_take(seed=3, seconds=3.0, rate=RATE)
@@ -71,7 +72,8 @@ def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
     contacts = BodyContacts(CONTACT_JOINTS, is_contact, is_known, NO_FLOOR, RATE)
     columns = np.arange(len(TAKE.subject.joints))
     body_markers = TAKE.marker_positions
-    body = BodyFit(TAKE.subject, TAKE.subject, TAKE.motion, columns, TAKE.joint_positions, body_markers)
+    take = Take(markers, TAKE.labels, RATE)
+    body = BodyFit(TAKE.subject, TAKE.subject, columns, take, TAKE.motion, TAKE.joint_positions, body_markers, None)
     body = move_body(body, TAKE.motion)
     held = hold_measured_feet(body, markers, contacts, is_locked=is_locked).body
     displacement = compute_held_displacements(TAKE.subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)

@@ -1,14 +1,20 @@
-"""Markers that moved on their segment: one column for each position, since samples at one say nothing about another."""
+"""What detection returns: the faults of a take, the take with its labels corrected, and which of its samples can be used.
 
+A marker that moved on its segment has one column for each position, since samples at one say nothing about another.
+"""
+
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
-from mocapfix.model.faults import Fault, MarkerShift
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults, MarkerShift
 from mocapfix.model.take import Take
 
 # Visible time of a marker at a position that makes it a position of its own.
@@ -118,3 +124,93 @@ def _select_lasting_shifts(shifts: list[MarkerShift], visible: np.ndarray, min_f
         if visible[start : shift.first].sum() >= min_frames and visible[shift.settled_frame :].sum() >= min_frames:
             selected.append(shift)
     return selected
+
+
+NUMBERED_LABEL = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")
+
+
+def find_namesakes(take: Take) -> dict[int, int]:
+    """Find the markers that have another marker's label; return their indices and those of the other markers.
+
+    If several markers have the same label, the one that is visible longest is the marker. A numbered label whose base label
+    is not in the take is a label of its own.
+    """
+    visible_count = take.visible.sum(0)
+    first_of_label: dict[str, int] = {}
+    for m in np.argsort(-visible_count, kind="stable"):
+        first_of_label.setdefault(take.labels[m], int(m))
+    bases = [label if first_of_label[label] != m else _strip_number(label) for m, label in enumerate(take.labels)]
+    return {m: first_of_label[base] for m, base in enumerate(bases) if base in first_of_label}
+
+
+def _strip_number(label: str) -> str | None:
+    numbered = NUMBERED_LABEL.fullmatch(label)
+    return numbered.group(1) if numbered else None
+
+
+@dataclass(frozen=True)
+class Detected:
+    """The detected faults of a take, and the take with its labels corrected.
+
+    Attributes:
+        take: the take with its labels corrected.
+        label_faults: faults of labels, in the order in which they were corrected.
+        sample_faults: faults of samples, found under the corrected labels.
+        replaced_kinds: the kinds of fault whose samples are replaced.
+        body_faults: those of `sample_faults` that only the solved body showed.
+        unconfirmed_shifts: marker shifts that the solved body did not confirm.
+        notes: sentences for the report.
+    """
+
+    take: Take
+    label_faults: tuple[Fault, ...] = ()
+    sample_faults: Faults = field(default_factory=Faults)
+    replaced_kinds: tuple[FaultKind, ...] = REPLACED_SAMPLE_KINDS
+    body_faults: tuple[Fault, ...] = ()
+    unconfirmed_shifts: tuple[Fault, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def faults(self) -> Faults:
+        """All faults, of labels and of samples."""
+        return self.sample_faults.add_faults(self.label_faults)
+
+    @cached_property
+    def inlier_mask(self) -> Bool[np.ndarray, "T M"]:
+        """The samples that were measured and are not faulty."""
+        return self.sample_faults.compute_inlier_mask(self.take, self.replaced_kinds) & self.take.measured
+
+    @cached_property
+    def inlier_take(self) -> Take:
+        """The take with its inliers only."""
+        return self.take.masked(self.inlier_mask)
+
+    @cached_property
+    def solver_mask(self) -> Bool[np.ndarray, "T M"]:
+        """The samples that the solver uses (see `Faults.compute_solver_mask`)."""
+        return self.sample_faults.compute_solver_mask(self.take, self.replaced_kinds) & self.take.measured
+
+    @cached_property
+    def donor_markers(self) -> tuple[int, ...]:
+        """The markers whose labels only name fragments of other markers. They are neither judged nor filled."""
+        return tuple(sorted(find_namesakes(self.take)))
+
+    @cached_property
+    def epochs(self) -> MarkerEpochs:
+        """The take with a column for every place of a marker that moved on its segment."""
+        return split_moved_markers(self.take, self.faults.items)
+
+    def select_columns(self, columns: Int[np.ndarray, " K"], mask: Bool[np.ndarray, "T M"]) -> Take:
+        """Return the samples in a mask of the take, of the markers in K columns of `epochs`; -1 for one without samples."""
+        return self.epochs.take.select(columns, self.epochs.split_mask(mask))
+
+    def place_on_body(self, body: BodyFit) -> Float[np.ndarray, "T M 3"]:
+        """Return where a body carries the take's markers, in metres; NaN for markers that it does not carry."""
+        has_column = body.marker_columns >= 0
+        positions = np.full(self.epochs.take.markers.shape, np.nan)
+        positions[:, body.marker_columns[has_column]] = body.marker_positions[:, has_column]
+        return self.epochs.merge_columns(positions)
+
+    def measure_residuals(self, body: BodyFit) -> Float[np.ndarray, "T M"]:
+        """Return the distance of each inlier from its place on a body in metres, NaN for other samples."""
+        return np.linalg.norm(self.inlier_take.markers - self.place_on_body(body), axis=-1)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.detect.moved_markers import split_moved_markers
+from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.faults import Fault, MarkerShift
 from mocapfix.model.take import Take
 
