@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.gap_estimates import choose_hidden_stretches
-from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses
+from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses, fill_from_gaussian_process, select_input_markers
 from mocapfix.stats.sequences import group_gaps
 
 RATE = 100.0
@@ -37,47 +37,57 @@ def fill_with_processes(markers, other_positions, other_sd):
     return filled, sd
 
 
-def given_nothing_else(markers, rate=RATE):
+def fill_with_one_process_for_each_gap(markers, other_positions, other_sd):
+    return fill_from_gaussian_process(markers, other_positions, other_sd, RATE)
+
+
+both = pytest.mark.parametrize("fill", [fill_with_processes, fill_with_one_process_for_each_gap])
+
+
+def given_nothing_else(fill, markers):
     """Return what it makes of a take where no other way says anything"""
-    return fill_with_processes(markers, np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan))
+    return fill(markers, np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan))
 
 
 def error(filled, truth, gap, m):
     return np.sqrt(((filled - truth)[gap][:, m] ** 2).mean())
 
 
-def lost(truth, gap, m):
+def lost(fill, truth, gap, m):
     """Return what it makes of a take that lost one marker in a gap: positions (T, M, 3), deviation (T, M)"""
     damaged = truth.copy()
     damaged[gap, m] = np.nan
-    return given_nothing_else(damaged, RATE)
+    return given_nothing_else(fill, damaged)
 
 
+@both
 @given(first=st.integers(0, 600), seconds=st.floats(0.05, 1.0), m=st.integers(0, 13), seed=st.integers(0, 9))
-def test_correlated_marker_is_predicted(first, seconds, m, seed):
+def test_correlated_marker_is_predicted(fill, first, seconds, m, seed):
     truth, gap = walking(seed=seed), slice(first, first + round(seconds * RATE))
-    filled, _ = lost(truth, gap, m)
+    filled, _ = lost(fill, truth, gap, m)
     assert error(filled, truth, gap, [m]) < 0.035  # the swing has a standard deviation of 0.1 m
     filled[gap, m] = np.nan
     assert np.isnan(filled).all()
 
 
-def test_errors_are_within_two_sd():
+@both
+def test_errors_are_within_two_sd(fill):
     rng, within = np.random.default_rng(0), []
     for seed in range(50):
         truth, first, m = walking(seed=seed % 10), rng.integers(600), rng.integers(14)
         gap = slice(first, first + round(rng.uniform(0.05, 2.0) * RATE))
-        filled, deviation = lost(truth, gap, m)
+        filled, deviation = lost(fill, truth, gap, m)
         within.append(error(filled, truth, gap, [m]) < 2 * np.sqrt((deviation[gap, m] ** 2).mean()))
     assert np.mean(within) > 0.95
 
 
-def test_lost_limb_is_filled_and_continuous_at_the_edges():
+@both
+def test_lost_limb_is_filled_and_continuous_at_the_edges(fill):
     truth = walking()
     limb, gap = [10, 11, 12, 13], slice(300, 400)
     damaged = truth.copy()
     damaged[gap, limb] = np.nan
-    filled, deviation = given_nothing_else(damaged, RATE)
+    filled, deviation = given_nothing_else(fill, damaged)
     assert error(filled, truth, gap, limb) < 0.03
     for m in limb:
         for edge in (300, 399):
@@ -85,40 +95,43 @@ def test_lost_limb_is_filled_and_continuous_at_the_edges():
         assert deviation[300, m] < 0.5 * deviation[350, m]
 
 
-def test_rarely_visible_marker_is_not_filled_and_harmless():
+@both
+def test_rarely_visible_marker_is_not_filled_and_harmless(fill):
     truth = walking()
     damaged = truth.copy()
     damaged[300:350, 8] = np.nan
-    alone, _ = given_nothing_else(damaged, RATE)
+    alone, _ = given_nothing_else(fill, damaged)
     ghost = np.full((800, 1, 3), np.nan)
     ghost[100:120] = 50.0
-    filled, deviation = given_nothing_else(np.concatenate([damaged, ghost], 1), RATE)
+    filled, deviation = given_nothing_else(fill, np.concatenate([damaged, ghost], 1))
     np.testing.assert_allclose(filled[300:350, 8], alone[300:350, 8], atol=1e-3)
     assert np.isnan(filled[:, 14]).all()
     assert np.isnan(deviation[:, 14]).all()
 
 
+@both
 @given(
     shape=st.sampled_from([(0, 5), (1, 5), (2, 4), (50, 0), (50, 1), (50, 3), (50, 6), (7, 12)]),
     lost=st.floats(0, 1),
     seed=st.integers(0, 99),
     still=st.booleans(),
 )
-def test_degenerate_takes_give_finite_values_or_nan(shape, lost, seed, still):
+def test_degenerate_takes_give_finite_values_or_nan(fill, shape, lost, seed, still):
     rng = np.random.default_rng(seed)
     markers = np.zeros((*shape, 3)) if still else rng.normal(size=(*shape, 3))
     missing = rng.random(shape) < lost
     markers[missing] = np.nan
-    filled, deviation = given_nothing_else(markers, RATE)
+    filled, deviation = given_nothing_else(fill, markers)
     assert (np.isnan(filled[..., 0]) == np.isnan(deviation)).all()
     assert np.isnan(deviation[~missing]).all()
     assert np.isfinite(filled[~np.isnan(filled)]).all()
 
 
-def test_frames_with_fewer_than_three_markers_stay_empty():
+@both
+def test_frames_with_fewer_than_three_markers_stay_empty(fill):
     damaged = walking()
     damaged[400, 2:] = np.nan
-    filled, _ = given_nothing_else(damaged, RATE)
+    filled, _ = given_nothing_else(fill, damaged)
     assert np.isnan(filled).all()
 
 
@@ -135,42 +148,64 @@ def test_errors_of_hidden_stretches_are_like_those_of_the_gap():
     assert 0.2 < actual / hidden < 2
 
 
-def test_precise_estimates_are_used_as_inputs():
+@both
+def test_precise_estimates_are_used_as_inputs(fill):
     """Only three markers are visible throughout the gap, but the others are filled with a small sd and serve as inputs."""
     truth = walking()
     damaged, others, sd = truth.copy(), truth.copy(), np.full(truth.shape[:2], 0.005)
     damaged[300:400, 3:] = np.nan
     sd[300:400, 13] = 0.2
-    alone, _ = given_nothing_else(damaged, RATE)
-    filled, _ = fill_with_processes(damaged, others, sd)
+    alone, _ = given_nothing_else(fill, damaged)
+    filled, _ = fill(damaged, others, sd)
     assert np.isnan(alone[350, 13]).all()
     assert error(filled, truth, slice(300, 400), [13]) < 0.02
 
 
+@both
 @pytest.mark.parametrize("turned", [0.0, 1.0, 3.0])
-def test_rotating_the_world_rotates_the_fill(turned):
+def test_rotating_the_world_rotates_the_fill(fill, turned):
     truth = walking()
     truth[200:260, 9] = np.nan
     about = Rotation.from_rotvec([0, turned, 0]).as_matrix()
-    one, one_deviation = given_nothing_else(truth, RATE)
-    other, other_deviation = given_nothing_else(truth @ about.T + [3.0, 0.0, -2.0], RATE)
+    one, one_deviation = given_nothing_else(fill, truth)
+    other, other_deviation = given_nothing_else(fill, truth @ about.T + [3.0, 0.0, -2.0])
     np.testing.assert_allclose(other, one @ about.T + [3.0, 0.0, -2.0], atol=1e-6)
     np.testing.assert_allclose(other_deviation, one_deviation, rtol=1e-6)
 
 
-def test_long_gap_without_three_other_markers_is_divided():
+@both
+def test_long_gap_without_three_other_markers_is_divided(fill):
     truth = walking()
     damaged = truth.copy()
     damaged[300:400, 13] = damaged[290:348, :6] = damaged[352:410, 6:12] = np.nan
-    filled, _ = given_nothing_else(damaged, RATE)
+    filled, _ = given_nothing_else(fill, damaged)
     assert error(filled, truth, slice(300, 345), [13]) < 0.06
     assert error(filled, truth, slice(355, 400), [13]) < 0.06
 
 
-def test_hundreds_of_gap_patterns_are_fast_enough():
+@both
+def test_hundreds_of_gap_patterns_are_fast_enough(fill):
     markers = walking(frames=100, size=41)
     markers[np.random.default_rng(0).random((100, 41)) < 0.1] = np.nan
-    filled, _ = given_nothing_else(markers, RATE)
+    filled, _ = given_nothing_else(fill, markers)
     missing = np.isnan(markers[..., 0])
     assert np.isnan(filled[~missing]).all()
     assert (~np.isnan(filled[missing])).mean() > 0.95
+
+
+@both
+def test_gaps_with_precise_estimates_are_skipped(fill):
+    damaged = walking()
+    damaged[300:350, 8] = damaged[600:640, 9] = np.nan
+    others, sd = np.zeros(damaged.shape), np.full(damaged.shape[:2], np.nan)
+    sd[300:350, 8], sd[600:640, 9] = 0.9 * MAX_SETTLED_SD_M, 1.1 * MAX_SETTLED_SD_M
+    filled, _ = fill(damaged, others, sd)
+    assert np.isnan(filled[:, 8]).all()
+    assert not np.isnan(filled[600:640, 9]).any()
+
+
+def test_inputs_share_half_of_the_frames():
+    known = np.ones((100, 5), bool)
+    known[:30, 1] = known[60:, 3] = known[20:25, 4] = False
+    np.testing.assert_array_equal(select_input_markers(known, np.array([0, 1, 3, 4])), [0, 1, 4])
+    np.testing.assert_array_equal(select_input_markers(known, np.array([0, 2, 3])), [0, 2, 3])
