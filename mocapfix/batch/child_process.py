@@ -27,7 +27,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import BinaryIO, Literal, NamedTuple, cast
+from typing import BinaryIO, Literal, cast
+
+import psutil
 
 from mocapfix.errors import MocapfixError, describe_error
 from mocapfix.io.files import return_free_memory
@@ -112,13 +114,9 @@ def _read_exactly(stream: BinaryIO, count: int) -> bytes:
 MAXRSS_UNIT_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3  # bytes; kibibytes
 PR_SET_PDEATHSIG = 1  # of Linux: a signal to the child when its parent ends
 MEMORY_BACKSTOP_FACTOR = 2  # data that a child may reserve beyond that of the server, relative to its limit of resident memory
-STATUS_FILE = "/proc/self/statm"
-RESIDENT_PAGES_COLUMN, DATA_PAGES_COLUMN = 1, 5
 PEAK_RESET_FILE, PEAK_RESET_COMMAND = "/proc/self/clear_refs", b"5"
 MAX_CHILD_JOBS = 20  # rerun keeps 2 to 3 MB of each recording
-MAX_KEPT_MEMORY_SHARE = (
-    0.1  # of the memory limit: what a child may hold beyond the memory of the server and still run another job
-)
+MAX_KEPT_MEMORY_SHARE = 0.1  # of the memory limit: what a child may hold beyond the server's memory and run another job
 
 
 @dataclass(frozen=True)
@@ -229,18 +227,19 @@ def _run_child(server: int, requests: BinaryIO, replies: BinaryIO) -> None:
         os.setsid()  # with all processes that it starts it can be killed as a group
         _end_with_parent(server)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        first_memory = _read_memory()
+        memory = psutil.Process().memory_info  # `data`, what the process has reserved, is known on Linux alone
+        first_memory = memory()
         for count in range(1, MAX_CHILD_JOBS + 1):
             request = read_message(requests)
             assert isinstance(request, ForkRequest)
             with suppress(OSError, ValueError, OverflowError):
-                _limit_data(first_memory.data_bytes + int(MEMORY_BACKSTOP_FACTOR * request.memory_mb * 1e6))
+                _limit_data(getattr(first_memory, "data", 0) + int(MEMORY_BACKSTOP_FACTOR * request.memory_mb * 1e6))
             reply = _run_job(request)
             write_message(
                 replies, replace(reply, peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB)
             )
             return_free_memory()
-            held_bytes = _read_memory().resident_bytes - first_memory.resident_bytes
+            held_bytes = memory().rss - first_memory.rss
             is_small = held_bytes < MAX_KEPT_MEMORY_SHARE * request.memory_mb * 1e6
             is_kept = is_small and not reply.error and count < MAX_CHILD_JOBS and _reset_peak_memory()
             write_message(replies, is_kept)
@@ -271,24 +270,6 @@ def _end_with_parent(server: int) -> None:
             os._exit(1)
 
 
-class _Memory(NamedTuple):
-    """Resident memory of this process, and what it has reserved for data."""
-
-    resident_bytes: int
-    data_bytes: int
-
-
-def _read_memory() -> _Memory:
-    """Return the memory of this process; zeros where the system does not tell."""
-    try:
-        with open(STATUS_FILE) as file:  # noqa: PTH123
-            pages = [int(word) for word in file.read().split()]
-    except FileNotFoundError:
-        return _Memory(0, 0)
-    size = resource.getpagesize()
-    return _Memory(pages[RESIDENT_PAGES_COLUMN] * size, pages[DATA_PAGES_COLUMN] * size)
-
-
 def _reset_peak_memory() -> bool:
     """Let the peak memory of this process count from now; return whether the system can do so."""
     try:
@@ -306,7 +287,6 @@ def _limit_data(limit_bytes: int) -> None:
 
 
 WATCH_INTERVAL_S = 0.1
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6 if hasattr(os, "sysconf") else 0.004
 DEFAULT_WARM_UP = "mocapfix.batch.jobs:load_everything"
 CLOSE_LIMIT_S = 2.0
 START_LIMIT_S = 600.0  # for a server: the first on a machine compiles the kernels
@@ -466,16 +446,6 @@ def _drop_server(warm_up: str, servers: dict[str, ForkServer] | None = None) -> 
 
 def read_resident_mb(process: int) -> float:
     """Return the resident memory of a process in MB, 0 if it has ended."""
-    try:
-        with open(f"/proc/{process}/statm") as file:  # noqa: PTH123
-            return int(file.read().split()[1]) * PAGE_MB
-    except FileNotFoundError:
-        if sys.platform == "linux":
-            return 0.0
-    except (OSError, IndexError):
-        return 0.0
-    import psutil
-
     try:
         return psutil.Process(process).memory_info().rss / 1e6
     except psutil.Error:

@@ -1,9 +1,7 @@
-"""Character files: the bones, rest pose, segments and joint limits of a character as YAML.
+"""Character files: the bones, rest pose, segments and joint limits of a character as YAML; and mappings of bones to edit.
 
 The presets in scenes/rigs have this form, and so have armatures that the Blender add-on writes. Positions are in metres in the
 world, Y up, in a rest pose that faces +Z, so that the character's left is +X, whatever axes and units its program has.
-
-The mapping of a character's bones as a YAML file that people can read, correct and give back.
 """
 
 from collections.abc import Mapping
@@ -19,21 +17,13 @@ from scipy.spatial.transform import Rotation
 from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMapping, Character, CharacterSource, build_bone_mapping
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineMapping, InlineSequence, StrictModel, dump_yaml, read_yaml_model
+from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineSequence, StrictModel, dump_yaml, read_yaml_model
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
 MIN_TAIL_LENGTH_M = 1e-6  # shorter bones have no direction
 MIN_SIDE_SINE = 1e-3
 """sine of the angle between a bone and the direction of its second axis, below which that direction determines no rotation"""
-POSITION_DECIMALS, ROTATION_DECIMALS = 7, 9  # of the written positions in metres and quaternions
-CHARACTER_FILE_HEADER = """\
-# A character of mocapfix: the bones of an armature in its rest pose and the segments of the body that they form.
-# head, tail: positions in metres in the world, Y up; the rest pose faces +Z, the character's left is +X.
-# rotation: quaternion [w, x, y, z] from the bone's own axes to the world's. segments: their bones from the pelvis outwards.
-# twists: bones beside the chain that take a share of its twist. limits: least and greatest components, in degrees, of a bone's
-# rotation vector from the rest pose, in its parent's axes.
-"""
 
 
 def _wrap_name(value: object) -> object:
@@ -134,48 +124,6 @@ def read_character_yaml(path: str | Path) -> Character:
     )
 
 
-def write_character_yaml(target: str | Path, character: Character) -> None:
-    """Write a character as YAML that `read_character_yaml` reads: positions to 0.1 micrometres, axes as quaternions.
-
-    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
-    """
-    heads, rotations = character.compute_rest_pose()
-    tails = heads + np.einsum("jab,jb->ja", rotations, character.tails)
-    bones: list[InlineMapping] = []
-    for bone, name in enumerate(character.names):
-        parent = int(character.parents[bone])
-        entry = InlineMapping(name=name, parent=character.names[parent] if parent >= 0 else None, head=_round(heads[bone]))
-        if not np.isnan(tails[bone]).any():
-            entry["tail"] = _round(tails[bone])
-        elif bone in character.parents:
-            entry["tail"] = entry["head"]  # none, although it has a child
-        entry["rotation"] = _format_quaternion(rotations[bone])
-        if character.scales[bone] != character.root_scale:
-            entry["scale_m"] = float(character.scales[bone])
-        bones.append(entry)
-    segments, twists = (
-        {segment: InlineSequence(character.names[bone] for bone in chain) for segment, chain in group.items()}
-        for group in (character.mapping.bones, character.mapping.twists)
-    )
-    limits = {
-        character.names[bone]: InlineMapping(
-            {axis: InlineSequence(map(float, angles)) for axis, angles in zip("xyz", limit, strict=True)}
-        )
-        for bone, limit in character.limits_deg.items()
-    }
-    data = {
-        "kind": "character",
-        "name": character.name,
-        "unit_m": float(character.root_scale),
-        "file_rotation": _format_quaternion(character.rotation_y_up_file),
-        "feet_flat": bool(character.has_feet_flat),
-        "bones": bones,
-        **{key: value for key, value in (("segments", segments), ("twists", twists), ("limits", limits)) if value},
-    }
-    with replace_atomically(Path(target)) as new_file:
-        new_file.write_text(CHARACTER_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
-
-
 def _check_tree(path: Path, model: _CharacterModel) -> tuple[tuple[str, ...], Int[np.ndarray, " J"]]:
     """Return names and parents, after checking that bones are unique and listed after their parents."""
     indices: dict[str, int] = {}
@@ -261,15 +209,6 @@ def _read_quaternion(path: Path, key: str, values: Quaternion) -> Float[np.ndarr
     if not np.linalg.norm(values) > 0.5:
         raise SceneError(f"{path}: {key}: is no rotation; give a quaternion of length 1, [w, x, y, z].")
     return Rotation.from_quat(values, scalar_first=True).as_matrix()
-
-
-def _format_quaternion(rotation: Float[np.ndarray, "3 3"]) -> InlineSequence:
-    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True)
-    return InlineSequence(round(float(each), ROTATION_DECIMALS) + 0.0 for each in quaternion)
-
-
-def _round(vector: Float[np.ndarray, " 3"]) -> InlineSequence:
-    return InlineSequence(round(float(each), POSITION_DECIMALS) + 0.0 for each in vector)
 
 
 MAPPING_FILE_HEADER = """\

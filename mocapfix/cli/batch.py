@@ -92,15 +92,16 @@ def run_batch(
     except MocapfixError as error:
         return print_usage_error(str(error))
 
-    from mocapfix.batch.child_process import JobLimits
     from mocapfix.batch.cluster import ClusterOptions, check_dask_installed
+
+    cluster = ClusterOptions(workers, scheduler, slurm, split_names([ssh]))
+    check_dask_installed(cluster)
+    from mocapfix.batch.child_process import JobLimits
     from mocapfix.batch.run_session import BatchSettings, run_session
     from mocapfix.batch.session_page import PAGE_NAME, write_session_page
     from mocapfix.batch.take_list import find_takes
     from mocapfix.subject.library import load_requested_subject
 
-    cluster = ClusterOptions(workers, scheduler, slurm, split_names([ssh]))
-    check_dask_installed(cluster)
     if len(takes) == 1 and Path(takes[0]).suffix.lower() in SESSION_SUFFIXES:
         from mocapfix.batch.take_list import read_session_file
         from mocapfix.options import CleanOptions

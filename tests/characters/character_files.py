@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pygltflib
+import yaml
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character, CharacterMotion
@@ -259,3 +260,32 @@ def split_glb(data: bytes) -> tuple[bytes, bytes]:
 def rebuild(content: GlbContent, **changes: Any) -> bytes:
     """Return a GLB with some keys of its document replaced."""
     return build_glb(GlbContent(content.document | changes, content.binary, content.other_chunks))
+
+
+def write_character_yaml(target: Path, character: Character) -> None:
+    """Write a character as YAML that `read_character_yaml` reads, with the axes of the bones as quaternions."""
+    heads, rotations = character.compute_rest_pose()
+    tails = heads + np.einsum("jab,jb->ja", rotations, character.tails)
+    names, parents = character.names, character.parents.tolist()
+    bones: list[dict[str, Any]] = []
+    for bone, name in enumerate(names):
+        entry: dict[str, Any] = {"name": name, "parent": names[parents[bone]] if parents[bone] >= 0 else None}
+        entry |= {"head": heads[bone].tolist(), "rotation": format_quaternion(rotations[bone])}
+        if not np.isnan(tails[bone]).any():
+            entry["tail"] = tails[bone].tolist()
+        elif bone in parents:
+            entry["tail"] = entry["head"]  # none, although it has a child
+        bones.append(entry | {"scale_m": float(character.scales[bone])})
+    segments, twists = (
+        {segment: [names[bone] for bone in chain] for segment, chain in group.items()}
+        for group in (character.mapping.bones, character.mapping.twists)
+    )
+    limits = {names[bone]: dict(zip("xyz", limit.tolist(), strict=True)) for bone, limit in character.limits_deg.items()}
+    data = {"kind": "character", "name": character.name, "unit_m": float(character.root_scale), "bones": bones}
+    data |= {"file_rotation": format_quaternion(character.rotation_y_up_file), "feet_flat": bool(character.has_feet_flat)}
+    data |= {"segments": segments, "twists": twists, "limits": limits}
+    target.write_text(yaml.safe_dump(data, allow_unicode=True), encoding="utf-8")
+
+
+def format_quaternion(rotation: np.ndarray) -> list[float]:
+    return Rotation.from_matrix(rotation).as_quat(scalar_first=True).tolist()

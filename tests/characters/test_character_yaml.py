@@ -4,17 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character
-from mocapfix.characters.character_yaml import read_character_yaml, write_character_yaml
+from mocapfix.characters.character_yaml import read_character_yaml
 from mocapfix.characters.load_character import load_character_preset
-from mocapfix.errors import SceneError, WriteError
+from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import write_character_yaml
 
 MIXAMO_FILE = find_shipped_folder("scenes") / "rigs" / "mixamo.yaml"
 
@@ -156,16 +156,3 @@ def test_invalid_file_is_explained_with_file_and_key(old: str, new: str, message
 def test_invalid_axes_are_explained(text: str, message: str, tmp_path: Path):
     with pytest.raises(SceneError, match=message.replace("(", r"\(")):
         read_character_yaml(write_file(tmp_path / "mine.yaml", text))
-
-
-def test_failed_writing_leaves_no_file(tmp_path: Path):
-    with pytest.raises(WriteError):
-        write_character_yaml(tmp_path / "missing" / "a.yaml", load_character_preset("smpl"))
-    assert not list(tmp_path.iterdir())
-
-
-def test_written_file_begins_with_an_explanation_and_is_plain_yaml(tmp_path: Path):
-    write_character_yaml(tmp_path / "a.yaml", load_character_preset("smpl"))
-    text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
-    assert text.startswith("# A character of mocapfix")
-    assert yaml.safe_load(text)["kind"] == "character"
