@@ -11,17 +11,16 @@ from jaxtyping import Bool
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mocapfix.io.files import replace_atomically
+from mocapfix.model.faults import MISSING_KINDS
 from mocapfix.model.take import Take
-from mocapfix.report.change_list import (
+from mocapfix.report.change_figures import (
     Figure,
     build_change_figures,
-    build_change_list,
-    build_left_list,
-    build_unchanged_list,
-    build_unfilled_list,
+    describe_change,
     describe_changes,
     describe_faults,
     describe_remaining,
+    format_severity,
 )
 from mocapfix.report.report import ErrorSummary, Report, SolveSection
 from mocapfix.report.sample_states import (
@@ -36,7 +35,7 @@ from mocapfix.report.sample_states import (
     find_estimated_samples,
 )
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
-from mocapfix.report.terms import FAULT_GROUPS, format_number, get_fault_group
+from mocapfix.report.terms import FAULT_GROUPS, format_frame_range, format_number, get_fault_group
 from mocapfix.report.timeline import (
     build_contact_part,
     build_fault_rows,
@@ -59,9 +58,12 @@ def write_page(target: Path, template: str, **values: object) -> None:
 
 @cache
 def _load_environment() -> Environment:
-    return Environment(
+    environment = Environment(
         loader=PackageLoader("mocapfix.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    for function in (describe_change, format_frame_range, format_number, format_severity):
+        environment.globals[function.__name__] = function
+    return environment
 
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption
@@ -104,10 +106,9 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         time_ticks=build_time_ticks(take),
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         contacts=build_contact_part(report.get("contacts"), comparison.contacts, take, comparison.terms),
-        left_by_marker=build_left_list(report["fill"]["left_by_marker"], comparison),
-        unfilled=build_unfilled_list(report["fill"]["unfilled"], comparison),
-        unchanged=build_unchanged_list(comparison),
-        changes=build_change_list(comparison),
+        take=take,
+        changes=comparison.changes,
+        unchanged=[fault for fault in comparison.unchanged_faults if fault.kind not in MISSING_KINDS],
         review_file=review_file,
         review_command=shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]),
         residual_bars=_build_error_bars(solve["marker_residual_mm"]["by_marker"]) if solve else [],

@@ -1,10 +1,6 @@
-"""Time line of a take: one row of faults per affected marker, and the distance of the markers from the body.
+"""Time lines of the HTML report: faults by marker, the distance of the markers from the body, and contacts with the floor.
 
-Positions and widths are shares of the take's length, so that they scale with the page.
-
-The HTML report's part on contacts with the floor: strips of the time at which heels and toes are in contact, and a table.
-
-Positions are shares of a strip's length, so that they scale with the page. Long takes have several strips.
+Positions and widths are shares of the length of the take or of its strip, so that they scale with the page.
 """
 
 from collections import defaultdict
@@ -115,11 +111,15 @@ def _merge_near_bars(bars: Sequence[TimelineBar], frame_count: int) -> Iterator[
             yield TimelineBar(css_class, each[start].first, last, each[start].title + more)
 
 
-def build_time_ticks(take: Take) -> list[TimeTick]:
-    """Return the marks of the time axis; times start at the first frame."""
-    duration_s = take.frame_count / take.rate
-    times = np.arange(0, duration_s, compute_round_step(duration_s / MAX_TIME_TICKS))
-    return [TimeTick(time / duration_s, take.get_frame_number(round(time * take.rate)), time) for time in times]
+def build_time_ticks(take: Take, first: int = 0, stop: int | None = None) -> list[TimeTick]:
+    """Return the marks of the time axis of the frames first..stop - 1, by default of all; times start at the first frame."""
+    start_s, duration_s = first / take.rate, ((take.frame_count if stop is None else stop) - first) / take.rate
+    step_s = compute_round_step(duration_s / MAX_TIME_TICKS)
+    times = np.arange(int(np.ceil(start_s / step_s - 1e-9)), (start_s + duration_s) / step_s - 1e-9) * step_s
+    return [
+        TimeTick((time - start_s) / duration_s, take.get_frame_number(round(time * take.rate)), round(float(time), 6))
+        for time in times
+    ]
 
 
 def compute_round_step(minimum: float) -> float:
@@ -276,21 +276,10 @@ def build_contact_strip(contacts: BodyContacts, joints: list[str], first: int, s
         lanes.append(
             ContactLane(CONTACT_NAMES[joint], _draw_runs(is_contact & is_known), _draw_runs(is_contact & ~is_known), tuple(marks))
         )
-    return ContactStrip(tuple(lanes), tuple(_build_ticks(first, stop, take)))
+    return ContactStrip(tuple(lanes), tuple(build_time_ticks(take, first, stop)))
 
 
 def _draw_runs(mask: Bool[np.ndarray, " N"]) -> str:
     """Return the SVG path of one rectangle for each run, in the unit square."""
     count = len(mask)
     return "".join(f"M{a / count:.5f} 0H{(b + 1) / count:.5f}V1H{a / count:.5f}Z" for a, b in find_runs(mask))
-
-
-def _build_ticks(first: int, stop: int, take: Take) -> list[TimeTick]:
-    """Return the marks of the time axis of the frames first..stop - 1."""
-    start_s, duration_s = first / take.rate, (stop - first) / take.rate
-    step_s = compute_round_step(duration_s / MAX_TIME_TICKS)
-    times = np.arange(int(np.ceil(start_s / step_s - 1e-9)), (start_s + duration_s) / step_s - 1e-9) * step_s
-    return [
-        TimeTick((time - start_s) / duration_s, take.get_frame_number(round(time * take.rate)), round(float(time), 6))
-        for time in times
-    ]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.model.faults import Fault, MarkerShift
-from mocapfix.report.change_list import (
+from mocapfix.report.change_figures import (
     CHANGE_FIGURE_HEIGHT,
     CHANGE_FIGURE_WIDTH,
     CURVE_MARGIN_S,

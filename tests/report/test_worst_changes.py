@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.model import changes
 from mocapfix.model.faults import Fault, Faults
-from mocapfix.report.change_list import MAX_CHANGE_FIGURES, select_worst_changes
+from mocapfix.report.change_figures import MAX_CHANGE_FIGURES, select_worst_changes
 
 
 def test_worst_changes_come_first_and_include_every_kind(scene):

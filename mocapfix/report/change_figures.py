@@ -1,13 +1,9 @@
-"""Lists of the HTML report: figures of the largest changes, all changes, unchanged faults and empty intervals.
+"""What the HTML report says and shows of the changes: a summary, and figures of the largest changes.
 
-SVG figure of a change: the curves of its marker, one strip per axis on a common scale, input in red, result in green.
-
-The curves are marker positions over the frames of the change and a margin on both sides. Positions are relative to the nearest
-markers, which removes the motion of the body. A marker that shifted on its segment is shown by its distances from the markers
-that reveal the shift best; distances do not depend on the rotation of the segment. The tip of a joint is shown relative to the
-tip of its parent.
-
-Summary of a report: the faults of the take, the changes, and what remains.
+A figure has the curves of the marker, one strip per axis on a common scale, input in red, result in green. They are marker
+positions over the frames of the change and a margin on both sides, relative to the nearest markers, which removes the motion of
+the body. A marker that shifted on its segment is shown by its distances from the markers that reveal the shift best; distances do
+not depend on the rotation of the segment. The tip of a joint is shown relative to the tip of its parent.
 """
 
 from collections import Counter
@@ -24,7 +20,7 @@ from mocapfix.errors import join_names, join_words
 from mocapfix.model.changes import Change
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
-from mocapfix.report.report import LeftEmptyEntry, Report, UnfilledEntry
+from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.terms import JOINT_TERMS, format_fault_counts, format_frame_range, format_number
 from mocapfix.report.timeline import compute_round_step
@@ -373,8 +369,6 @@ def format_severity(fault: Fault) -> str:
     return f"{format_number(value, 0)} {unit}" if np.isfinite(value) else format_number(None)
 
 
-MAX_LIST_ROWS = 1000  # rows of a list; the JSON report has all of them
-MAX_OPEN_LIST_ROWS = 40  # longer lists are collapsed
 MAX_CHANGE_FIGURES = 12
 # Kinds whose severity is the distance that the marker travelled, not its distance from the correct position.
 TRAVEL_SEVERITY_KINDS = (*MISSING_KINDS, "segment lost", "computed")
@@ -387,21 +381,6 @@ class Figure:
     svg: Markup
     name: str
     text: str
-
-
-@dataclass(frozen=True)
-class TableList:
-    """A table that can be collapsed.
-
-    title    number of rows and what they are
-    omitted  number of rows beyond MAX_LIST_ROWS
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    is_open: bool
-    omitted: int
 
 
 def select_worst_changes(comparison: CleaningComparison) -> list[tuple[Change, Fault]]:
@@ -434,7 +413,7 @@ def _build_change_figure(comparison: CleaningComparison, change: Change, fault: 
     curves = build_change_curves(comparison, fault)
     svg = draw_change_figure(curves, fault.first, fault.last, comparison.input_take.first_frame)
     frames = f"frame{'s' if change.last > change.first else ''} {format_frame_range(change.first, change.last)}"
-    sentences = [_describe_change(change)]
+    sentences = [describe_change(change)]
     if change.predicted_mm is not None:
         sentences.append(f"Predicted error {format_number(change.predicted_mm)} mm.")
     if curves.reference_labels:
@@ -444,81 +423,7 @@ def _build_change_figure(comparison: CleaningComparison, change: Change, fault: 
     return Figure(svg, f"{change.kind}: {', '.join(change.markers)}, {frames}.", " ".join(sentences))
 
 
-def _describe_change(change: Change) -> str:
+def describe_change(change: Change) -> str:
     """Return why the change was made, and how."""
     method = f"{change.method[:1].upper()}{change.method[1:]}" if change.decision == "accept" else "Not applied"
     return f"{change.why} {method}."
-
-
-def build_change_list(comparison: CleaningComparison) -> TableList | None:
-    """Return the table of all changes; None without changes."""
-    rows = [
-        (
-            change.id,
-            ", ".join(change.markers),
-            format_frame_range(change.first, change.last),
-            _describe_change(change),
-            _format_before_after(change.before.missing, change.after.missing, 0),
-            _format_before_after(change.before.off_body_mm, change.after.off_body_mm, 1),
-            format_number(change.predicted_mm) if change.predicted_mm is not None else "",
-            change.decision,
-        )
-        for change in comparison.changes[:MAX_LIST_ROWS]
-    ]
-    points = comparison.terms.points.capitalize()
-    header = ("Change", points, "Frames", "Reason and method", "Missing", "From body, mm", "Predicted, mm", "Decision")
-    return _build_list("change", len(comparison.changes), header, rows)
-
-
-def _format_before_after(before: int | float | None, after: int | float | None, digits: int) -> str:
-    """Return "before → after", empty if both are zero or unknown."""
-    if (before, after) in ((0, 0), (None, None)):
-        return ""
-    return f"{format_number(before, digits)} → {format_number(after, digits)}"
-
-
-def build_unchanged_list(comparison: CleaningComparison) -> TableList | None:
-    """Return the table of the faults that were left as measured; None without any."""
-    take = comparison.input_take
-    faults = [fault for fault in comparison.unchanged_faults if fault.kind not in MISSING_KINDS]
-    rows = [
-        (
-            fault.kind,
-            take.get_label(fault.marker),
-            format_frame_range(take.get_frame_number(fault.first), take.get_frame_number(fault.last)),
-            format_severity(fault),
-            fault.reason,
-        )
-        for fault in faults[:MAX_LIST_ROWS]
-    ]
-    header = ("Kind", comparison.terms.point.capitalize(), "Frames", "Severity", "Reason")
-    return _build_list("fault", len(faults), header, rows)
-
-
-def build_unfilled_list(entries: Sequence[UnfilledEntry], comparison: CleaningComparison) -> TableList | None:
-    """Return the table of the empty intervals and their reasons; None without any."""
-    rows = [
-        (entry["marker"], format_frame_range(entry["first"], entry["last"]), entry["reason"]) for entry in entries[:MAX_LIST_ROWS]
-    ]
-    return _build_list("interval", len(entries), (comparison.terms.point.capitalize(), "Frames", "Reason"), rows)
-
-
-def build_left_list(entries: Sequence[LeftEmptyEntry], comparison: CleaningComparison) -> TableList | None:
-    """Return the table of the samples that stay empty by marker, and their reasons; None without any."""
-    rows = [
-        (
-            entry["marker"],
-            f"{entry['samples']:,}",
-            "; ".join(f"{count:,}: {reason}" for reason, count in entry["reasons"].items()),
-        )
-        for entry in entries[:MAX_LIST_ROWS]
-    ]
-    name, points = comparison.terms.point, comparison.terms.point.capitalize()
-    return _build_list(name, len(entries), (points, f"Empty {comparison.terms.samples}", "Number and reason"), rows)
-
-
-def _build_list(name: str, count: int, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> TableList | None:
-    if not count:
-        return None
-    title = f"{count:,} {name}s" if count > 1 else f"{count:,} {name}"
-    return TableList(title, header, rows, count <= MAX_OPEN_LIST_ROWS, max(0, count - MAX_LIST_ROWS))
