@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from mocapfix.animations import joint_mapping
+from mocapfix.animations.joint_mapping import SkeletonAlignment, compute_file_rotation
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
-from mocapfix.animations.retarget import SkeletonAlignment, compute_file_rotation
 from mocapfix.contacts.body_contacts import hold_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.fill.gap_filling import compute_gap_durations, explain_unfilled_samples

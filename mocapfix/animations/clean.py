@@ -23,12 +23,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import joint_mapping, retarget
+from mocapfix.animations import joint_mapping
 from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
-from mocapfix.animations.joint_mapping import build_joint_skeleton, find_ancestor
+from mocapfix.animations.joint_mapping import (
+    SkeletonAlignment,
+    align_skeleton,
+    build_joint_skeleton,
+    convert_to_cmu31,
+    find_ancestor,
+)
 from mocapfix.animations.repair import repair_animation
-from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_points import build_foot_points
@@ -134,7 +139,9 @@ class MappedPriorConditioner(PriorConditioner):
         is_mapped, parents = file_joints >= 0, self.alignment.skeleton.parents
         sources = [j if is_mapped[j] else find_ancestor(j, parents, is_mapped) for j in range(len(file_joints))]
         is_known = context.is_known[:, file_joints[sources]]
-        model = context._replace(local_rotations=retarget.convert_rotations_to_cmu31(world, self.alignment), is_known=is_known)
+        model = context._replace(
+            local_rotations=joint_mapping.convert_rotations_to_cmu31(world, self.alignment), is_known=is_known
+        )
         size_ratio = self.alignment.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
         predicted = self.predict_motion(model, size_ratio)
         if predicted is None:
@@ -143,7 +150,7 @@ class MappedPriorConditioner(PriorConditioner):
         variance = np.full(file_rotations.shape[:2], np.inf)
         for joint in np.flatnonzero((file_joints >= 0) & np.isin(file_joints, joints)).tolist():
             if np.isfinite(predicted.variance[:, joint]).all():
-                rotations = retarget.compute_file_rotation(
+                rotations = joint_mapping.compute_file_rotation(
                     self.parents, file_rotations, self.alignment, joint, predicted.rotations
                 )
                 file_rotations[:, file_joints[joint]], variance[:, file_joints[joint]] = rotations, predicted.variance[:, joint]
@@ -164,12 +171,12 @@ class MappedPriorConditioner(PriorConditioner):
             return reference
         file_rotations = local_rotations[frames]
         _, world_rotations = compose_transforms(self.parents, np.zeros(file_rotations.shape[:3]), file_rotations)
-        model_rotations = retarget.convert_rotations_to_cmu31(world_rotations, self.alignment)
+        model_rotations = joint_mapping.convert_rotations_to_cmu31(world_rotations, self.alignment)
         any_sign = np.ones((len(frames), 4 * len(occluded)))
         predicted = super().predict_rotations(model_rotations, observed, occluded, np.arange(len(frames)), any_sign)
         for i, joint in enumerate(occluded):
             model_rotations[:, joint] = Rotation.from_quat(predicted[:, 4 * i : 4 * i + 4]).as_matrix()
-            file_rotations[:, self.alignment.file_joints[joint]] = retarget.compute_file_rotation(
+            file_rotations[:, self.alignment.file_joints[joint]] = joint_mapping.compute_file_rotation(
                 self.parents, file_rotations, self.alignment, int(joint), model_rotations
             )
         result = reference.reshape(len(frames), len(occluded_joints), 4).copy()

@@ -27,8 +27,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.joint_mapping import map_joints
-from mocapfix.animations.retarget import align_skeleton, convert_to_cmu31
+from mocapfix.animations.joint_mapping import align_skeleton, convert_to_cmu31, map_joints
 from mocapfix.errors import ReadError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import read_bvh

@@ -27,10 +27,11 @@ from mocapfix.characters.character import (
 )
 from mocapfix.characters.kept_positions import find_nearest_point
 from mocapfix.characters.load_character import load_character_preset
-from mocapfix.characters.pose_segments import build_solve_tree, compute_rotations_to_parents
 from mocapfix.characters.retarget_motion import (
     build_retarget_problem,
+    build_solve_tree,
     compose_character_motion,
+    compute_rotations_to_parents,
     retarget_motion,
     solve_retarget_problem,
     spread_rotations,

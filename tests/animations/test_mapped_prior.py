@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.clean import MappedPriorConditioner
-from mocapfix.animations.retarget import SkeletonAlignment
+from mocapfix.animations.joint_mapping import SkeletonAlignment
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import prior_files
 from mocapfix.solve.gap_combination import GapContext, GapPrediction

@@ -10,8 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.joint_mapping import find_descendants, map_joints
-from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, compute_file_rotation, convert_to_cmu31
+from mocapfix.animations.joint_mapping import (
+    SkeletonAlignment,
+    align_skeleton,
+    compute_file_rotation,
+    convert_to_cmu31,
+    find_descendants,
+    map_joints,
+)
 from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import load_cmu31_body

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame
 from mocapfix.characters.character import CharacterMotion, compute_character_poses
-from mocapfix.characters.pose_segments import bend_straight_knees, build_solve_tree
-from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.characters.retarget_motion import bend_straight_knees, build_solve_tree, retarget_motion
 from tests.characters.walking_body import load_walk, scale_limbs
 
 
