@@ -14,6 +14,7 @@ import pytest
 
 from mocapfix.cli.app import LAB_PACKAGES
 from mocapfix.kernels.compilation_cache import find_cache_folder
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LAB_DATA = {"bench", "mnn-ik"}
@@ -91,11 +92,12 @@ def test_installed_commands_run(scripts: Path, tmp_path: Path, command: tuple[st
     assert "clean" in run_command(scripts / command[0], *command[1:], "--help", folder=tmp_path)
 
 
-def test_demo_runs_from_the_wheel(scripts: Path, tmp_path: Path):
-    run_command(scripts / "python", "-m", "mocapfix", "demo", "--out", tmp_path, folder=tmp_path)
-    cleaned = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
-    outputs = [tmp_path / "demo.c3d", *(tmp_path / "demo.mocapfix" / f"demo.{kind}" for kind in cleaned)]
-    assert not [output for output in outputs if not output.is_file() or not output.stat().st_size]
+def test_a_take_is_cleaned_by_the_installed_package(scripts: Path, tmp_path: Path):
+    write_synthetic_take(tmp_path / "walk.c3d", compose_take(seconds=1.0, rate=60.0))
+    run_command(scripts / "python", "-m", "mocapfix", "clean", tmp_path / "walk.c3d", folder=tmp_path)
+    kinds = ("c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd")
+    written = {path.name for path in (tmp_path / "walk.mocapfix").iterdir() if path.stat().st_size}
+    assert written == {f"walk.{kind}" for kind in kinds}
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_outputs_of_another_session_are_not_replaced(takes: Path, tmp_path: Path
 def test_take_of_a_killed_worker_is_cleaned_by_the_next(tmp_path: Path) -> None:
     folder = tmp_path / "takes"
     folder.mkdir()
-    write_synthetic_take(folder / "walk.c3d", compose_take(seconds=4.0, rate=60.0))
+    write_synthetic_take(folder / "walk.c3d", compose_take(seconds=2.0, rate=30.0))
     settings = BatchSettings(tmp_path / "out", CleanOptions(), cluster=ClusterOptions(workers=1))
     results: list[TakeRecord] = []
     takes = find_takes([str(folder)], settings.output_folder).takes

@@ -15,7 +15,7 @@ def truth():
     return synthetic.compose_take(2, seconds=6.0, rate=60.0)
 
 
-@pytest.mark.parametrize("kind", ["tracks", "ghosts", "cloud"])
+@pytest.mark.parametrize("kind", ["ghosts", "cloud"])
 def test_each_marker_gets_one_number(truth, kind):
     take = remove_labels(kind, truth.marker_positions, truth.rate, seed=1)
     labels, names = join_trajectories(find_tracklets(take.points, truth.rate), label_points_like)

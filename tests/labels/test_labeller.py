@@ -16,7 +16,7 @@ MARKER_SET = load_marker_set("cmu41")
 
 @pytest.fixture(scope="module")
 def take() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(5, 12.0)
+    return synthetic.compose_take(5, 6.0, 60.0)
 
 
 def measure_f1(unlabelled, marker_indices) -> float:
@@ -25,27 +25,13 @@ def measure_f1(unlabelled, marker_indices) -> float:
     return 2 * right / (is_labelled.sum() + is_marker.sum())
 
 
-@pytest.mark.parametrize("kind", ["tracks", "ghosts", "cloud"])
+@pytest.mark.parametrize("kind", ["ghosts", "cloud"])
 def test_labels_of_a_set_are_found(take, kind):
     unlabelled = remove_labels(kind, take.marker_positions, take.rate, seed=1)
     labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET)
     assert measure_f1(unlabelled, labels.marker_indices) > 0.998
     assert (labels.confidence[labels.marker_indices >= 0] >= 0.5).all()
     assert (labels.confidence <= 1).all()
-
-
-def test_labels_of_a_known_subject_are_found(take):
-    unlabelled = remove_labels("tracks", take.marker_positions, take.rate, seed=2)
-    labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET, take.subject)
-    assert measure_f1(unlabelled, labels.marker_indices) > 0.999
-
-
-def test_mirrored_body_gets_no_mirrored_labels(take):
-    """Left and right are told apart in whichever direction the person faces."""
-    turned = take.marker_positions * [-1.0, 1.0, -1.0]
-    unlabelled = remove_labels("tracks", turned, take.rate, seed=3)
-    labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET)
-    assert measure_f1(unlabelled, labels.marker_indices) > 0.998
 
 
 def test_a_few_scattered_points_get_no_labels():

@@ -17,7 +17,7 @@ from mocapfix.options import OutputOptions, build_clean_options
 
 @pytest.fixture(scope="module")
 def truth() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(6, 6.0)
+    return synthetic.compose_take(6, 4.0, 60.0)
 
 
 def write_unlabelled(folder, truth, kind, suffix="c3d"):
@@ -109,7 +109,7 @@ def test_labels_without_a_meaning_are_replaced_by_those_of_the_named_set(tmp_pat
     order = np.random.default_rng(1).permutation(len(truth.labels))
     labels = tuple(f"M{n:02d}" for n in range(len(order)))
     markers = truth.marker_positions[:, order].copy()
-    markers[100:300, :5] = np.nan
+    markers[60:150, :5] = np.nan
     write_c3d(path, Take(markers, labels, truth.rate))
     labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
     assert labelled.labels == tuple(truth.labels[m] for m in order)

@@ -21,7 +21,7 @@ MARKER_SETS = [load_marker_set(name) for name in ("optitrack-baseline41", "plug-
 
 @pytest.fixture(scope="module")
 def take() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(8, 8.0)
+    return synthetic.compose_take(8, 4.0, 60.0)
 
 
 def find_points(markers, rate):
