@@ -8,7 +8,8 @@ from dataclasses import fields
 from pathlib import Path
 
 from mocapfix.lab.baseline import get_baseline_path, read_baseline
-from mocapfix.options import CleanOptions, Option, list_options
+from mocapfix.option import Option
+from mocapfix.options import OPTIONS, CleanOptions
 
 DOCS = Path(__file__).parent
 
@@ -17,17 +18,16 @@ def build_option_table() -> str:
     """Return one table of all options for each stage."""
     tables: list[str] = []
     for stage in fields(CleanOptions):
-        options = stage.default
-        title = (type(options).__doc__ or "").strip().rstrip(".")
+        title = (type(stage.default).__doc__ or "").strip().rstrip(".")
         tables.append(f"### {title}\n")
         tables.append("| flag | Python | job file | default | meaning |\n|---|---|---|---|---|")
-        for name, option in list_options(type(options)):
+        for option in (option for option in OPTIONS if option.stage == stage.name):
             flags = ", ".join(f"`{flag}`" for flag in (option.flag, *option.aliases))
             job_key = f"`{option.job_key}`" if option.job_key else ""
-            default = format_default(getattr(options, name), option)
+            default = format_default(option.default, option)
             if option.lab_default is not None:
                 default += f"; lab: {format_default(option.lab_default, option)}"
-            tables.append(f"| {flags} | `{name}` | {job_key} | {default} | {option.help.replace('|', '&#124;')} |")
+            tables.append(f"| {flags} | `{option.name}` | {job_key} | {default} | {option.help.replace('|', '&#124;')} |")
         tables.append("")
     return "\n".join(tables).rstrip()
 

@@ -1,136 +1,20 @@
 """The options of cleaning a take: every option with its default, unit, range and help text, grouped by stage.
 
-The Python interface, the command line and the job files are built from this. It imports no numerical library, because the command
-line needs it to print its help. Example: `build_clean_options(prior="none", max_gap_s=2.0)`.
-
-Define an option once: its default, unit, range and help text, and the check of its value.
-
-`define_option` makes a dataclass field with an `Option` in its metadata; `StageOptions` checks the values of all its options.
-
-The names from which options choose.
-
-The options of reading a file; they are part of `mocapfix.options`.
-
-The options of output files; they are part of `mocapfix.options`.
+An option is defined once, by `define_option` in the class of its stage. `OPTIONS` is the table of all of them, from which the
+Python interface, the command line, job files and the arguments in a report are built. No numerical library is imported, because
+the command line needs the options to print its help. Example: `build_clean_options(prior="none", max_gap_s=2.0)`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.errors import OptionError, format_name_list
+from mocapfix.option import StageOptions, define_option, list_options
 
 if TYPE_CHECKING:
     from mocapfix.model.subject import Subject
-
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Option:
-    """How one option is presented and checked. Limits are in the unit of the field.
-
-    flag          the flag on the command line
-    metavar       the placeholder of its value in help texts
-    help          one line for help texts and documentation
-    job_key       the dotted key in a job file; "" if a job cannot set it
-    unit          the unit of the value on the command line and in job files
-    per_unit      how many of `unit` make one of the field's unit: 1000 for a field in metres that users give in millimetres
-    aliases       other flags of the same meaning
-    default_text  the default in help texts where None or an empty list does not explain itself
-    choices       the allowed values, of a tuple the allowed elements; empty if any value is allowed
-    above         lower limit, exclusive
-    at_least      lower limit, inclusive
-    at_most       upper limit, inclusive
-    is_finite     whether the value must be finite
-    is_expert     whether the option is hidden from the short help and the example job
-    lab_default   the default with the purpose "lab", which differs from the usual one; None if it does not
-    """
-
-    flag: str
-    metavar: str
-    help: str
-    job_key: str = ""
-    unit: str = ""
-    per_unit: float = 1.0
-    aliases: tuple[str, ...] = ()
-    default_text: str = ""
-    choices: tuple[str, ...] = ()
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    is_finite: bool = False
-    is_expert: bool = False
-    lab_default: Any = None
-
-    def to_display(self, value: Any) -> Any:
-        """Return a value with its numbers in the unit that users see."""
-        if isinstance(value, tuple):
-            return tuple(self.to_display(each) for each in cast("tuple[Any, ...]", value))
-        return round(value * self.per_unit, 9) if isinstance(value, float) and self.per_unit != 1.0 else value
-
-    def from_display(self, value: Any) -> Any:
-        """Return a value that a user gave with its numbers in the unit of the field."""
-        if isinstance(value, tuple):
-            return tuple(self.from_display(each) for each in cast("tuple[Any, ...]", value))
-        return value / self.per_unit if isinstance(value, float) and self.per_unit != 1.0 else value
-
-    def find_problem(self, value: object) -> str:
-        """Return what is wrong with a value as the end of a sentence, "" if it is allowed."""
-        elements = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
-        return next((problem for each in elements if (problem := self._find_element_problem(each))), "")
-
-    def _find_element_problem(self, value: object) -> str:
-        if isinstance(value, str) and self.choices and value not in self.choices:
-            return f"must be one of {', '.join(self.choices)}, not {value!r}"
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            return ""
-        is_allowed = (
-            (self.above is None or value > self.above)
-            and (self.at_least is None or value >= self.at_least)
-            and (self.at_most is None or value <= self.at_most)
-            and (isfinite(value) or not self.is_finite)
-        )
-        return "" if is_allowed else f"must be {self._describe_range()}, not {self.to_display(value):g}"
-
-    def _describe_range(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        limits = (("greater than", self.above), ("at least", self.at_least), ("at most", self.at_most))
-        parts = [f"{words} {self.to_display(limit):g}{unit}" for words, limit in limits if limit is not None]
-        return " and ".join([*parts, *(["finite"] if self.is_finite else [])])
-
-
-def define_option(default: T, flag: str, metavar: str, help: str, **details: Any) -> T:
-    """Return a dataclass field with its default and an `Option`, which has the same arguments, in its metadata."""
-    return field(default=default, metadata={"option": Option(flag, metavar, help, **details)})
-
-
-class StageOptions:
-    """The options of one stage. A list, or a single text for an option that takes several, becomes a tuple.
-
-    Raises OptionError for the first value that is not allowed.
-    """
-
-    def __post_init__(self) -> None:
-        for name, option in list_options(type(self)):
-            value = getattr(self, name)
-            if isinstance(value, list):
-                object.__setattr__(self, name, tuple(cast("list[object]", value)))
-            elif isinstance(value, str | Path) and isinstance(getattr(type(self), name), tuple):
-                object.__setattr__(self, name, (value,))
-            if problem := option.find_problem(getattr(self, name)):
-                raise OptionError(name, option.flag, option.job_key, problem)
-
-
-@cache
-def list_options(stage: type[StageOptions]) -> tuple[tuple[str, Option], ...]:
-    """Return the field names of a stage's options and the options."""
-    named = ((each.name, each.metadata.get("option")) for each in fields(cast(Any, stage)))
-    return tuple((name, option) for name, option in named if isinstance(option, Option))
 
 
 DEFAULT_PRIOR_NAME = "autoencoder"
@@ -153,6 +37,19 @@ FEET_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
 PURPOSE_ANIMATION, PURPOSE_LAB = "animation", "lab"
 PURPOSES = (PURPOSE_ANIMATION, PURPOSE_LAB)
 """what a cleaned take is for; some options have another default for a laboratory"""
+
+
+@dataclass(frozen=True)
+class PurposeOptions(StageOptions):
+    """What the cleaned take is for."""
+
+    purpose: str = define_option(
+        PURPOSE_ANIMATION, "--purpose", "animation|lab",
+        "defaults of other options: complete takes for animation, or only what measurements in a laboratory can rely on",
+        job_key="purpose", choices=PURPOSES,
+    )  # fmt: skip
+    given: tuple[str, ...] = field(default=(), compare=False)
+    """the names of the options that were given, of the purpose and of those whose default depends on it"""
 
 
 @dataclass(frozen=True)
@@ -189,82 +86,37 @@ DEFAULT_READ_OPTIONS = ReadOptions()
 
 
 @dataclass(frozen=True)
-class OutputOptions(StageOptions):
-    """Output files."""
-
-    extra_formats: tuple[str, ...] = define_option(
-        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(EXTRA_FORMAT_NAMES)}",
-        job_key="write.also", default_text="none", choices=EXTRA_FORMAT_NAMES,
-    )  # fmt: skip
-    rigs: tuple[str, ...] = define_option(
-        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(RIG_NAMES)}, or a rig's .yaml",
-        job_key="write.bvh_for", default_text="none",
-    )  # fmt: skip
-    output_rate_hz: float | None = define_option(
-        None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
-        default_text="that of the take", at_least=5.0, at_most=1000.0,
-    )  # fmt: skip
-    floor_height_m: float = define_option(
-        0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",
-        job_key="volume.floor", unit="m", is_finite=True,
-    )  # fmt: skip
-    characters: tuple[str | Path, ...] = define_option(
-        (), "--character", "PRESET|FILE",
-        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .bvh or .yaml file",
-        job_key="write.character", default_text="none",
-    )  # fmt: skip
-    character_map: str | Path | None = define_option(
-        None, "--character-map", "FILE", "YAML file with the bones of the character's body, as written beside its motion",
-        job_key="write.character_map", default_text="by the names of the bones, or the shape of the skeleton",
-    )  # fmt: skip
-
-
-__all__ = [
-    "DEFAULT_READ_OPTIONS", "PURPOSE_DEFAULTS", "PURPOSE_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions",
-    "DetectOptions", "FillOptions", "InitialiseOptions", "OutputOptions", "PriorOptions", "PurposeOptions", "ReadOptions",
-    "ReviewOptions", "SolveOptions", "SubjectOptions", "build_clean_options", "list_stages",
-]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class PurposeOptions(StageOptions):
-    """What the cleaned take is for."""
-
-    purpose: str = define_option(
-        PURPOSE_ANIMATION, "--purpose", "animation|lab",
-        "defaults of other options: complete takes for animation, or only what measurements in a laboratory can rely on",
-        job_key="purpose", choices=PURPOSES,
-    )  # fmt: skip
-    given: tuple[str, ...] = field(default=(), compare=False)
-    """the names of the options that were given, of the purpose and of those whose default depends on it"""
-
-
-@dataclass(frozen=True)
 class SubjectOptions(StageOptions):
     """The subject and its labels."""
 
     marker_set: str | Path | None = define_option(
         None, "--marker-set", "NAME|FILE", "marker set: the name of a shipped one, or a YAML file",
-        job_key="marker_set", default_text="by the labels",
+        job_key="marker_set", default_text="by the labels", is_file=True, for_markers=True,
     )  # fmt: skip
     known_sets_only: bool = define_option(
         False, "--known-sets-only", "", "learn no marker set from a take that no known one fits: clean it without a skeleton",
         job_key="known_sets_only",
     )  # fmt: skip
     subject: "str | Path | Subject | tuple[tuple[str, Path], ...] | None" = define_option(
-        None, "--subject", "FILE|NAME=FILE,...", "subject file, or one for each subject", default_text="calibrated from the take"
+        None,
+        "--subject",
+        "FILE|NAME=FILE,...",
+        "subject file, or one for each subject",
+        default_text="calibrated from the take",
+        is_file=True,
+        for_markers=True,
     )
     like: str | Path | None = define_option(
         None, "--like", "TAKE", "a labelled take of the same person, by which a take without labels is labelled",
-        default_text="none",
+        default_text="none", is_file=True,
     )  # fmt: skip
     subject_prefix: str | None = define_option(
         None, "--subject-prefix", "NAME", 'clean this one of several subjects: "Jim" of Jim:LFHD',
-        job_key="subject_prefix", default_text="every subject in turn",
+        job_key="subject_prefix", default_text="every subject in turn", for_markers=True,
     )  # fmt: skip
     hierarchy: str | Path | None = define_option(
         None, "--hierarchy", "STYLE|FILE", "naming convention of an animation's joints: a shipped one, or a YAML file",
-        job_key="hierarchy", default_text="by the joint names",
+        job_key="hierarchy", default_text="by the joint names", is_file=True,
     )  # fmt: skip
 
 
@@ -309,10 +161,11 @@ class InitialiseOptions(StageOptions):
     init_method: str = define_option(
         DEFAULT_INIT_METHOD, "--init", "METHOD",
         f"how the first pose of each frame is found: {', '.join(INIT_METHODS)}",
-        job_key="start", choices=INIT_METHODS,
+        job_key="start", choices=INIT_METHODS, for_markers=True,
     )  # fmt: skip
     is_fast: bool = define_option(
         False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
+        for_markers=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -403,6 +256,7 @@ class ContactOptions(StageOptions):
     )  # fmt: skip
     write_events: bool = define_option(
         False, "--events", "", "add foot strikes and foot offs to the EVENT group of the C3D", job_key="contacts.events",
+        for_markers=True,
     )  # fmt: skip
 
 
@@ -432,7 +286,7 @@ class FillOptions(StageOptions):
     )  # fmt: skip
     refill: bool = define_option(
         False, "--refill", "", "replace samples that another program filled if the measured ones contradict them",
-        job_key="fill.refill",
+        job_key="fill.refill", for_markers=True,
     )  # fmt: skip
     update_computed: bool = define_option(
         False, "--update-computed", "", "compute joint centres and other computed points again where their markers were changed",
@@ -445,12 +299,44 @@ class FillOptions(StageOptions):
 
 
 @dataclass(frozen=True)
+class OutputOptions(StageOptions):
+    """Output files."""
+
+    extra_formats: tuple[str, ...] = define_option(
+        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(EXTRA_FORMAT_NAMES)}",
+        job_key="write.also", default_text="none", choices=EXTRA_FORMAT_NAMES,
+    )  # fmt: skip
+    rigs: tuple[str, ...] = define_option(
+        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(RIG_NAMES)}, or a rig's .yaml",
+        job_key="write.bvh_for", default_text="none", is_file=True,
+    )  # fmt: skip
+    output_rate_hz: float | None = define_option(
+        None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
+        default_text="that of the take", at_least=5.0, at_most=1000.0,
+    )  # fmt: skip
+    floor_height_m: float = define_option(
+        0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",
+        job_key="volume.floor", unit="m", is_finite=True,
+    )  # fmt: skip
+    characters: tuple[str | Path, ...] = define_option(
+        (), "--character", "PRESET|FILE",
+        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .bvh or .yaml file",
+        job_key="write.character", default_text="none", is_file=True,
+    )  # fmt: skip
+    character_map: str | Path | None = define_option(
+        None, "--character-map", "FILE", "YAML file with the bones of the character's body, as written beside its motion",
+        job_key="write.character_map", default_text="by the names of the bones, or the shape of the skeleton",
+        is_file=True,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class ReviewOptions(StageOptions):
     """Review of earlier changes."""
 
     review_files: tuple[str | Path, ...] = define_option(
         (), "--changes", "FILE", "changes file of an earlier cleaning with your decisions; repeat for several subjects",
-        default_text="none",
+        default_text="none", is_file=True,
     )  # fmt: skip
 
 
@@ -477,11 +363,12 @@ class CleanOptions:
     def __post_init__(self) -> None:
         given = set(self.purpose.given)
         for name, usual in PURPOSE_DEFAULTS.items():
-            options, default = getattr(self, STAGE_OF_OPTION[name]), self.get_default(name)
-            if name in given or getattr(options, name) == default:
+            option, default = OPTION_BY_NAME[name], self.get_default(name)
+            value = option.get_value(self)
+            if name in given or value == default:
                 continue
-            if getattr(options, name) == usual:
-                object.__setattr__(self, STAGE_OF_OPTION[name], replace(options, **{name: default}))
+            if value == usual:
+                object.__setattr__(self, option.stage, replace(getattr(self, option.stage), **{name: default}))
             else:
                 given.add(name)
         object.__setattr__(self, "purpose", replace(self.purpose, given=tuple(sorted(given))))
@@ -495,34 +382,40 @@ class CleanOptions:
         values = {name: default for name, default in PURPOSE_DEFAULTS.items() if name not in given} | values
         stages: dict[str, dict[str, object]] = {"purpose": {"given": tuple(sorted(given))}}
         for name, value in values.items():
-            if name not in STAGE_OF_OPTION:
-                raise OptionError(name, name, name, f"is no option; the options are {format_name_list(list(STAGE_OF_OPTION))}")
-            stages.setdefault(STAGE_OF_OPTION[name], {})[name] = value
+            if name not in OPTION_BY_NAME:
+                raise OptionError(name, name, name, f"is no option; the options are {format_name_list(list(OPTION_BY_NAME))}")
+            stages.setdefault(OPTION_BY_NAME[name].stage, {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **changed) for stage, changed in stages.items()})
 
     def get_default(self, name: str) -> object:
         """Return the default of an option for the purpose of these options."""
-        stage = type(getattr(self, STAGE_OF_OPTION[name]))
-        lab_default = dict(list_options(stage))[name].lab_default
-        is_other = self.purpose.purpose == PURPOSE_LAB and lab_default is not None
-        return lab_default if is_other else getattr(stage, name)
+        option = OPTION_BY_NAME[name]
+        is_other = self.purpose.purpose == PURPOSE_LAB and option.lab_default is not None
+        return option.lab_default if is_other else option.default
+
+    def map_files(self, change: Callable[[str | Path], str | Path]) -> "CleanOptions":
+        """Return the options with every name of a file, or of something shipped, changed by a function."""
+
+        def map_value(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(
+                    (each[0], change(each[1])) if isinstance(each, tuple) else change(each)
+                    for each in cast("tuple[Any, ...]", value)
+                )
+            return change(value) if isinstance(value, str | Path) else value
+
+        values = {option.name: option.get_value(self) for option in OPTIONS if option.is_file}
+        return self.change(**{name: map_value(value) for name, value in values.items() if value})
 
 
-def list_stages() -> Iterator[tuple[str, type[StageOptions]]]:
-    """Yield the names and classes of the stages in the order of the work."""
-    for each in fields(CleanOptions):
-        yield each.name, type(cast(StageOptions, each.default))
-
-
-STAGE_OF_OPTION: dict[str, str] = {name: stage for stage, kind in list_stages() for name, _ in list_options(kind)}
-
-
-PURPOSE_DEFAULTS: dict[str, object] = {
-    name: getattr(stage, name)
-    for _, stage in list_stages()
-    for name, option in list_options(stage)
-    if option.lab_default is not None
-}
+OPTIONS = tuple(
+    replace(option, stage=stage.name)
+    for stage in fields(CleanOptions)
+    for option in list_options(type(cast(StageOptions, stage.default)))
+)
+"""all options, in the order of the work"""
+OPTION_BY_NAME = {option.name: option for option in OPTIONS}
+PURPOSE_DEFAULTS = {option.name: option.default for option in OPTIONS if option.lab_default is not None}
 """the usual default of each option whose default depends on the purpose, by the option's name"""
 PURPOSE_OPTIONS = ("purpose", *PURPOSE_DEFAULTS)
 """the options of which it matters whether they were given"""
@@ -531,3 +424,30 @@ PURPOSE_OPTIONS = ("purpose", *PURPOSE_DEFAULTS)
 def build_clean_options(**values: object) -> CleanOptions:
     """Return the default options with other values, as `CleanOptions.change`."""
     return CleanOptions().change(**values)
+
+
+def format_arguments(options: CleanOptions) -> list[str]:
+    """Return the arguments of `mocapfix clean` that are read as these options; changes files are left out."""
+    arguments: list[str] = []
+    for option in OPTIONS:
+        value = option.get_value(options)
+        if option.name != "review_files" and value != options.get_default(option.name):
+            arguments += option.format(value)
+    return arguments
+
+
+def parse_arguments(arguments: Sequence[str]) -> CleanOptions:
+    """Return the options in the arguments of an earlier cleaning, without those that this version does not have.
+
+    Raises OptionError.
+    """
+    by_flag, texts = {flag: option for option in OPTIONS for flag in (option.flag, *option.aliases)}, dict[str, list[str]]()
+    rest = list(arguments)
+    while rest:
+        flag, equals, text = rest.pop(0).partition("=")
+        option = by_flag.get(flag)
+        if option is not None and isinstance(option.default, bool):
+            texts[option.name] = []
+        elif option is not None and (equals or rest):
+            texts.setdefault(option.name, []).append(text if equals else rest.pop(0))
+    return build_clean_options(**{name: OPTION_BY_NAME[name].parse(each) if each else True for name, each in texts.items()})

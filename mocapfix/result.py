@@ -3,6 +3,7 @@
 Sentences of the report about the files that are written.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,11 +33,10 @@ from mocapfix.model.faults import Faults
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, TableLayout, Take
-from mocapfix.options import CleanOptions, OutputOptions
+from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
-from mocapfix.review.clean_arguments import build_clean_arguments
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
@@ -187,7 +187,7 @@ class CleaningResult:
         arguments: list[str] = []
         if self.input_take.path:
             requested = replace(self.requested, output=options)
-            arguments = build_clean_arguments(self.input_take.path, requested, final_folder, self._stem)
+            arguments = list_clean_arguments(self.input_take.path, requested, final_folder, self._stem)
         results = self.subject_results or (self,)
         timers = [StageTimer(dict(result.subject_report["seconds"]), report_progress) for result in results]
         with timers[0]("write"):
@@ -299,3 +299,23 @@ def check_outputs_free(
         raise WriteError(f"{source_path}: an output would replace the input file; choose another folder with --out.")
     check_outputs_absent(targets, overwrite)
     return targets
+
+
+def list_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: str) -> list[str]:
+    """Return the input and the arguments of `mocapfix clean` that clean it again in the same way, for the report.
+
+    Files are named relative to the output folder. A subject without a file is the one that was written there.
+
+    stem  of the outputs
+    """
+
+    def name_file(path: Path) -> str:
+        try:
+            return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        except ValueError:  # on another drive
+            return path.resolve().as_posix()
+
+    if options.subject.subject is not None and not isinstance(options.subject.subject, str | Path | tuple):
+        options = options.change(subject=f"{stem}.subject.yaml")
+    named = options.map_files(lambda name: name_file(Path(name)) if Path(name).is_file() else name)
+    return [name_file(path), *format_arguments(named)]

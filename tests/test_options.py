@@ -4,31 +4,33 @@ import re
 from dataclasses import replace
 
 import pytest
+import tyro
 
+from mocapfix.cli.arguments import build_options_argument, parse_options
+from mocapfix.cli.clean import STAGES
 from mocapfix.errors import OptionError
 from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.options import (
+    OPTION_BY_NAME,
+    OPTIONS,
     PURPOSE_DEFAULTS,
     REPAIRABLE_KINDS,
-    STAGE_OF_OPTION,
     CleanOptions,
     FillOptions,
     PriorOptions,
     PurposeOptions,
     ReviewOptions,
     build_clean_options,
-    list_options,
-    list_stages,
+    format_arguments,
+    parse_arguments,
 )
-
-OPTIONS = [(name, option) for _, stage in list_stages() for name, option in list_options(stage)]
 
 
 def test_every_option_has_names_of_its_own():
-    assert len(STAGE_OF_OPTION) == len(OPTIONS)
-    flags = [flag for _, option in OPTIONS for flag in (option.flag, *option.aliases)]
+    assert len(OPTION_BY_NAME) == len(OPTIONS)
+    flags = [flag for option in OPTIONS for flag in (option.flag, *option.aliases)]
     assert len(set(flags)) == len(flags)
-    keys = [option.job_key for _, option in OPTIONS if option.job_key]
+    keys = [option.job_key for option in OPTIONS if option.job_key]
     assert len(set(keys)) == len(keys)
 
 
@@ -48,11 +50,10 @@ def test_one_text_or_a_list_becomes_a_tuple():
 
 
 def test_values_in_other_units_keep_the_default_exactly():
-    for stage_name, stage in list_stages():
-        for name, option in list_options(stage):
-            default = getattr(getattr(CleanOptions(), stage_name), name)
-            restored = option.from_display(option.to_display(default))
-            assert restored == (pytest.approx(default, rel=1e-12) if isinstance(default, float) else default), name
+    for option in OPTIONS:
+        default = option.get_value(CleanOptions())
+        restored = option.from_display(option.to_display(default))
+        assert restored == (pytest.approx(default, rel=1e-12) if isinstance(default, float) else default), option.name
 
 
 def test_repairable_kinds_are_those_of_faults():
@@ -107,14 +108,53 @@ def test_given_value_wins_over_the_purpose_even_if_it_is_the_usual_default(name)
         build_clean_options(**{name: usual}).change(purpose="lab"),
         build_clean_options(purpose="lab").change(**{name: usual}).change(max_gap_s=2.0),
     ):
-        stage = STAGE_OF_OPTION[name]
-        assert getattr(getattr(lab, stage), name) == usual
-        assert getattr(getattr(replace(lab, review=ReviewOptions(("a",))), stage), name) == usual
+        option = OPTION_BY_NAME[name]
+        assert option.get_value(lab) == usual
+        assert option.get_value(replace(lab, review=ReviewOptions(("a",)))) == usual
         others = {other for other in PURPOSE_DEFAULTS if other != name}
-        assert all(getattr(getattr(lab, STAGE_OF_OPTION[other]), other) == lab.get_default(other) for other in others)
+        assert all(OPTION_BY_NAME[other].get_value(lab) == lab.get_default(other) for other in others)
 
 
 def test_stages_that_are_built_keep_their_values_with_a_purpose():
     lab = CleanOptions(purpose=PurposeOptions("lab"), fill=FillOptions(max_sd_m=0.030))
     assert (lab.fill.max_sd_m, lab.fill.max_end_sd_m) == (0.030, 0.0)
     assert CleanOptions(fill=FillOptions(max_sd_m=0.020)).change(prior="none").fill.max_sd_m == 0.020
+
+
+# as arguments
+
+
+def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
+    """Return the options that the command line reads from arguments."""
+    group = build_options_argument(STAGES)
+
+    def read(options: group) -> CleanOptions:  # pyright: ignore[reportInvalidTypeForm]
+        return parse_options(options)
+
+    return tyro.cli(read, args=arguments)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"prior": "none", "max_gap_s": 2.5},
+        {"repair_kinds": ("gap", "spike"), "keep": ("LFIN", "RFIN")},
+        {"frames": (-5, 250)},
+        {"floor_height_m": -0.125, "up_axis": "Z"},
+        {"up_axis": "-y", "unit": "in", "rate_hz": 59.94, "mirror": True, "accept_contradictions": True},
+        {"extra_formats": ("gltf", "npz"), "rigs": ("blender",), "output_rate_hz": 30.0},
+        {"is_fast": True, "refill": True, "known_sets_only": True},
+        {"robust_scales_m": (0.2, 0.07), "min_spike_m": 0.0305, "max_solve_rounds": 2},
+        {"marker_set": "cmu41", "subject_prefix": "Jim"},
+        {"max_gap_s": float("inf")},
+    ],
+)
+def test_arguments_are_read_as_the_same_options(values: dict[str, object]) -> None:
+    options = build_clean_options(**values)
+    arguments = format_arguments(options)
+    assert parse_arguments(arguments) == read_on_the_command_line(arguments) == options
+
+
+def test_arguments_of_other_versions_are_left_out() -> None:
+    assert parse_arguments(["--key-reduce=2.0", "--unheard-of", "x", "--refill"]) == build_clean_options(refill=True)

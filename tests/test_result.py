@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from mocapfix.io import capture
 from mocapfix.io.output_formats import OPTIONAL_FORMATS, list_output_formats
 from mocapfix.io.trc_csv import write_trc
 from mocapfix.model.take import TableLayout
-from mocapfix.options import RIG_NAMES, OutputOptions
-from mocapfix.result import CleaningResult
+from mocapfix.options import RIG_NAMES, OutputOptions, build_clean_options
+from mocapfix.result import CleaningResult, list_clean_arguments
+from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.conftest import FIRST_FRAME
 from tests.io.read_back import Bvh, smooth_rotations
 
@@ -177,3 +179,30 @@ def test_two_rigs_of_one_name_are_an_error(tmp_path):
     )
     with pytest.raises(WriteError, match=r"both have the suffix \.cmu\.bvh"):
         list_output_formats(OutputOptions(rigs=("cmu", str(mine))))
+
+
+# the arguments in the report, with which a take can be cleaned again in the same way
+
+
+def test_files_are_named_relative_to_the_outputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("set.yaml", "jim.yaml", "ann.yaml"):
+        Path(name).write_text("", encoding="utf-8")
+    options = build_clean_options(marker_set="set.yaml", subject=(("Jim", Path("jim.yaml")), ("Ann", Path("ann.yaml"))))
+    arguments = list_clean_arguments(Path("walk.c3d"), options, Path("out") / "deep", "walk")
+    assert arguments[1:] == ["--marker-set", "../../set.yaml", "--subject", "Jim=../../jim.yaml,Ann=../../ann.yaml"]
+    options = build_clean_options(subject="jim.yaml", review_files=("set.yaml",))
+    assert list_clean_arguments(Path("walk.c3d"), options, Path("out"), "walk") == ["../walk.c3d", "--subject", "../jim.yaml"]
+
+
+def test_arguments_are_in_the_report(tmp_path: Path) -> None:
+    path = tmp_path / "walk.c3d"
+    write_synthetic_take(path, compose_take(seconds=1.0, rate=60.0))
+    result = pipeline.clean(path, prior="none", max_gap_s=0.5)
+    subject = result.subject
+    outputs = result.write(tmp_path / "out")
+    report = json.loads(outputs["report.json"].read_text(encoding="utf-8"))
+    assert report["arguments"] == ["../walk.c3d", "--prior", "none", "--max-gap=0.5"]
+    known = pipeline.clean(path, prior="none", subject=subject).write(tmp_path / "known")
+    report = json.loads(known["report.json"].read_text(encoding="utf-8"))
+    assert report["arguments"][1:3] == ["--subject", known["subject.yaml"].name]

@@ -50,7 +50,7 @@ from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import FEET_LOCK, CleanOptions, StageOptions, SubjectOptions, list_options
+from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions, SubjectOptions
 from mocapfix.report import build_report, notes
 from mocapfix.report.build_report import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report
@@ -230,10 +230,6 @@ class AnimationResult(CleaningResult):
         return replace(comparison, contact_position_world=compute_world_poses(model, self.motion)[0][:, columns])
 
 
-MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "is_fast", "refill", "write_events")
-"""the fields of options that have no use for joints"""
-
-
 @dataclass(frozen=True)
 class AnimationBody:
     """The 31-joint skeleton in an animation: the tree of the animation's joints, parents (J,), and the alignment with it."""
@@ -388,13 +384,7 @@ def inspect_animation(animation: Animation, options: CleanOptions) -> Inspection
 
 def reject_marker_options(animation: Animation, options: CleanOptions) -> None:
     """Raise TakeError if options are given that apply to markers only."""
-    stages: tuple[StageOptions, ...] = (options.subject, options.initialise, options.contacts, options.fill)
-    given = [
-        option.flag
-        for stage in stages
-        for name, option in list_options(type(stage))
-        if name in MARKER_OPTIONS and getattr(stage, name) != getattr(type(stage), name)
-    ]
+    given = [option.flag for option in OPTIONS if option.for_markers and option.get_value(options) != option.default]
     if given:
         raise TakeError(f"{animation.name}: is an animation, which has no markers; clean it without {' and '.join(given)}.")
 

@@ -5,10 +5,9 @@ Paths are relative to the folder of the job file and may have wildcards.
 """
 
 from collections.abc import Iterable
-from dataclasses import Field as DataclassField
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
@@ -17,14 +16,13 @@ from mocapfix.io.files import check_outputs_absent, make_output_folder
 from mocapfix.io.output_formats import list_output_formats
 from mocapfix.io.shipped import is_existing_file
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.options import PURPOSE_DEFAULTS, CleanOptions, Option, build_clean_options, list_stages
+from mocapfix.option import Option
+from mocapfix.options import OPTIONS, PURPOSE_DEFAULTS, CleanOptions, build_clean_options
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 HeaderModel = TypeVar("HeaderModel", bound=StrictModel)
 WILDCARD_CHARACTERS = set("*?[")
 COMPOSED_FOLDER = "composed"  # the folder for composed takes, within the output folder
-FILE_OPTIONS = ("marker_set", "hierarchy", "characters", "character_map")
-"""options that name something shipped or a file; a file beside the job takes precedence"""
 
 
 def _check_c3d_name(value: str) -> str:
@@ -131,18 +129,15 @@ def read_cleaning_job(path: str | Path) -> CleaningJob:
 
 def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     """Return the options in a model of `build_job_model` that was read from `path`. Raises SceneError."""
-    values = header.model_dump()
     given: dict[str, object] = {}
-    for each, option in _list_job_options():
+    for option in JOB_OPTIONS:
         section, _, key = option.job_key.rpartition(".")
-        value = values[section][key] if section else values[key]
-        written = getattr(header, section).model_fields_set if section else header.model_fields_set
-        if each.name in FILE_OPTIONS and value:
-            value = _find_beside_job(path, value)
-        if key in written and not (value is None and each.name in PURPOSE_DEFAULTS):
-            given[each.name] = option.from_display(value)
+        model = getattr(header, section) if section else header
+        value = getattr(model, key)
+        if key in model.model_fields_set and not (value is None and option.name in PURPOSE_DEFAULTS):
+            given[option.name] = option.from_display(value)
     try:
-        options = build_clean_options(**given)
+        options = build_clean_options(**given).map_files(lambda name: _find_beside_job(path, name))
     except OptionError as error:
         raise SceneError(f"{path}: {error.job_key}: {error.problem}.") from error
     try:
@@ -152,11 +147,9 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     return options
 
 
-def _find_beside_job(path: Path, value: Any) -> Any:
-    """Return a name, or each of several, as the path of a file beside the job if there is one."""
-    if isinstance(value, tuple):
-        return tuple(_find_beside_job(path, each) for each in cast("tuple[Any, ...]", value))
-    return path.parent / value if is_existing_file(path.parent / value) else value
+def _find_beside_job(path: Path, name: str | Path) -> str | Path:
+    """Return the path of the file beside the job if there is one of this name; otherwise something shipped is named."""
+    return path.parent / name if is_existing_file(path.parent / name) else name
 
 
 def has_wildcards(name: str) -> bool:
@@ -182,28 +175,26 @@ def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
     return list(found)
 
 
-def _list_job_options() -> list[tuple[DataclassField[Any], Option]]:
-    """Return the fields and options that a job file can set."""
-    named = [(each, each.metadata.get("option")) for _, stage in list_stages() for each in fields(cast(Any, stage))]
-    return [(each, option) for each, option in named if isinstance(option, Option) and option.job_key]
+JOB_OPTIONS = [option for option in OPTIONS if option.job_key]
+"""the options that a job file can set"""
 
 
-def _get_yaml_type(each: DataclassField[Any]) -> Any:
+def _get_yaml_type(option: Option) -> Any:
     """Return the type of an option's value in a job file; null stands for a default that depends on the purpose."""
     finite: Any = FiniteFloat
     special: dict[Any, Any] = {float: finite, float | None: finite | None, str | Path | None: str | None}
     special[tuple[str | Path, ...]] = tuple[str, ...]
-    found: Any = next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
-    return found | None if each.name in PURPOSE_DEFAULTS else found
+    found: Any = next((yaml_type for python_type, yaml_type in special.items() if python_type == option.type), option.type)
+    return found | None if option.name in PURPOSE_DEFAULTS else found
 
 
 def build_job_model(name: str, header: type[HeaderModel]) -> type[HeaderModel]:
     """Return the model of a job file: the header and a key for every option."""
     keys: dict[str, dict[str, Any]] = {"": {}}
-    for each, option in _list_job_options():
+    for option in JOB_OPTIONS:
         section, _, key = option.job_key.rpartition(".")
-        default = None if each.name in PURPOSE_DEFAULTS else option.to_display(each.default)
-        keys.setdefault(section, {})[key] = (_get_yaml_type(each), default)
+        default = None if option.name in PURPOSE_DEFAULTS else option.to_display(option.default)
+        keys.setdefault(section, {})[key] = (_get_yaml_type(option), default)
     top = keys.pop("")
     for section, section_keys in keys.items():
         model = create_model(f"Job{section.capitalize()}", __base__=StrictModel, **section_keys)

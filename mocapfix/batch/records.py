@@ -22,7 +22,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, ValidationError
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.io.files import LOCK_TEXT_ENCODING, build_lock, hold_process_lock, make_output_folder, replace_atomically
 from mocapfix.io.yaml_files import StrictModel
-from mocapfix.options import STAGE_OF_OPTION, CleanOptions
+from mocapfix.options import CleanOptions
 
 RECORD_SUFFIX = ".record.json"
 
@@ -165,10 +165,6 @@ def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
             Path(lock.lock_file).unlink(missing_ok=True)
 
 
-FILE_OPTION_NAMES = ("marker_set", "subject", "like", "hierarchy", "review_files", "rigs", "characters", "character_map")
-"""options that may name files"""
-
-
 def hash_file(path: Path) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal."""
     with path.open("rb") as file:
@@ -195,13 +191,4 @@ def _describe(value: Any) -> Any:
 
 def resolve_option_files(options: CleanOptions) -> CleanOptions:
     """Return the options with absolute paths of the files that they name: workers have another current folder."""
-    values = {
-        name: getattr(getattr(options, stage), name) for name, stage in STAGE_OF_OPTION.items() if name in FILE_OPTION_NAMES
-    }
-    return options.change(**{name: _resolve(value) for name, value in values.items() if value})
-
-
-def _resolve(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_resolve(each) for each in cast("tuple[Any, ...]", value))
-    return Path(value).resolve() if isinstance(value, str | Path) and Path(value).is_file() else value
+    return options.map_files(lambda name: Path(name).resolve() if Path(name).is_file() else name)

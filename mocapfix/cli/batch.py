@@ -21,7 +21,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from mocapfix.batch.cluster import BatchProgress
-from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options, split_names
+from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options
 from mocapfix.cli.clean import STAGES, describe_laboratory
 from mocapfix.cli.console import (
     EXIT_DONE,
@@ -33,6 +33,7 @@ from mocapfix.cli.console import (
     stderr_console,
 )
 from mocapfix.errors import MocapfixError
+from mocapfix.option import split_names
 
 SESSION_SUFFIXES = (".yaml", ".yml")
 DEFAULT_TIMEOUT_S = 3600.0

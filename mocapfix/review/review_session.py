@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -22,7 +21,7 @@ from mocapfix.io.changes_file import ChangeModel, ChangesFileModel, CorrectionMo
 from mocapfix.io.files import hold_process_lock
 from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.model.take import Take
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
 from mocapfix.report.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.review.take_files import (
     Approval,
@@ -41,7 +40,6 @@ from mocapfix.review.take_view import TakeView, load_take_view
 
 MAX_MESSAGE_LENGTH = 1000
 END_LIMIT_S = 5.0
-OUTPUT_FLAGS = {"--also": EXTRA_FORMAT_NAMES, "--bvh-for": RIG_NAMES}
 
 
 @dataclass(frozen=True)
@@ -118,20 +116,27 @@ def build_clean_command(
 
     Raises SceneError if there is no such format or rig.
     """
-    arguments = take.arguments
-    requested = {"--also": formats, "--bvh-for": rigs}
-    for flag, names in requested.items():
-        if unknown := [name for name in names if name not in OUTPUT_FLAGS[flag]]:
-            raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(OUTPUT_FLAGS[flag])}.")
-        present = list_values(arguments, flag)
-        arguments += [argument for name in dict.fromkeys(names) if name not in present for argument in (flag, name)]
+    for names, known in ((formats, EXTRA_FORMAT_NAMES), (rigs, RIG_NAMES)):
+        if unknown := [name for name in names if name not in known]:
+            raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(known)}.")
+    output = take.options.output
+    options = take.options.change(
+        extra_formats=tuple(dict.fromkeys((*output.extra_formats, *formats))), rigs=tuple(dict.fromkeys((*output.rigs, *rigs)))
+    )
     changes = [argument for each in subjects for argument in ("--changes", each.changes_path.name)]
-    return [sys.executable, "-P", "-m", "mocapfix", "clean", *arguments, *changes, "--out", ".", "--overwrite"]
-
-
-def list_values(arguments: Sequence[str], flag: str) -> list[str]:
-    """Return all values of a flag that can be repeated."""
-    return [value for argument, value in pairwise(arguments) if argument == flag]
+    return [
+        sys.executable,
+        "-P",
+        "-m",
+        "mocapfix",
+        "clean",
+        take.arguments[0],
+        *format_arguments(options),
+        *changes,
+        "--out",
+        ".",
+        "--overwrite",
+    ]
 
 
 def explain_why_not(take: CleanedTake) -> str:
@@ -325,8 +330,8 @@ class OpenTake:
         locate_correction(correction, take, "The correction")
 
     def _describe_export(self) -> dict[str, Any]:
-        written = [*list_values(self.take.arguments, "--also"), *list_values(self.take.arguments, "--bvh-for")]
-        return {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": written}
+        output = self.take.options.output
+        return {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": [*output.extra_formats, *map(str, output.rigs)]}
 
     def _describe_state(self) -> dict[str, Any]:
         approval = read_approval(self.take)

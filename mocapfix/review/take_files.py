@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -26,6 +27,7 @@ from mocapfix.io.changes_file import (
 from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.model.faults import Decision
+from mocapfix.options import CleanOptions, parse_arguments
 
 KEPT_REPORT_KEYS = ("take", "arguments", "notes")
 
@@ -59,6 +61,11 @@ class CleanedTake:
     def arguments(self) -> list[str]:
         """The input and the options with which the take was cleaned; empty if the report does not have them."""
         return list(self.report.get("arguments", ()))
+
+    @cached_property
+    def options(self) -> CleanOptions:
+        """The options with which the take was cleaned; the files that they name are relative to the folder."""
+        return parse_arguments(self.arguments[1:])
 
     @property
     def input_path(self) -> Path | None:
@@ -112,7 +119,8 @@ def read_cleaned_take(root: Path, folder: Path, stem: str) -> CleanedTake:
         kept = {key: report[key] for key in KEPT_REPORT_KEYS if key in report}
         take = CleanedTake((folder.relative_to(root) / stem).as_posix(), folder, stem, kept)
         Path(take.name, take.subject, *take.arguments)  # raises TypeError if they are no texts
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        _ = take.options
+    except (MocapfixError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise ReadError(f"{path}: is damaged; clean the take again.") from error
     return take
 

@@ -20,7 +20,6 @@ from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
 from mocapfix.options import ReadOptions
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
-from mocapfix.review.clean_arguments import find_argument, parse_read_options
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
 
@@ -84,7 +83,7 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
 
     Raises ReadError if its files are damaged or do not belong together.
     """
-    options = replace(parse_read_options(take.arguments), accept_contradictions=True)  # the take was cleaned
+    options = replace(take.options.read, accept_contradictions=True)  # the take was cleaned
     captured = _read_file(take.input_path, options) if take.input_path else None
     after, fill_sd, animation = _select_points(_read_file(take.cleaned_path, options), captured)
     notes: list[str] = []
@@ -229,7 +228,7 @@ def _compute_joints(
         written = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
         assert isinstance(written, Animation)
         animation = written
-        shift_m = float(find_argument(take.arguments, "--floor") or 0.0)
+        shift_m = take.options.output.floor_height_m
     frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
     frames = np.minimum(frames, animation.frame_count - 1)
     positions = np.zeros((after.frame_count, len(animation.names), 3), np.float32)

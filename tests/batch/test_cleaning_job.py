@@ -7,7 +7,7 @@ import pytest
 from mocapfix.batch.job_files import JOB_MODEL, expand_paths, read_cleaning_job
 from mocapfix.errors import SceneError
 from mocapfix.io import shipped
-from mocapfix.options import CleanOptions, FillOptions, list_options, list_stages
+from mocapfix.options import OPTIONS, CleanOptions, FillOptions
 
 SHIPPED = shipped.find_shipped_folder("scenes")
 
@@ -31,7 +31,7 @@ def test_missing_keys_have_the_default_options(write_job):
 def test_shipped_session_shows_every_key_with_its_default():
     assert read_cleaning_job(SHIPPED / "session.yaml").options == CleanOptions()
     session = shipped.read_yaml(SHIPPED / "session.yaml")
-    options = [option for _, stage in list_stages() for _, option in list_options(stage) if option.job_key]
+    options = [option for option in OPTIONS if option.job_key]
     for key in (option.job_key for option in options if not option.is_expert):
         section, _, name = key.rpartition(".")
         assert name in (session[section] if section else session), key

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.cli.arguments import parse_frames, parse_subject_files
 from mocapfix.cli.clean import describe_laboratory
 from mocapfix.cli.console import COMPILATION_MESSAGE
 from mocapfix.kernels import precompilation
+from mocapfix.option import parse_frames, parse_subject_files
 from mocapfix.options import build_clean_options
 from tests.c3d_files import c3d_bytes
 from tests.conftest import build_c3d
