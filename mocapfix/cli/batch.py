@@ -8,7 +8,7 @@ In a pipe or a log file, a line at most every few seconds takes the place of the
 import os
 import shlex
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,15 +34,51 @@ from mocapfix.cli.console import (
 )
 from mocapfix.errors import MocapfixError
 from mocapfix.option import split_names
+from mocapfix.options import CleanOptions
 
 SESSION_SUFFIXES = (".yaml", ".yml")
-DEFAULT_TIMEOUT_S = 3600.0
-DEFAULT_MEMORY_MB = 4000.0
-DEFAULT_RETRIES = 1
 if TYPE_CHECKING:
+    from mocapfix.batch.records import TakeRecord
+    from mocapfix.batch.take_list import Session
+
     BatchArguments = object
 else:
     BatchArguments = build_options_argument(STAGES, without=("review_files",))
+
+
+@dataclass(frozen=True)
+class RunArguments:
+    """Workers, limits and what is repeated."""
+
+    workers: Annotated[int | None, describe_option("N", "worker processes, or Slurm jobs", "one a core")] = None
+    scheduler: Annotated[str | None, describe_option("ADDRESS", "use the Dask scheduler that runs there", "none")] = None
+    slurm: Annotated[
+        FlagOption, tyro.conf.arg(help="start the workers as Slurm jobs (jobqueue.slurm of Dask's configuration)")
+    ] = False
+    ssh: Annotated[str, tyro.conf.arg(metavar="HOST,...", help="start the workers on these computers over SSH")] = ""
+    timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="end a take after this time")] = 3600.0
+    memory: Annotated[float, tyro.conf.arg(metavar="MB", help="end a take that needs more memory")] = 4000.0
+    retries: Annotated[int, tyro.conf.arg(metavar="N", help="repeat a take whose process crashed, this often")] = 1
+    repeat_failed: Annotated[FlagOption, tyro.conf.arg(help="clean takes that failed again, although nothing changed")] = False
+    people: Annotated[
+        Literal["session", "each-take"], tyro.conf.arg(help="calibrate each person from all takes, or in each take alone")
+    ] = "session"
+    resume: Annotated[bool, tyro.conf.arg(help="skip takes that are done and unchanged")] = True
+
+    def find_problem(self) -> str:
+        """Return what is wrong with the arguments; "" if they are allowed."""
+        if sum((self.scheduler is not None, self.slurm, bool(self.ssh))) > 1:
+            return "Give one of --scheduler, --slurm and --ssh."
+        if self.workers is not None and self.workers < 1:
+            return f"--workers must be at least 1, not {self.workers}."
+        if not self.timeout > 0:
+            return f"--timeout must be greater than 0 s, not {self.timeout:g}."
+        if not self.memory > 0:
+            return f"--memory must be greater than 0 MB, not {self.memory:g}."
+        return f"--retries must be at least 0, not {self.retries}." if self.retries < 0 else ""
+
+
+DEFAULT_RUN = RunArguments()
 
 
 def run_batch(
@@ -55,21 +91,7 @@ def run_batch(
         Path, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="folder for outputs and records")
     ],
     options: BatchArguments,
-    *,
-    workers: Annotated[int | None, describe_option("N", "worker processes, or Slurm jobs", "one a core")] = None,
-    scheduler: Annotated[str | None, describe_option("ADDRESS", "use the Dask scheduler that runs there", "none")] = None,
-    slurm: Annotated[
-        FlagOption, tyro.conf.arg(help="start the workers as Slurm jobs (jobqueue.slurm of Dask's configuration)")
-    ] = False,
-    ssh: Annotated[str, tyro.conf.arg(metavar="HOST,...", help="start the workers on these computers over SSH")] = "",
-    timeout: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="end a take after this time")] = DEFAULT_TIMEOUT_S,
-    memory: Annotated[float, tyro.conf.arg(metavar="MB", help="end a take that needs more memory")] = DEFAULT_MEMORY_MB,
-    retries: Annotated[int, tyro.conf.arg(metavar="N", help="repeat a take whose process crashed, this often")] = DEFAULT_RETRIES,
-    repeat_failed: Annotated[FlagOption, tyro.conf.arg(help="clean takes that failed again, although nothing changed")] = False,
-    people: Annotated[
-        Literal["session", "each-take"], tyro.conf.arg(help="calibrate each person from all takes, or in each take alone")
-    ] = "session",
-    resume: Annotated[bool, tyro.conf.arg(help="skip takes that are done and unchanged")] = True,
+    run: Annotated[tyro.conf.OmitArgPrefixes[RunArguments], tyro.conf.arg(name="")] = DEFAULT_RUN,
 ) -> int:
     """Clean all takes of a session, on all cores or on a cluster, and write a page on them.
 
@@ -82,11 +104,8 @@ def run_batch(
         return print_usage_error("batch: needs Linux or macOS; on Windows run it in WSL, or use `mocapfix clean`.")
     if not takes:
         return print_usage_error("batch: name a folder, a pattern or a session file.")
-    if sum((scheduler is not None, slurm, bool(ssh))) > 1:
-        return print_usage_error("Give one of --scheduler, --slurm and --ssh.")
-    limits_problem = find_limits_problem(workers, timeout, memory, retries)
-    if limits_problem:
-        return print_usage_error(limits_problem)
+    if problem := run.find_problem():
+        return print_usage_error(problem)
     parsed = parse_options(options)
     try:
         list_output_formats(parsed.output)
@@ -95,69 +114,68 @@ def run_batch(
 
     from mocapfix.batch.cluster import ClusterOptions, check_dask_installed
 
-    cluster = ClusterOptions(workers, scheduler, slurm, split_names([ssh]))
+    cluster = ClusterOptions(run.workers, run.scheduler, run.slurm, split_names([run.ssh]))
     check_dask_installed(cluster)
     from mocapfix.batch.child_process import JobLimits
     from mocapfix.batch.run_session import BatchSettings, run_session
-    from mocapfix.batch.session_page import PAGE_NAME, write_session_page
-    from mocapfix.batch.take_list import find_takes
+    from mocapfix.batch.session_page import write_session_page
+    from mocapfix.batch.take_list import read_session_file
     from mocapfix.subject.library import load_requested_subject
 
-    if len(takes) == 1 and Path(takes[0]).suffix.lower() in SESSION_SUFFIXES:
-        from mocapfix.batch.take_list import read_session_file
-        from mocapfix.options import CleanOptions
-
-        if parsed != CleanOptions():
-            return print_usage_error("With a session file the options of cleaning are in that file.")
-        session = read_session_file(Path(takes[0]))
-        title, found, parsed, named_people = session.title, session.takes, session.options, session.people
-    else:
-        listed = find_takes(takes, output_folder)
-        title, found, named_people = "", listed.takes, {}
-        for path in listed.unreadable:
-            print_error(f"{path}: cannot be read, so its takes are not cleaned; check its permissions.")
-        for path in listed.skipped:
-            print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
-    load_requested_subject(parsed.subject)  # a name that is wrong is so for all takes
+    is_session = len(takes) == 1 and Path(takes[0]).suffix.lower() in SESSION_SUFFIXES
+    if is_session and parsed != CleanOptions():
+        return print_usage_error("With a session file the options of cleaning are in that file.")
+    session = read_session_file(Path(takes[0])) if is_session else list_session(takes, output_folder, parsed)
+    load_requested_subject(session.options.subject)  # a name that is wrong is so for all takes
     settings = BatchSettings(
         output_folder,
-        parsed,
-        JobLimits(timeout, memory, retries),
+        session.options,
+        JobLimits(run.timeout, run.memory, run.retries),
         cluster,
-        resume,
-        repeat_failed,
-        each_take_alone=people == "each-take",
-        people=named_people,
+        run.resume,
+        run.repeat_failed,
+        each_take_alone=run.people == "each-take",
+        people=session.people,
     )
-    if scheduler is None and not slurm and not ssh:
+    if run.scheduler is None and not run.slurm and not run.ssh:
         compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:
-        records = run_session(found, settings, progress, partial(write_session_page, title=title))
-    failed_count = sum(record.status == "failed" for record in records)
-    for record in records:
-        if record.status == "failed" and record.take not in progress.shown_failures:
+        records = run_session(session.takes, settings, progress, partial(write_session_page, title=session.title))
+    return print_outcome(records, progress.shown_failures, output_folder, session.options)
+
+
+def list_session(names: Sequence[str], output_folder: Path, options: CleanOptions) -> "Session":
+    """Return the takes in folders and patterns as a session, and print which files are left out."""
+    from mocapfix.batch.take_list import Session, find_takes
+
+    listed = find_takes(names, output_folder)
+    for path in listed.unreadable:
+        print_error(f"{path}: cannot be read, so its takes are not cleaned; check its permissions.")
+    for path in listed.skipped:
+        print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
+    return Session("", listed.takes, {}, options)
+
+
+def print_outcome(
+    records: "Sequence[TakeRecord]", shown_failures: Mapping[str, str], output_folder: Path, options: CleanOptions
+) -> int:
+    """Print what became of the takes, with the failures that were not shown yet; return the exit status."""
+    from mocapfix.batch.session_page import PAGE_NAME
+
+    failed = [record for record in records if record.status == "failed"]
+    for record in failed:
+        if record.take not in shown_failures:
             print_error(f"{record.take} failed in an earlier batch (--repeat-failed cleans it again): {record.error}")
     print_line(
-        f"{len(records) - failed_count:,} of {len(records):,} takes are done, {failed_count:,} failed. "
+        f"{len(records) - len(failed):,} of {len(records):,} takes are done, {len(failed):,} failed. "
         f"Page: {escape(str(output_folder / PAGE_NAME))}"
     )
     laboratory = {record.take: next((each.laboratory for each in record.subjects if each.laboratory), "") for record in records}
-    if note := describe_laboratory(laboratory, parsed):
+    if note := describe_laboratory(laboratory, options):
         print_line(escape(note))
-    if failed_count < len(records):
+    if len(failed) < len(records):
         print_line(f"To look at the changes in the browser: mocapfix review {escape(shlex.quote(str(output_folder)))}")
-    return EXIT_FAILED if failed_count else EXIT_DONE
-
-
-def find_limits_problem(workers: int | None, timeout_s: float, memory_mb: float, retries: int) -> str:
-    """Return what is wrong with the numbers of the command; "" if they are allowed."""
-    if workers is not None and workers < 1:
-        return f"--workers must be at least 1, not {workers}."
-    if not timeout_s > 0:
-        return f"--timeout must be greater than 0 s, not {timeout_s:g}."
-    if not memory_mb > 0:
-        return f"--memory must be greater than 0 MB, not {memory_mb:g}."
-    return f"--retries must be at least 0, not {retries}." if retries < 0 else ""
+    return EXIT_FAILED if failed else EXIT_DONE
 
 
 MAX_SHOWN_JOBS = 3
