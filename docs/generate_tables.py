@@ -7,7 +7,7 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from mocapfix.lab.baseline import get_baseline_path, read_baseline
+from mocapfix.lab.baseline import read_baseline
 from mocapfix.option import Option
 from mocapfix.options import OPTIONS, CleanOptions
 
@@ -46,7 +46,7 @@ def format_default(value: object, option: Option) -> str:
 def build_baseline_table() -> str:
     """Return the committed baseline as a table."""
     rows = ["| quantity | value | tolerance |", "|---|---:|---:|"]
-    for name, entry in read_baseline(get_baseline_path()).items():
+    for name, entry in read_baseline(DOCS.parent / "scenes/bench/baseline.json").items():
         tolerances = [f"{entry.tolerance_percent:g} %"] if entry.tolerance_percent else []
         tolerances += [f"{entry.tolerance:g}"] if entry.tolerance else []
         rows.append(f"| {name} | {entry.value:.4g} | {' or '.join(tolerances)} |")
