@@ -2,7 +2,7 @@
 
 capture         read any format
 coordinates     units, axes and handedness: the one place where files become metres with Y up
-c3d, c3d_writer, points, force_plates
+c3d, c3d_parameters, c3d_blocks, c3d_events, force_plates, points
 marker_table    what text tables of markers share: trc_csv, and vendor_tables of Motive, Nexus and Qualisys
 bvh, asf_amc, rig, keypoint_json, npz
 gltf, character_files

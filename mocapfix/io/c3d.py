@@ -1,5 +1,11 @@
-"""Read a C3D file: its point block as one NumPy view, converted to a take in metres with Y up."""
+"""Read a C3D file: its point block as one NumPy view, converted to a take in metres with Y up; and write a new one.
 
+A new file has Intel floats, a header, the groups POINT and TRIAL, and the samples (c3d.org, "The C3D file format", sections 2 to
+4). The bytes are built here, because the libraries that write C3D lose residual words or long takes.
+"""
+
+import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -7,10 +13,23 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.body_evidence import inspect_points
 from mocapfix.io.c3d_blocks import locate_samples
-from mocapfix.io.c3d_parameters import C3dParameters, read_c3d_parameters
+from mocapfix.io.c3d_parameters import (
+    FLOAT_TYPE,
+    MAGIC_BYTE,
+    MAX_PARAMETER_BLOCKS,
+    MAX_TEXTS_PER_PARAMETER,
+    WORD_TYPE,
+    C3dParameters,
+    build_group_record,
+    build_list_records,
+    build_number_record,
+    build_text_record,
+    join_records,
+    read_c3d_parameters,
+)
 from mocapfix.io.conventions import DeclaredConvention, decide_convention
 from mocapfix.io.coordinates import (
     METRES_PER_UNIT,
@@ -18,6 +37,7 @@ from mocapfix.io.coordinates import (
     find_valid_points,
     get_metres_per_unit,
 )
+from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, choose_rate
 from mocapfix.io.points import (
     DeclaredPoints,
@@ -28,17 +48,17 @@ from mocapfix.io.points import (
     detect_uncaptured_samples,
     find_computed_markers,
 )
-from mocapfix.model.take import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout, Take
+from mocapfix.io.source_file import FileFrame, get_file_frame
+from mocapfix.model.take import C3D_BLOCK_BYTES, INTEL_PROCESSOR, MAX_C3D_WORD, MAX_RESIDUAL_COUNTS, C3dLayout, Take
 from mocapfix.options import ReadOptions
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 MAX_BLOCK_SAMPLES = 1 << 17  # that are converted at once
-C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
 
 
 def is_c3d(head: bytes) -> bool:
     """Return whether a file with this beginning is a C3D."""
-    return len(head) > 1 and head[1] == C3D_MAGIC_BYTE and b"\0" in head
+    return len(head) > 1 and head[1] == MAGIC_BYTE and b"\0" in head
 
 
 def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
@@ -180,3 +200,91 @@ def _find_stated_rate(parameters: C3dParameters, layout: C3dLayout) -> tuple[flo
     if np.isclose(by_analog, other, rtol=MAX_RATE_CONTRADICTION) and not np.isclose(by_analog, rate, rtol=MAX_RATE_CONTRADICTION):
         return other, (f"POINT:RATE says {rate:g} Hz; the header and the analog rate say {other:g} Hz, which was used.",)
     return rate, (f"The header says {other:g} Hz; POINT:RATE, {rate:g} Hz, was used.",)
+
+
+RESIDUAL_COUNT_M = 1e-4  # metres per count of the residual
+MISSING_RESIDUAL = -1  # residual word of a missing sample
+MEASURED_RESIDUAL = 0  # residual word of a measured sample
+UNKNOWN_SD_RESIDUAL = 1  # residual word of an estimated sample without a standard deviation
+RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # axis that points right, by the index of the up axis
+
+
+def write_c3d(target: str | Path, take: Take) -> None:
+    """Write the markers of a take, followed by its unlabelled trajectories, in the unit and axes of the source file.
+
+    A measured sample has the residual word 0. An estimated one has its predicted standard deviation in counts of 0.1 mm, clamped
+    to 1..255, and camera mask 0. A missing one has coordinates 0 and residual -1. Labels beyond 255 are stored in LABELS2 and so
+    on, and frame numbers beyond 65535 in TRIAL and POINT:LONG_FRAMES. C3D counts frames from 0 on, so a take whose frame numbers
+    are negative is numbered from 1.
+
+    Raises:
+        WriteError: If the take has more or longer labels than a C3D can hold, or `target` is not writable.
+    """
+    target, frame = Path(target), get_file_frame(take)
+    labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
+    encoded = [label.encode("utf-8") or b" " for label in labels]
+    if too_long := next((label for label in encoded if len(label) > MAX_TEXTS_PER_PARAMETER), None):
+        problem = f"the label {too_long.decode()[:30]}... is longer than the {MAX_TEXTS_PER_PARAMETER} bytes a C3D can hold"
+        raise WriteError(f"{target}: {problem}; shorten it.")
+    first = take.first_frame if take.first_frame >= 0 else 1
+    last, point_count = first + take.frame_count - 1, len(labels)
+    data_block = 2 + len(_encode_parameters(frame, take, encoded, first, 0)) // C3D_BLOCK_BYTES
+    if point_count > MAX_C3D_WORD or data_block - 2 > MAX_PARAMETER_BLOCKS:
+        problem = f"{point_count} points with such labels are more than a C3D can hold"
+        raise WriteError(f"{target}: {problem}; write another format.")
+    scale, ends = RESIDUAL_COUNT_M / frame.unit_m, (min(first, MAX_C3D_WORD), min(last, MAX_C3D_WORD))
+    header = struct.pack("<BBHHHHHfHHf", 2, MAGIC_BYTE, point_count, 0, *ends, 0, -scale, data_block, 0, take.rate)
+    with replace_atomically(target) as part, part.open("wb") as file:
+        file.write(_pad_to_block(header) + _encode_parameters(frame, take, encoded, first, data_block))
+        data = _build_words(frame, take).tobytes()
+        # If the header cannot give the last frame, ezc3d reads padding in the last block as frames.
+        file.write(data if last > MAX_C3D_WORD else _pad_to_block(data))
+
+
+def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], first: int, data_block: int) -> bytes:
+    """Return the groups POINT and TRIAL in complete blocks. `data_block` is the number of the first block of samples."""
+    last, up = first + take.frame_count - 1, int(np.abs(frame.rotation_y_up_file[1]).argmax())
+    up_axis = f"{'+' if frame.rotation_y_up_file[1, up] > 0 else '-'}{'XYZ'[up]}"
+    point = [
+        build_group_record("POINT", 1),
+        build_number_record("USED", 1, WORD_TYPE, (), [len(labels)]),
+        build_number_record("FRAMES", 1, WORD_TYPE, (), [min(take.frame_count, MAX_C3D_WORD)]),
+        build_number_record("LONG_FRAMES", 1, FLOAT_TYPE, (), [take.frame_count]),
+        build_number_record("DATA_START", 1, WORD_TYPE, (), [data_block]),
+        build_number_record("SCALE", 1, FLOAT_TYPE, (), [-RESIDUAL_COUNT_M / frame.unit_m]),
+        build_number_record("RATE", 1, FLOAT_TYPE, (), [take.rate]),
+        build_text_record("UNITS", 1, frame.unit_name.encode()),
+        build_text_record("X_SCREEN", 1, RIGHT_AXIS_NAMES[up].encode()),
+        build_text_record("Y_SCREEN", 1, up_axis.encode()),
+        *build_list_records("LABELS", 1, labels),
+        *build_list_records("DESCRIPTIONS", 1, [b" "] * len(labels)),
+    ]
+    trial = [
+        build_group_record("TRIAL", 2),
+        build_number_record("ACTUAL_START_FIELD", 2, WORD_TYPE, (2,), [first, first >> 16]),
+        build_number_record("ACTUAL_END_FIELD", 2, WORD_TYPE, (2,), [last, last >> 16]),
+        build_number_record("CAMERA_RATE", 2, FLOAT_TYPE, (), [take.rate]),
+    ]
+    records = join_records((*point, *trial))
+    blocks = len(_pad_to_block(bytes(4) + records)) // C3D_BLOCK_BYTES
+    return _pad_to_block(struct.pack("BBBB", 1, MAGIC_BYTE, min(blocks, MAX_PARAMETER_BLOCKS), INTEL_PROCESSOR) + records)
+
+
+def _pad_to_block(data: bytes) -> bytes:
+    """Return the data followed by zeros up to the end of its last block."""
+    return data + bytes(-len(data) % C3D_BLOCK_BYTES)
+
+
+def _build_words(frame: FileFrame, take: Take) -> Float[np.ndarray, "T P 4"]:
+    """Return X, Y, Z in the unit and axes of the file and the residual word, for markers and unlabelled trajectories."""
+    unlabelled = take.unlabelled.markers if take.unlabelled else np.zeros((take.frame_count, 0, 3))
+    xyz = frame.compute_coordinates(np.concatenate([take.markers, unlabelled], axis=1))
+    words = np.zeros((*xyz.shape[:2], 4), "<f4")
+    words[..., :3] = xyz
+    residual_words = np.where(take.measured | ~take.visible, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL).astype(float)
+    if take.sample_sd is not None:
+        residuals = np.clip(np.rint(take.sample_sd / RESIDUAL_COUNT_M), 1, MAX_RESIDUAL_COUNTS)
+        residual_words = np.where(np.isnan(residuals), residual_words, residuals)
+    words[:, : len(take.labels), 3] = residual_words
+    words[np.isnan(xyz).any(-1)] = (0, 0, 0, MISSING_RESIDUAL)
+    return words

@@ -1,12 +1,12 @@
 """Read the vertical forces of the force plates in a C3D file (C3D User Guide, "The FORCE_PLATFORM Group")."""
 
+import struct
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.io.c3d_parameters import LenientReader, open_c3d_reader, read_texts
+from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.model.take import MAX_C3D_WORD, C3dLayout
 
 VERTICAL_CHANNELS = {1: (2,), 2: (2,), 3: (4, 5, 6, 7), 4: (2,)}
@@ -39,26 +39,25 @@ def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list
         return []
     try:
         return _read_plates(data, layout, frame_rate)
-    except Exception:  # the library fails on damaged parameters with exceptions of any kind; the markers are read already
+    except (ValueError, IndexError, struct.error):  # damaged parameters; the markers are read already
         return []
 
 
 def _read_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
-    reader = open_c3d_reader(data)
-    analog = read_analog(data, layout, reader)
-    types = np.ravel(_read_values(reader, "FORCE_PLATFORM:TYPE")).astype(int)
-    channels = _read_values(reader, "FORCE_PLATFORM:CHANNEL").astype(int)  # (channels, plates) in the file, plates first here
-    corners = _read_values(reader, "FORCE_PLATFORM:CORNERS").reshape(-1, 4, 3)
-    channels = channels.reshape(len(types), -1)
+    head = C3dHead(data)
+    analog = read_analog(head, layout)
+    types = np.array(head.read_numbers("FORCE_PLATFORM:TYPE"), int)
+    channels = np.array(head.read_numbers("FORCE_PLATFORM:CHANNEL"), int).reshape(len(types), -1)
+    corners = np.array(head.read_numbers("FORCE_PLATFORM:CORNERS")).reshape(-1, 4, 3)
     rate = frame_rate * analog.shape[1]
-    zero = np.ravel(_read_values(reader, "FORCE_PLATFORM:ZERO")).astype(int) if reader.get("FORCE_PLATFORM:ZERO") else np.zeros(0)
+    zero = [int(number) for number in head.read_numbers("FORCE_PLATFORM:ZERO")]
     plates: list[ForcePlate] = []
     for index, kind in enumerate(types):
         if kind not in VERTICAL_CHANNELS:
             continue
         values = analog.reshape(-1, analog.shape[2])[:, channels[index][channels[index] > 0] - 1]
         if kind == CALIBRATED_TYPE:
-            matrix = _read_values(reader, "FORCE_PLATFORM:CAL_MATRIX").reshape(len(types), 6, 6)[index]
+            matrix = np.array(head.read_numbers("FORCE_PLATFORM:CAL_MATRIX")).reshape(len(types), 6, 6)[index]
             values = values[:, :6] @ matrix
         force = values[:, VERTICAL_CHANNELS[int(kind)]].sum(1)
         if len(zero) == 2 and 0 < zero[0] <= zero[1]:
@@ -70,26 +69,16 @@ def _read_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[Forc
     return plates
 
 
-def read_analog(data: bytes, layout: C3dLayout, reader: LenientReader) -> Float[np.ndarray, "T S C"]:
-    """Return the analog channels: frames, samples per frame, channels, in the units of the channels."""
-    channel_count = int(np.ravel(_read_values(reader, "ANALOG:USED"))[0])
-    is_unsigned = any("UNSIGNED" in text.upper() for text in read_texts(reader, "ANALOG:FORMAT"))
-    words = layout.view_analog_words(data)
+def read_analog(head: C3dHead, layout: C3dLayout) -> Float[np.ndarray, "T S C"]:
+    """Return the analog channels of a file: frames, samples per frame, channels, in the units of the channels."""
+    channel_count = int(head.read_numbers("ANALOG:USED")[0])
+    is_unsigned = any("UNSIGNED" in text.upper() for text in head.read_texts("ANALOG:FORMAT"))
+    words = layout.view_analog_words(head.data)
     if is_unsigned and not layout.is_float:
         words = words.view(words.dtype.str.replace("i", "u"))
     samples = layout.analog_word_count // channel_count
     values = layout.decode_words(words[:, : samples * channel_count]).reshape(-1, samples, channel_count)
-    scale = np.ravel(_read_values(reader, "ANALOG:SCALE"))[:channel_count]
-    offset = np.ravel(_read_values(reader, "ANALOG:OFFSET"))[:channel_count]
+    scale, offset = (np.array(head.read_numbers(f"ANALOG:{name}"))[:channel_count] for name in ("SCALE", "OFFSET"))
     if is_unsigned:
         offset = np.where(offset < 0, offset + MAX_C3D_WORD + 1, offset)
-    general = float(np.ravel(_read_values(reader, "ANALOG:GEN_SCALE"))[0])
-    return (values - offset) * scale * general
-
-
-def _read_values(reader: LenientReader, name: str) -> np.ndarray:
-    """Return the numbers of a parameter as the file stores them: floats, or words. Raises an error if it is missing."""
-    parameter: Any = reader.get(name)
-    if parameter.bytes_per_element == 4:
-        return np.asarray(parameter.float_array if parameter.dimensions else [parameter.float_value], float)
-    return np.asarray(parameter.int16_array if parameter.dimensions else [parameter.int16_value], float)
+    return (values - offset) * scale * head.read_numbers("ANALOG:GEN_SCALE")[0]

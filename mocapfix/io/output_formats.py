@@ -21,7 +21,7 @@ from mocapfix.errors import WriteError
 from mocapfix.io import rig
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, write_changes_file
 from mocapfix.io.files import get_source_suffixes, replace_atomically
 from mocapfix.io.gltf import write_gltf

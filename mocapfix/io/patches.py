@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.errors import REPORT_REQUEST, WriteError
 from mocapfix.io.c3d_blocks import locate_samples
-from mocapfix.io.c3d_parameters import open_c3d_reader, read_c3d_parameters
+from mocapfix.io.c3d_parameters import C3dHead, read_c3d_parameters
 from mocapfix.io.coordinates import find_valid_points
 from mocapfix.io.file_content import convert_to_utf_8, has_decimal_commas, restore_encoding
 from mocapfix.io.files import replace_atomically
@@ -300,19 +300,10 @@ def _check_head(
     for index in range(C3D_BLOCK_BYTES):
         if old[index] != new[index] and index not in header_bytes:
             raise refuse(f"byte {index + 1} of its header")
-    old_parameters, new_parameters = _list_parameters(old), _list_parameters(new)
+    old_parameters, new_parameters = C3dHead(old).parameters, C3dHead(new).parameters
     for name in {**old_parameters, **new_parameters}:
         if old_parameters.get(name) != new_parameters.get(name) and not may_change(name):
             raise refuse(f"its parameter {name}")
-
-
-def _list_parameters(data: bytes) -> Mapping[str, tuple[object, ...]]:
-    """Return type, dimensions and bytes of each parameter."""
-    return {
-        f"{group_name}:{name}": (each.bytes_per_element, tuple(each.dimensions), bytes(each.bytes)[: each.total_bytes])
-        for group_name, group in open_c3d_reader(data).group_items()
-        for name, each in group.param_items()
-    }
 
 
 def _open_source(take: Take) -> BinaryIO:

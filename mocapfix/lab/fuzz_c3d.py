@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from mocapfix.errors import ReadError
-from mocapfix.io.c3d_events import C3dHead, read_c3d_events
-from mocapfix.io.c3d_parameters import open_c3d_reader
+from mocapfix.io.c3d_events import read_c3d_events
+from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.io.capture import read_take
 from mocapfix.io.force_plates import read_analog
 from mocapfix.io.output_formats import write_cleaned_copy
@@ -232,7 +232,7 @@ class C3dCase:
             return np.zeros(self.content.analog_words.shape)
         layout = read_take(path, READ_OPTIONS).layout
         assert isinstance(layout, C3dLayout)
-        return read_analog(self.data, layout, open_c3d_reader(self.data))
+        return read_analog(C3dHead(self.data), layout)
 
     def _compare_copy(self, take: Take, target: Path) -> None:
         """Raise AssertionError if a copy with some changed samples differs in any other byte."""

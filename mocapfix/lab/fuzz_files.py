@@ -17,7 +17,7 @@ import numpy as np
 
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CorrectionModel, Review, locate_correction, write_changes_file
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.trc_csv import write_csv, write_trc

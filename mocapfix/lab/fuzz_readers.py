@@ -26,7 +26,7 @@ from mocapfix.batch.job_files import read_cleaning_job
 from mocapfix.errors import SceneError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import write_bvh
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import read_changes_file
 from mocapfix.io.rig import load_rig

@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 
 from mocapfix.errors import ReadError
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.model.take import Take
 from mocapfix.synthetic import compose_take
 

@@ -20,9 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.io import patches, source_file
-from mocapfix.io.c3d_parameters import read_c3d_parameters
-from mocapfix.io.c3d_writer import replace_point_parameters
+from mocapfix.io import patches, trc_csv
+from mocapfix.io.c3d_parameters import read_c3d_parameters, replace_point_parameters
 from mocapfix.io.capture import read_capture, read_capture_bytes
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.file_content import read_file_bytes
@@ -162,7 +161,7 @@ def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labe
     labelled = replace(
         take, markers=positions, labels=labels, unlabelled=None, computed_points=None, point_columns=np.zeros(0, int)
     )
-    write = source_file.write_trc if take.path and take.path.suffix.lower() == ".trc" else source_file.write_csv
+    write = trc_csv.write_trc if take.path and take.path.suffix.lower() == ".trc" else trc_csv.write_csv
     with make_scratch_folder() as folder:
         path = folder / "labelled"
         write(path, labelled)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject

@@ -12,13 +12,13 @@ import mocapfix
 from mocapfix.contacts.contacts import GaitEvent
 from mocapfix.io.c3d_events import (
     MAX_EVENTS,
-    C3dHead,
     FileEvent,
     add_c3d_events,
     read_c3d_events,
     read_gait_events,
     read_header_events,
 )
+from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.io.capture import read_take
 from mocapfix.options import ReadOptions
 from tests.c3d_files import ENCODINGS, c3d_bytes, get_layout

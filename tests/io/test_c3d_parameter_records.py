@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mocapfix.contacts.contacts import GaitEvent
-from mocapfix.io.c3d_events import C3dHead, add_c3d_events, read_c3d_events
-from mocapfix.io.c3d_writer import replace_point_parameters
+from mocapfix.io.c3d_events import add_c3d_events, read_c3d_events
+from mocapfix.io.c3d_parameters import C3dHead, replace_point_parameters
 from mocapfix.io.capture import read_take
 from mocapfix.options import ReadOptions
 from tests.c3d_files import c3d_bytes, get_layout

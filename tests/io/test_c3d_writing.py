@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from mocapfix.errors import WriteError
 from mocapfix.io import capture
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.model.take import C3dLayout, TableLayout, Take
 from tests.text_files import LABELS, STANDING, trc
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import pipeline, synthetic
 from mocapfix.errors import TakeError
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.reference_labeller import build_reference_markers, label_points_like
 from mocapfix.labels.tracklets import find_tracklets

@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix import pipeline, synthetic
 from mocapfix.errors import TakeError
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_take
 from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.lab.label_recovery import remove_labels

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.label_recovery import TwoPersonTake, UnlabelledKind, UnlabelledTake, place_two_people, remove_labels
 from mocapfix.labels.labeller import assign_to_people, label_people, label_points, separate_people
 from mocapfix.labels.points import PointLabels, UnlabelledPoints
