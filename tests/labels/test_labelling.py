@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import pipeline
 from mocapfix.errors import TakeError
-from mocapfix.io.c3d_writer import write_c3d
+from mocapfix.io.c3d import write_c3d
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, build_clean_options
