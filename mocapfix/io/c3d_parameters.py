@@ -99,7 +99,7 @@ class C3dHead:
                 raise ValueError("a parameter has a negative length")
             start, is_last = name_end + 2, offset < 2
             end = start + _measure_content(self.data, start, group) if is_last else name_end + offset
-            name = decode_text(self.data[at + 2 : name_end]).upper()
+            name = _decode_text(self.data[at + 2 : name_end]).upper()
             records.append(ParameterRecord(name, group, self.data[at:name_end], self.data[start:end]))
             at = max(end, stop_byte) if is_last else end
         return records, at
@@ -132,7 +132,7 @@ class C3dHead:
         width, *counts = parameter.dimensions if len(parameter.dimensions) > 1 else (len(parameter.data),)
         count = min(math.prod(counts), MAX_C3D_WORD)
         texts = (parameter.data[k * width : (k + 1) * width] for k in range(count))
-        return [decode_text(text).strip(TEXT_PADDING) for text in texts]
+        return [_decode_text(text).strip(TEXT_PADDING) for text in texts]
 
     def read_text_series(self, name: str) -> list[str]:
         """Return a list that is spread over NAME, NAME2, NAME3 ...: a parameter has at most 255 texts."""
@@ -208,7 +208,7 @@ class C3dHead:
         return bytes(start + section + join(data_block)).ljust(C3D_BLOCK_BYTES * (data_block - 1), b"\0")
 
 
-def decode_text(data: bytes) -> str:
+def _decode_text(data: bytes) -> str:
     """Return a text in UTF-8, or else in Latin-1."""
     try:
         return data.decode("utf-8")
