@@ -209,19 +209,21 @@ def test_forbidden_words_are_not_used() -> None:
     """The words stand in pyproject.toml: those of names, and regular expressions of phrases in code and documentation."""
     root = PACKAGE.parent
     forbidden = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["forbidden-words"]
-    tests = {path.stem: ast.parse(path.read_text(encoding="utf-8")) for path in (root / "tests").rglob("*.py")}
     words, phrases = set(forbidden["names"]), re.compile("|".join(forbidden["phrases"]), re.IGNORECASE)
-    names = {name: module for module, tree in (*modules().items(), *tests.items()) for name in list_names(tree)}
+    texts = {path: path.read_text(encoding="utf-8") for folder in ("mocapfix", "tests") for path in (root / folder).rglob("*.py")}
     found = [
-        f"{module}: {name}"
-        for name, module in names.items()
+        f"{path.relative_to(root)}: {name}"
+        for path, text in texts.items()
+        if not words.isdisjoint(re.findall("[a-z]+", text.lower()))
+        for name in list_names(ast.parse(text))
         if not words.isdisjoint(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_"))
     ]
     paths = [*PACKAGE.rglob("*.py"), root / "README.md", *(root / "docs").rglob("*.md"), *(root / "scenes").rglob("*.yaml")]
     found += [
         f"{path.relative_to(root)}:{number}: {line.strip()}"
         for path in paths
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if phrases.search(text := path.read_text(encoding="utf-8"))
+        for number, line in enumerate(text.splitlines(), 1)
         if phrases.search(line)
     ]
     assert not found
