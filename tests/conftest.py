@@ -10,17 +10,16 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-# MOCAPFIX_CHECK_TYPES=1 checks annotated types and array shapes while the tests run. It is off by default: some tests in
-# tests/lab, tests/cli and tests/report pass values that do not match the annotations, and the checks about double the time.
+# Annotated types and array shapes of the product are checked while the tests run. MOCAPFIX_CHECK_TYPES=0 switches this off.
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
 UNCHECKED_MODULES = (
     "kernels",  # compiled code
-    "lab/compared_solvers.py",  # has a compiled function
+    "lab",
     "options.py",  # accepts a single value for a tuple, and validates values itself
     "solve/single_pose.py",  # accepts any constraints, which are validated when their terms are built
 )
 TYPE_CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # accepts an int as a float
-if os.environ.get("MOCAPFIX_CHECK_TYPES", "0") == "1":
+if os.environ.get("MOCAPFIX_CHECK_TYPES") != "0":
     install_import_hook(
         [
             ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)

@@ -223,6 +223,7 @@ def test_a_labelled_take_gives_its_labels_to_the_markers_that_are_there(like: Cl
     np.testing.assert_allclose(get_markers(labelled, labels), again[:, kept], atol=1e-4)
     assert "K20" not in labelled.labels
     assert "Not found: K20." in labelled.notes
+    assert any("No shipped marker set fits labelled.c3d" in note for note in labelled.notes)
     assert f"Left without a label: *41 (frames 1-{len(again)})." in labelled.notes
 
 
@@ -237,6 +238,7 @@ def test_without_a_set_the_parts_of_each_marker_are_joined_and_numbered(person: 
     labelled = pipeline.label(write_points(tmp_path, cut_trajectories(upper.markers, gap_frames=4)))
     names = [f"M{n:02d}" for n in range(1, 23)]
     assert set(labelled.labels) == set(names)
+    assert labelled.notes[0].endswith("joined by how markers move together: M01 to M22.")
     joined = get_markers(labelled, names)
     distance = np.nanmax(np.linalg.norm(joined[:, :, None] - upper.markers[:, None], axis=-1), axis=0)
     assert (np.sort(distance.min(axis=1)) < 1e-4).all()

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import pipeline, synthetic
-from mocapfix.errors import TakeError
-from mocapfix.io.c3d import write_c3d
+from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.reference_labeller import build_reference_markers, label_points_like
 from mocapfix.labels.tracklets import find_tracklets
-from mocapfix.model.take import Take
-from mocapfix.options import build_clean_options
 
 RATE = 60.0
 
@@ -59,26 +55,3 @@ def test_markers_without_three_neighbours_have_no_place(halves):
     positions = np.full_like(halves[0][:5], np.nan)
     positions[:, :2] = halves[0][:5, :2]
     assert np.isnan(reference.predict(positions)).all()
-
-
-def test_labelled_take_without_a_known_set_gives_its_labels(tmp_path, halves):
-    labels = tuple(f"K{n}" for n in range(halves[0].shape[1]))
-    like, path = tmp_path / "first.c3d", tmp_path / "second.c3d"
-    write_c3d(like, Take(halves[0], labels, RATE))
-    unlabelled = remove_labels("tracks", halves[1], RATE, seed=4)
-    write_c3d(path, Take(unlabelled.points, tuple(f"*{n}" for n in range(unlabelled.points.shape[1])), RATE))
-    labelled = pipeline.label(path, build_clean_options(like=like))
-    assert set(labelled.labels) == set(labels)
-    columns = [labelled.labels.index(label) for label in labels]
-    distance = np.linalg.norm(labelled.markers[:, columns] - halves[1], axis=-1)
-    assert (distance[~np.isnan(distance)] < 1e-4).mean() > 0.995
-    assert any("No shipped marker set fits first.c3d" in note for note in labelled.notes)
-
-
-def test_points_of_something_else_are_refused(tmp_path, halves):
-    like, path = tmp_path / "first.c3d", tmp_path / "box.c3d"
-    write_c3d(like, Take(halves[0], tuple(f"K{n}" for n in range(halves[0].shape[1])), RATE))
-    box = np.random.default_rng(0).uniform(0, 0.3, (1, 8, 3)).repeat(100, 0)
-    write_c3d(path, Take(box, tuple(f"*{n}" for n in range(8)), RATE))
-    with pytest.raises(TakeError, match=r"only \d+ of the 41 markers of first.c3d were found"):
-        pipeline.label(path, build_clean_options(like=like))

@@ -82,14 +82,6 @@ def test_set_that_fits_clearly_is_assumed(tmp_path, truth):
     assert "The marker set cmu41 was assumed" in labelled.notes[0]
 
 
-def test_take_without_labels_that_fits_no_set_gets_numbers(tmp_path, truth):
-    path = tmp_path / "arms.c3d"
-    write_c3d(path, Take(truth.marker_positions[:, :22], tuple(f"*{c}" for c in range(22)), truth.rate))
-    labelled = pipeline.label(path)
-    assert set(labelled.labels) == {f"M{n:02d}" for n in range(1, 23)}
-    assert labelled.notes[0].endswith("joined by how markers move together: M01 to M22.")
-
-
 def test_take_without_labels_with_few_points_is_refused(tmp_path, truth):
     path = tmp_path / "head.c3d"
     write_c3d(path, Take(truth.marker_positions[:, :4], tuple(f"*{c}" for c in range(4)), truth.rate))

@@ -28,13 +28,6 @@ def find_points(markers, rate):
     return find_tracklets(remove_labels("ghosts", markers, rate, seed=1).points, rate)
 
 
-def test_set_of_the_points_is_assumed(take):
-    assumed = assume_marker_set(find_points(take.marker_positions, take.rate), MARKER_SETS, find_labelled_body)
-    assert assumed.marker_set is not None
-    assert assumed.marker_set.name == "cmu41"
-    assert "cmu41 was assumed" in assumed.reason
-
-
 def test_set_of_other_markers_is_not_assumed(take):
     """The markers of each section are elsewhere on it: no set has them."""
     markers = take.marker_positions + np.random.default_rng(0).normal(scale=0.12, size=(1, take.marker_positions.shape[1], 3))

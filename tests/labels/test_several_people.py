@@ -1,18 +1,13 @@
 """Two people without labels: both are found and labelled, and one person stays one."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
-from mocapfix.io.c3d import write_c3d
+from mocapfix import synthetic
 from mocapfix.lab.label_recovery import TwoPersonTake, UnlabelledKind, UnlabelledTake, place_two_people, remove_labels
 from mocapfix.labels.labeller import assign_to_people, label_people, label_points, separate_people
 from mocapfix.labels.points import PointLabels, UnlabelledPoints
 from mocapfix.labels.tracklets import find_tracklets
-from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions
 from mocapfix.subject.library import load_marker_set
 
 RATE = 60.0
@@ -64,12 +59,3 @@ def test_tracklets_without_a_label_belong_to_the_nearest_person() -> None:
     points = UnlabelledPoints(positions, np.tile(np.arange(5), (4, 1)), RATE)
     masks = [np.tile([n == 0, n == 0, False, n == 1, False], (4, 1)) for n in range(2)]
     assert assign_to_people(points, masks)[0].tolist() == [0, 0, 0, 1, 1]
-
-
-def test_a_file_of_two_people_gets_labels_with_their_names(people: TwoPersonTake, tmp_path: Path) -> None:
-    take = remove_labels("tracks", people.markers[:240], RATE)
-    labels = tuple(f"*{column + 1}" for column in range(take.points.shape[1]))
-    write_c3d(tmp_path / "two.c3d", Take(take.points, labels, RATE))
-    labelled = pipeline.label(tmp_path / "two.c3d", CleanOptions().change(marker_set="cmu41"))
-    assert set(labelled.marker_subjects) == {"P1", "P2"}
-    assert len(labelled.labels) == len(people.labels)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mocapfix.model import changes
 from mocapfix.model.faults import Fault, Faults, MarkerShift
+from mocapfix.model.take import Take
 from mocapfix.report.change_figures import (
     CHANGE_FIGURE_HEIGHT,
     CHANGE_FIGURE_WIDTH,
@@ -139,10 +140,15 @@ def test_a_fragment_is_shown_under_its_previous_label(scene):
     assert np.isnan(find_values(curves, "now", 1)[inside]).all()
 
 
+def build_long_take(scene):
+    take = scene.comparison.cleaned_take
+    return Take(np.zeros((40_000, 31, 3)), take.labels, take.rate, take.first_frame)
+
+
 def test_a_spike_of_one_sample_is_shown_also_in_a_fast_take(scene):
     frames = _select_frames(find_fault(scene, "spike"), scene.comparison.cleaned_take)
     assert {69, 70, 71} <= set(frames)
-    fast = replace(scene.comparison.cleaned_take.replace_markers(np.zeros((40_000, 31, 3))), rate=2000.0)
+    fast = replace(build_long_take(scene), rate=2000.0)
     assert {69, 70, 71} <= set(_select_frames(find_fault(scene, "spike"), fast))
     assert len(_select_frames(find_fault(scene, "absent"), fast)) <= 2 * MAX_CURVE_POINTS
 
@@ -177,7 +183,7 @@ def test_marker_missing_during_the_change_is_no_reference(scene):
 
 
 def test_a_long_label_exchange_is_cut_and_at_most_three_markers_are_shown(scene):
-    long = scene.comparison.cleaned_take.replace_markers(np.zeros((40_000, 31, 3)))
+    long = build_long_take(scene)
     frames = _select_frames(Fault("mislabelled", 1, 0, 39_999, 0.1, "", other_markers=(2,)), long)
     assert frames[-1] / long.rate == MAX_LABEL_CURVE_DURATION_S + CURVE_MARGIN_S
     segment_lost = Fault("segment lost", 1, 60, 80, 0.1, "", other_markers=(2, 3, 4, 6))
