@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, dump_yaml_list, read_yaml_model
+from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, read_yaml_model
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, FaultReview, Fragment
 from mocapfix.model.take import Take
@@ -321,7 +321,7 @@ def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str]
     if corrections:
         own = [each.model_dump(exclude_defaults=True) for each in corrections]
         own = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in own]
-        text += dump_yaml_list("corrections", own, CHANGES_FILE_LINE_LENGTH)
+        text += dump_yaml({"corrections": own}, CHANGES_FILE_LINE_LENGTH)
     return text
 
 
@@ -339,7 +339,7 @@ def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes
 
 def _format_entries(changes: Sequence[Mapping[str, Any]]) -> str:
     entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in changes]
-    return dump_yaml_list(CHANGES_KEY, entries, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
+    return dump_yaml({CHANGES_KEY: entries}, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
 
 
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:

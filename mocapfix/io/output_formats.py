@@ -97,6 +97,9 @@ class ExportedMotion:
         return self.subject.skeleton
 
 
+WriteFile = Callable[[Path, "CleaningResult", ExportedMotion | None], Sequence[str] | None]
+
+
 @dataclass(frozen=True)
 class OutputFormat:
     """A format that is written.
@@ -113,7 +116,7 @@ class OutputFormat:
     """
 
     suffix: str
-    write_file: Callable[[Path, "CleaningResult", ExportedMotion | None], Sequence[str] | None]
+    write_file: WriteFile
     companion_suffixes: tuple[str, ...] = ()
     needs_body: bool = False
     needs_markers: bool = False
@@ -142,39 +145,23 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
 
 
+def _for_body(write: Callable[[Path, "CleaningResult", ExportedMotion], Sequence[str] | None]) -> WriteFile:
+    """Return the function that writes a format of takes with a body."""
+
+    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> Sequence[str] | None:
+        if exported is None:
+            raise ValueError("this format is written only for a take with a body")
+        return write(target, result, exported)
+
+    return write_file
+
+
 def build_rig_format(rig: Rig) -> OutputFormat:
     """Return the format of a BVH for the rig of a program."""
     unit = RIG_UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
-
-    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-        exported = _require_motion(exported)
-        write_rig_bvh(target, rig, exported.skeleton, exported.motion, exported.rate)
-
+    write_file = _for_body(lambda target, _, body: write_rig_bvh(target, rig, body.skeleton, body.motion, body.rate))
     usage_note = f"is for {rig.program}: {unit}, Y up; {rig.note}."
     return OutputFormat(f"{rig.name}.bvh", write_file, needs_body=True, usage_note=usage_note)
-
-
-def _require_motion(exported: ExportedMotion | None) -> ExportedMotion:
-    if exported is None:
-        raise ValueError("this format is written only for a take with a body")
-    return exported
-
-
-def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    exported = _require_motion(exported)
-    write_bvh(target, exported.skeleton, exported.motion, exported.rate)
-
-
-def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    exported = _require_motion(exported)
-    write_gltf(target, exported.skeleton, exported.motion, exported.rate)
-
-
-def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
-    from mocapfix.io.character_files import write_skeleton_fbx
-
-    exported = _require_motion(exported)
-    return write_skeleton_fbx(target, exported.skeleton, exported.motion, exported.rate)
 
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
@@ -182,22 +169,25 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     from mocapfix.characters.load_character import load_character  # few cleanings need it
     from mocapfix.io.character_files import CharacterFiles
 
-    character = load_character(name_or_path, options.character_map)
-    files = CharacterFiles(character, has_fbx="fbx" in options.extra_formats)
+    files = CharacterFiles(load_character(name_or_path, options.character_map), has_fbx="fbx" in options.extra_formats)
 
-    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
-        exported = _require_motion(exported)
-        contacts = result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None
-        return files.write(target, exported.skeleton, exported.motion, exported.rate, contacts)
+    def write(target: Path, result: "CleaningResult", body: ExportedMotion) -> list[str]:
+        contacts = result.contacts.lower_floor(body.floor_height_m) if result.contacts else None
+        return files.write(target, body.skeleton, body.motion, body.rate, contacts)
 
     first, *others = files.suffixes
-    return OutputFormat(first, write_file, tuple(others), needs_body=True)
+    return OutputFormat(first, _for_body(write), tuple(others), needs_body=True)
 
 
-def _write_amc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    exported = _require_motion(exported)
-    first_frame = result.input_take.first_frame if exported.rate == result.input_take.rate else 1
-    write_asf_amc(target.with_suffix(".asf"), target, exported.skeleton, exported.motion, exported.rate, first_frame)
+def _write_fbx(target: Path, result: "CleaningResult", body: ExportedMotion) -> list[str]:
+    from mocapfix.io.character_files import write_skeleton_fbx
+
+    return write_skeleton_fbx(target, body.skeleton, body.motion, body.rate)
+
+
+def _write_amc(target: Path, result: "CleaningResult", body: ExportedMotion) -> None:
+    first_frame = result.input_take.first_frame if body.rate == result.input_take.rate else 1
+    write_asf_amc(target.with_suffix(".asf"), target, body.skeleton, body.motion, body.rate, first_frame)
 
 
 def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -206,23 +196,9 @@ def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion 
         write_npz(target, take)
         return
     lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
-    write_npz(
-        target,
-        lowered,
-        exported.skeleton,
-        exported.motion,
-        exported.rate,
-        exported.subject.solved_joints,
-        result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None,
-    )
-
-
-def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    subject_file.write_subject(target, _require_motion(exported).subject)
-
-
-def _write_changes(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    write_changes_file(target, result.input_take, result.changes, result.review)
+    contacts = result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None
+    solved_joints = exported.subject.solved_joints
+    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate, solved_joints, contacts)
 
 
 def _write_recording(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -241,10 +217,10 @@ def _write_json_report(target: Path, result: "CleaningResult", exported: Exporte
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_contacts(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+def _write_contacts(target: Path, result: "CleaningResult", body: ExportedMotion) -> None:
     if result.contacts is not None:
         is_source_bvh = BVH_FORMAT.suffix in get_source_suffixes(result.input_take.path)  # it keeps its rate
-        write_contacts(target, result.contacts, result.contacts.rate if is_source_bvh else _require_motion(exported).rate)
+        write_contacts(target, result.contacts, result.contacts.rate if is_source_bvh else body.rate)
 
 
 def _write_events(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -252,31 +228,33 @@ def _write_events(target: Path, result: "CleaningResult", exported: ExportedMoti
         write_gait_events(target, result.contacts, result.input_take.first_frame)
 
 
-def _write_c3d(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    write_c3d(target, result.output_take)
-
-
-def _write_trc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    write_trc(target, result.output_take)
-
-
-def _write_csv(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    write_csv(target, result.output_take)
-
-
-BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
+BVH_FORMAT = OutputFormat(
+    "bvh", _for_body(lambda target, _, body: write_bvh(target, body.skeleton, body.motion, body.rate)), needs_body=True
+)
 DEFAULT_FORMATS = (
-    OutputFormat("subject.yaml", _write_subject, needs_body=True, needs_markers=True),
-    OutputFormat(CHANGES_SUFFIX, _write_changes),
+    OutputFormat(
+        "subject.yaml",
+        _for_body(lambda target, _, body: subject_file.write_subject(target, body.subject)),
+        needs_body=True,
+        needs_markers=True,
+    ),
+    OutputFormat(
+        CHANGES_SUFFIX, lambda target, result, _: write_changes_file(target, result.input_take, result.changes, result.review)
+    ),
     OutputFormat("rrd", _write_recording, timer_stage="show"),
     OutputFormat("report.html", _write_html_report, timer_stage="show"),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {
-    "gltf": OutputFormat("glb", _write_gltf, needs_body=True, usage_note="is binary glTF: metres, Y up."),
+    "gltf": OutputFormat(
+        "glb",
+        _for_body(lambda target, _, body: write_gltf(target, body.skeleton, body.motion, body.rate)),
+        needs_body=True,
+        usage_note="is binary glTF: metres, Y up.",
+    ),
     "amc": OutputFormat(
         "amc",
-        _write_amc,
+        _for_body(_write_amc),
         ("asf",),
         needs_body=True,
         usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up.",
@@ -284,14 +262,14 @@ OPTIONAL_FORMATS = {
     "npz": OutputFormat("npz", _write_npz),
     "c3d": OutputFormat(
         "c3d",
-        _write_c3d,
+        lambda target, result, _: write_c3d(target, result.output_take),
         usage_note="is a new file with positions only and the predicted standard deviation of each filled sample.",
     ),
-    "trc": OutputFormat("trc", _write_trc),
-    "csv": OutputFormat("csv", _write_csv),
-    "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
+    "trc": OutputFormat("trc", lambda target, result, _: write_trc(target, result.output_take)),
+    "csv": OutputFormat("csv", lambda target, result, _: write_csv(target, result.output_take)),
+    "contacts": OutputFormat("contacts.json", _for_body(_write_contacts), needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
-    "fbx": OutputFormat("fbx", _write_fbx, needs_body=True),
+    "fbx": OutputFormat("fbx", _for_body(_write_fbx), needs_body=True),
 }
 
 
