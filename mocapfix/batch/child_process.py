@@ -235,9 +235,7 @@ def _run_child(server: int, requests: BinaryIO, replies: BinaryIO) -> None:
             with suppress(OSError, ValueError, OverflowError):
                 _limit_data(getattr(first_memory, "data", 0) + int(MEMORY_BACKSTOP_FACTOR * request.memory_mb * 1e6))
             reply = _run_job(request)
-            write_message(
-                replies, replace(reply, peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB)
-            )
+            write_message(replies, replace(reply, peak_memory_mb=measure_peak_memory_mb()))
             return_free_memory()
             held_bytes = memory().rss - first_memory.rss
             is_small = held_bytes < MAX_KEPT_MEMORY_SHARE * request.memory_mb * 1e6
@@ -260,6 +258,11 @@ def _run_job(request: ForkRequest) -> ChildReply:
     except BaseException as error:  # the server goes on
         return ChildReply(error=describe_error(error))
     return reply
+
+
+def measure_peak_memory_mb() -> float:
+    """Return the greatest resident memory of this process."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB
 
 
 def _end_with_parent(server: int) -> None:

@@ -9,8 +9,9 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, get_args
 
-from mocapfix.batch.child_process import JobLimits, JobOutcome, run_in_child
+from mocapfix.batch.child_process import JobLimits, JobOutcome, measure_peak_memory_mb, run_in_child
 from mocapfix.batch.records import (
     FailureReason,
     TakeRecord,
@@ -101,17 +102,22 @@ def measure_size(path: Path) -> int:
         return 0
 
 
-def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> TakeRecord:
-    """Clean a take in a child process within limits, and return its record. Run by a worker.
-
-    A process that crashes is repeated `limits.retries` times. The record of a take that failed is written here, that of one that
-    is done by the child.
-    """
-    started = format_now()
+def run_with_retries(function: str, request: object, limits: JobLimits) -> JobOutcome:
+    """Run a function ("module:name") on a request in a child process; one that crashes is repeated `limits.retries` times."""
     outcome = run_in_child(function, {"request": request}, limits)
     for _ in range(limits.retries):
         if outcome.status == "crash":
             outcome = run_in_child(function, {"request": request}, limits)
+    return outcome
+
+
+def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> TakeRecord:
+    """Clean a take in a child process within limits, and return its record. Run by a worker.
+
+    The record of a take that failed is written here, that of one that is done by the child.
+    """
+    started = format_now()
+    outcome = run_with_retries(function, request, limits)
     if isinstance(outcome.value, TakeRecord):
         return outcome.value
     try:
@@ -145,21 +151,16 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         with omit_stage_times():
             result = pipeline.clean(request.path, request.options)
             outputs = result.write(folder, overwrite=True, options=request.options.output)
-        record = TakeRecord(
-            take=request.take,
-            input=str(request.path),
+        record = build_record(
+            request,
             input_sha256=input_sha256,
-            options_sha256=hash_options(request.options),
-            version=get_version(),
             status="done",
             attempts=count,
             seconds=round(time.monotonic() - start, 3),
             peak_memory_mb=round(measure_peak_memory_mb(), 1),
             outputs={suffix: path.relative_to(request.output_folder).as_posix() for suffix, path in outputs.items()},
             subjects=tuple(measure_result(result)),
-            subject_files=dict(request.subject_files),
             started=started,
-            finished=format_now(),
         )
         write_record(request.output_folder, record)
         attempts.clear()
@@ -180,22 +181,29 @@ def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> T
 
 def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> TakeRecord:
     """Return the record of a take that failed."""
-    reasons: dict[str, FailureReason] = {"timeout": "timeout", "memory": "memory", "crash": "crash"}
-    return TakeRecord(
-        take=request.take,
-        input=str(request.path),
+    return build_record(
+        request,
         input_sha256=try_to_hash(request.path),
-        options_sha256=hash_options(request.options),
-        version=get_version(),
         status="failed",
-        reason=reasons.get(outcome.status, "error"),
+        reason=outcome.status if outcome.status in get_args(FailureReason) else "error",
         error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",
         attempts=attempts,
         seconds=round(outcome.seconds, 3),
         peak_memory_mb=round(outcome.peak_memory_mb, 1),
-        subject_files=dict(request.subject_files),
         started=started,
+    )
+
+
+def build_record(request: CleanRequest, **fields: Any) -> TakeRecord:
+    """Return a record with the fields that follow from the request, and others."""
+    return TakeRecord(
+        take=request.take,
+        input=str(request.path),
+        options_sha256=hash_options(request.options),
+        version=get_version(),
+        subject_files=dict(request.subject_files),
         finished=format_now(),
+        **fields,
     )
 
 
@@ -207,14 +215,6 @@ def build_attempt_key(request: CleanRequest) -> str:
 def format_now() -> str:
     """Return the time in ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def measure_peak_memory_mb() -> float:
-    """Return the greatest resident memory of this process."""
-    import resource
-    import sys
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1e-6 if sys.platform == "darwin" else 1.024e-3)
 
 
 def load_everything() -> None:

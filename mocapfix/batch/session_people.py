@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pydantic import Field
 
-from mocapfix.batch.child_process import JobLimits, run_in_child
+from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, Task, run_tasks
-from mocapfix.batch.jobs import CleanRequest, get_version, try_to_hash
+from mocapfix.batch.jobs import CleanRequest, get_version, run_with_retries, try_to_hash
 from mocapfix.batch.records import hash_options
 from mocapfix.errors import MocapfixError
 from mocapfix.io.files import make_output_folder, replace_atomically
@@ -103,13 +103,9 @@ class PersonRequest:
 def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, Any] | str:
     """Run a job of this module in a child process; return its result, or why there is none. Run by a worker.
 
-    A process that crashes is repeated `limits.retries` times. The crash of a take, or a limit that it reached, is recorded: the
-    job is repeated with other limits only.
+    The crash of a take, or a limit that it reached, is recorded: the job is repeated with other limits only.
     """
-    outcome = run_in_child(function, {"request": request}, limits)
-    for _ in range(limits.retries):
-        if outcome.status == "crash":
-            outcome = run_in_child(function, {"request": request}, limits)
+    outcome = run_with_retries(function, request, limits)
     if isinstance(outcome.value, dict):
         return cast("dict[str, Any]", outcome.value)
     if function != CALIBRATE_FUNCTION and outcome.status in ("timeout", "memory", "crash"):

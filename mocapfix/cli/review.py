@@ -38,9 +38,9 @@ def run_review(
     from mocapfix.batch.records import BATCH_LOCK_NAME
     from mocapfix.io.files import hold_process_lock
     from mocapfix.review.review_session import ReviewSession, describe_other_review
-    from mocapfix.review.server import ReviewServer, check_server_installed
+    from mocapfix.review.server import ReviewServer, find_three_module
 
-    check_server_installed()
+    find_three_module()  # raises ReadError if it is not installed
     session = ReviewSession(folder)
     start = ""
     if take is not None:

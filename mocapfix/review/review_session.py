@@ -24,7 +24,6 @@ from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
 from mocapfix.report.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.review.take_files import (
-    Approval,
     CleanedTake,
     DecisionStore,
     determine_state,
@@ -53,10 +52,6 @@ class RunStatus:
     state: Literal["idle", "running", "done", "failed"] = "idle"
     stage: str = ""
     message: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the status as plain data."""
-        return asdict(self)
 
 
 class CleaningRun:
@@ -151,14 +146,6 @@ def explain_why_not(take: CleanedTake) -> str:
 MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs from the cleaning before
 
 
-@dataclass(frozen=True)
-class _Cleaning:
-    """What a cleaning left: the view, and the changes by id."""
-
-    view: TakeView
-    changes: Mapping[str, ChangeModel]
-
-
 class OpenTake:
     """A take under review. Its methods may be called from several threads.
 
@@ -171,7 +158,7 @@ class OpenTake:
         self.status = RunStatus()
         self.store = DecisionStore(take.changes_path, self._check_correction)
         self._view: TakeView | None = None
-        self._before_run: _Cleaning | None = None
+        self._before_run: tuple[TakeView, list[str]] | None = None
         self._difference: dict[str, Any] | None = None
         self._run: CleaningRun | None = None
 
@@ -199,6 +186,8 @@ class OpenTake:
         with self.lock:
             self.store.refresh()
             view, reason = self.view, explain_why_not(self.take)
+            output = self.take.options.output
+            written = [*output.extra_formats, *map(str, output.rigs)]
             return {
                 "id": self.take.id,
                 "name": self.take.name,
@@ -212,9 +201,9 @@ class OpenTake:
                 "joints": view.joint_names,
                 "bones": view.bones,
                 "notes": [*view.notes, *self.take.report.get("notes", [])],
-                "run": self.status.to_json(),
+                "run": asdict(self.status),
                 "difference": self._difference,
-                "export": self._describe_export(),
+                "export": {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": written},
                 "can_clean": not reason,
                 "cannot_clean_reason": reason,
                 **self.describe_review(),
@@ -223,18 +212,17 @@ class OpenTake:
     def describe_review(self, before: ChangesFileModel | None = None) -> dict[str, Any]:
         """Return the decisions as they are in the file, of the changes only those that differ from the content before."""
         with self.lock:
-            file, approval = self.store.file, read_approval(self.take)
+            file = self.store.file
             own = {(each.kind, tuple(each.markers), each.first) for each in file.corrections}
             known = {id(change) for change in before.changes} if before else set[int]()
             return {
                 "revision": self.store.revision,
-                "state": determine_state(file, approval, self.store.revision),
                 "changed" if before else "changes": [
                     describe_change(change, own) for change in file.changes if id(change) not in known
                 ],
                 "corrections": [each.model_dump() for each in file.corrections],
                 "undo_count": self.store.undo_count,
-                "approval": self._describe_approval(approval),
+                **self._describe_state(),
             }
 
     def edit(self, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
@@ -281,7 +269,7 @@ class OpenTake:
             if reason := explain_why_not(self.take):
                 raise SceneError(reason)
             command = build_clean_command(self.take, self.subjects, formats, rigs)
-            self._before_run = _Cleaning(self.view, {change.id: change for change in self.store.file.changes})
+            self._before_run = (self.view, [change.id for change in self.store.file.changes])
             self.status = RunStatus("running", "start")
 
             def note_status(status: RunStatus) -> None:
@@ -310,8 +298,8 @@ class OpenTake:
             self._view = None
             return RunStatus("failed", message=f"The take was cleaned, but its outputs cannot be shown: {error}")
         if self._before_run:
-            after = _Cleaning(self._view, {change.id: change for change in self.store.file.changes})
-            self._difference = compare_cleanings(self._before_run, after)
+            after = (self._view, [change.id for change in self.store.file.changes])
+            self._difference = compare_cleanings(*self._before_run, *after)
         self._before_run = None
         return RunStatus("done")
 
@@ -329,20 +317,11 @@ class OpenTake:
         take = Take(view.after, view.labels, view.rate, view.first_frame, Path(self.take.name), unlabelled=loose)
         locate_correction(correction, take, "The correction")
 
-    def _describe_export(self) -> dict[str, Any]:
-        output = self.take.options.output
-        return {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": [*output.extra_formats, *map(str, output.rigs)]}
-
     def _describe_state(self) -> dict[str, Any]:
-        approval = read_approval(self.take)
-        state = determine_state(self.store.file, approval, self.store.revision)
-        return {"approval": self._describe_approval(approval), "state": state}
-
-    def _describe_approval(self, approval: Approval | None) -> dict[str, Any] | None:
-        if approval is None:
-            return None
-        is_current = approval.changes_sha256 == self.store.revision
-        return {"name": approval.name, "date": approval.date, "is_current": is_current}
+        """Return how far the review is, and its approval."""
+        approval, revision = read_approval(self.take), self.store.revision
+        entry = approval and {"name": approval.name, "date": approval.date, "is_current": approval.changes_sha256 == revision}
+        return {"approval": entry, "state": determine_state(self.store.file, approval, revision)}
 
 
 def describe_change(change: ChangeModel, corrections: set[tuple[str, tuple[str, ...], int]]) -> dict[str, Any]:
@@ -352,9 +331,8 @@ def describe_change(change: ChangeModel, corrections: set[tuple[str, tuple[str, 
     return {**change.model_dump(exclude={"reviewed"}), "is_reviewed": change.reviewed, "is_correction": is_correction}
 
 
-def compare_cleanings(before: _Cleaning, after: _Cleaning) -> dict[str, Any]:
-    """Return what differs between two cleanings of a take: samples, by marker, and changes."""
-    one, other = before.view, after.view
+def compare_cleanings(one: TakeView, before_ids: list[str], other: TakeView, after_ids: list[str]) -> dict[str, Any]:
+    """Return what differs between two cleanings of a take, of which views and ids of changes are given: samples and changes."""
     markers: list[dict[str, Any]] = []
     total = 0
     if one.after.shape == other.after.shape and one.labels == other.labels:
@@ -370,8 +348,8 @@ def compare_cleanings(before: _Cleaning, after: _Cleaning) -> dict[str, Any]:
     return {
         "samples": total,
         "markers": markers,
-        "added": [name for name in after.changes if name not in before.changes][:MAX_LISTED_DIFFERENCES],
-        "removed": [name for name in before.changes if name not in after.changes][:MAX_LISTED_DIFFERENCES],
+        "added": [name for name in after_ids if name not in before_ids][:MAX_LISTED_DIFFERENCES],
+        "removed": [name for name in before_ids if name not in after_ids][:MAX_LISTED_DIFFERENCES],
     }
 
 
@@ -488,7 +466,7 @@ class ReviewSession:
                 self._takes[name] = opened.take
                 for other in others:  # their outputs are new as well
                     self._open.pop(other, None)
-            self.announce({"type": "run", "take": name, "run": status.to_json()})
+            self.announce({"type": "run", "take": name, "run": asdict(status)})
             if status.state in ("done", "failed"):
                 self.announce({"type": "session"})
 
@@ -529,34 +507,29 @@ def stat_file(path: Path) -> os.stat_result | None:
 
 def name_take(take: CleanedTake) -> dict[str, Any]:
     """Return the entry of a take whose files have not been read."""
-    return {
-        "id": take.id,
-        "name": take.name,
-        "subject": take.subject,
-        "error": "",
-        "state": "",
-        "change_count": 0,
-        "reviewed_count": 0,
-        "worst_mm": None,
-        "approved_by": "",
-        "approved_at": "",
-    }
+    entry = {"id": take.id, "name": take.name, "subject": take.subject, "error": "", "state": "", "change_count": 0}
+    return entry | {"reviewed_count": 0, "worst_mm": None, "approved_by": "", "approved_at": ""}
 
 
 def describe_take(take: CleanedTake) -> dict[str, Any]:
     """Return the entry of a take in the list of a session; one that cannot be read has its error."""
     entry = name_take(take)
     try:
-        file, approval, revision = read_yaml_model(ChangesFileModel, take.changes_path), read_approval(take), hash_changes(take)
+        file, approval, revision = (
+            read_yaml_model(ChangesFileModel, take.changes_path),
+            read_approval(take),
+            hash_changes(take.changes_path),
+        )
     except MocapfixError as error:
         return entry | {"error": str(error)}
     state = determine_state(file, approval, revision)
+    approved = approval if state == "approved" else None
     predicted = [change.predicted_mm for change in file.changes if change.predicted_mm is not None]
     return entry | {
         "state": state,
         "change_count": len(file.changes),
         "reviewed_count": sum(change.reviewed for change in file.changes),
         "worst_mm": max(predicted, default=None),
-        "approved_by": approval.name if approval and state == "approved" else "",
-        "approved_at": approval.date if approval and state == "approved" else "",
+        "approved_by": approved.name if approved else "",
+        "approved_at": approved.date if approved else "",
     }

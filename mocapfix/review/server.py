@@ -1,9 +1,7 @@
 """The server of a review: the page, its assets and its interface, on loopback, behind a token in the address.
 
-Requests without the token, for another host, or from a page of another origin are refused. The server ends when the last page has
-been closed for some seconds, or when a page asks for it.
-
-Who has access to the server of a review: pages with the token in their address, on this computer, of no other origin.
+Requests without the token, for another host, or from a page of another origin are refused. The server ends when the last page
+has been closed for some seconds, or when a page asks for it.
 """
 
 import asyncio
@@ -11,6 +9,7 @@ import json
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -74,9 +73,8 @@ class AccessGuard:
         if not secrets.compare_digest(f"/{token}".encode(), self._prefix.encode()):
             return "The address has no valid token; open the address that `mocapfix review` shows."
         origin = headers.get("origin", "")
-        if origin and origin.removeprefix("http://") not in self._hosts:
-            return "Pages of other origins have no access."
-        if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+        is_own_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
+        if (origin and origin.removeprefix("http://") not in self._hosts) or not is_own_site:
             return "Pages of other origins have no access."
         if scope["method"] == "POST" and headers.get("content-type", "").split(";")[0].strip() != "application/json":
             return "Requests must be JSON."
@@ -208,12 +206,12 @@ class ReviewServer:
         body = await _read_body(request)
         formats, rigs = (_read_names(body, key) for key in ("formats", "rigs"))
         status = await run_in_threadpool(self.session.start_cleaning, request.path_params["take"], formats, rigs)
-        return JSONResponse(status.to_json(), 202)
+        return JSONResponse(asdict(status), 202)
 
     async def _cancel(self, request: Request) -> Response:
         opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
         await run_in_threadpool(opened.cancel_cleaning)
-        return JSONResponse(opened.status.to_json())
+        return JSONResponse(asdict(opened.status))
 
     async def _approve(self, request: Request) -> Response:
         name = (await _read_body(request)).get("name")
@@ -255,11 +253,6 @@ class ReviewServer:
                 self._page_count -= 1
 
         return StreamingResponse(iterate_events(), media_type="text/event-stream")
-
-
-def check_server_installed() -> None:
-    """Raise ReadError if three.js is not there."""
-    find_three_module()
 
 
 def find_three_module() -> Path:

@@ -163,7 +163,7 @@ def write_approval(take: CleanedTake, name: str) -> Approval:
     if not 0 < len(name) <= MAX_NAME_LENGTH:
         raise SceneError(f"An approval needs a name of at most {MAX_NAME_LENGTH} characters.")
     date = datetime.now().astimezone().isoformat(timespec="seconds")
-    approval = Approval(name=name, date=date, changes_sha256=hash_changes(take))
+    approval = Approval(name=name, date=date, changes_sha256=hash_changes(take.changes_path))
     with replace_atomically(take.approval_path) as part:
         part.write_text(approval.model_dump_json(indent=1) + "\n", encoding="utf-8")
     return approval
@@ -174,12 +174,12 @@ def withdraw_approval(take: CleanedTake) -> None:
     take.approval_path.unlink(missing_ok=True)
 
 
-def hash_changes(take: CleanedTake) -> str:
-    """Return the hash of a take's changes file. Raises ReadError."""
+def hash_changes(path: Path) -> str:
+    """Return the hash of a changes file. Raises ReadError."""
     try:
-        return hashlib.sha256(take.changes_path.read_bytes()).hexdigest()
+        return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise ReadError(f"{take.changes_path}: cannot be read ({error.strerror or error}).") from error
+        raise ReadError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
 def determine_state(file: ChangesFileModel, approval: Approval | None, revision: str) -> ReviewState:
@@ -197,17 +197,10 @@ class EditConflictError(MocapfixError):
     """The changes file is not what the editor knows: another page, program or person has changed it."""
 
 
-@dataclass(frozen=True)
-class _Version:
-    """The content of the file, and the hash of its bytes."""
-
-    file: ChangesFileModel
-    revision: str
-
-
 class DecisionStore:
     """A changes file that is read once, and written at each edit.
 
+    file, revision    its content, and the hash of its bytes, when it was last read or written
     check_correction  raises SceneError for a correction that the take does not allow
     """
 
@@ -216,17 +209,7 @@ class DecisionStore:
         self._check_correction = check_correction
         self._undo: list[ChangesFileModel] = []
         self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
-        self._version = self._read()
-
-    @property
-    def file(self) -> ChangesFileModel:
-        """The content of the file when it was last read or written."""
-        return self._version.file
-
-    @property
-    def revision(self) -> str:
-        """The hash of the file when it was last read or written."""
-        return self._version.revision
+        self.file, self.revision = self._read()
 
     @property
     def undo_count(self) -> int:
@@ -235,9 +218,9 @@ class DecisionStore:
 
     def refresh(self) -> bool:
         """Read the file again if it was changed; return whether it was. Raises SceneError if it is invalid now."""
-        if self._hash_file() == self._version.revision:
+        if hash_changes(self.path) == self.revision:
             return False
-        self._version = self._read()
+        self.file, self.revision = self._read()
         self._undo.clear()
         self._lines.clear()
         return True
@@ -292,7 +275,7 @@ class DecisionStore:
 
         Raises EditConflictError if it is not the one that the editor knows, WriteError if it cannot be written.
         """
-        if revision != self.revision or self._hash_file() != self.revision:
+        if revision != self.revision or hash_changes(self.path) != self.revision:
             self.refresh()
             raise EditConflictError(
                 f"{self.path.name} was changed by another page, program or person; your last edit is not saved. "
@@ -304,20 +287,12 @@ class DecisionStore:
             part.write_bytes(data)
         self._lines = lines
         self._undo = [*self._undo[-MAX_UNDO_STEPS + 1 :], self.file]
-        self._version = _Version(file, hashlib.sha256(data).hexdigest())
+        self.file, self.revision = file, hashlib.sha256(data).hexdigest()
 
-    def _read(self) -> _Version:
-        """Return the file as it is. Raises SceneError, ReadError."""
-        revision = self._hash_file()
+    def _read(self) -> tuple[ChangesFileModel, str]:
+        """Return the file as it is, and its hash. Raises SceneError, ReadError."""
+        revision = hash_changes(self.path)
         while True:
-            file = read_yaml_model(ChangesFileModel, self.path)
-            again = self._hash_file()
-            if again == revision:
-                return _Version(file, revision)
-            revision = again  # it was replaced while it was read
-
-    def _hash_file(self) -> str:
-        try:
-            return hashlib.sha256(self.path.read_bytes()).hexdigest()
-        except OSError as error:
-            raise ReadError(f"{self.path}: cannot be read ({error.strerror or error}).") from error
+            file, before = read_yaml_model(ChangesFileModel, self.path), revision
+            if (revision := hash_changes(self.path)) == before:  # else it was replaced while it was read
+                return file, revision

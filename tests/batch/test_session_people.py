@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from mocapfix.batch import session_people
-from mocapfix.batch import session_people as people_jobs
+from mocapfix.batch import jobs, session_people
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.cluster import BatchProgress
 from mocapfix.batch.jobs import CleanRequest
@@ -38,12 +37,12 @@ def test_survey_that_reached_a_limit_is_repeated_with_other_limits_only(tmp_path
     def run_here(_client: Any, function: Any, tasks: Any, *_: Any) -> Any:
         return [(task, function(*task.arguments)) for task in tasks]
 
-    monkeypatch.setattr(people_jobs, "run_in_child", run_out_of_time)
+    monkeypatch.setattr(jobs, "run_in_child", run_out_of_time)
     monkeypatch.setattr(session_people, "run_tasks", run_here)
     requests = {"a.c3d": CleanRequest("a.c3d", tmp_path / "a.c3d", tmp_path / "out", CleanOptions())}
     for timeout_s in (1.0, 1.0, 2.0):
         limits = JobLimits(timeout_s)
-        run_stage(lambda: None, "survey", people_jobs.COMPARE_FUNCTION, requests, limits, BatchProgress())
+        run_stage(lambda: None, "survey", session_people.COMPARE_FUNCTION, requests, limits, BatchProgress())
     assert surveyed == [1.0, 2.0]
 
 
@@ -66,10 +65,10 @@ def test_survey_that_crashes_is_retried_and_does_not_count_as_a_failed_take(
     def run_here(_client: Any, function: Any, tasks: Any, *_: Any) -> Any:
         return [(task, function(*task.arguments)) for task in tasks]
 
-    monkeypatch.setattr(people_jobs, "run_in_child", crash)
+    monkeypatch.setattr(jobs, "run_in_child", crash)
     monkeypatch.setattr(session_people, "run_tasks", run_here)
     requests = {"a.c3d": CleanRequest("a.c3d", tmp_path / "a.c3d", tmp_path / "out", CleanOptions())}
-    arguments = ("survey", people_jobs.COMPARE_FUNCTION, requests, JobLimits(retries=2), Progress())
+    arguments = ("survey", session_people.COMPARE_FUNCTION, requests, JobLimits(retries=2), Progress())
     assert run_stage(lambda: None, *arguments) == {}
     assert surveyed == ["a.c3d"] * 3
     assert not failures
@@ -84,7 +83,7 @@ def test_survey_that_crashes_is_retried_and_does_not_count_as_a_failed_take(
 
 
 def test_results_are_forgotten_without_resuming(tmp_path: Path) -> None:
-    folder = people_jobs.locate_records(tmp_path)
+    folder = session_people.locate_records(tmp_path)
     folder.mkdir(parents=True)
     for name, text in (("a.json", '{"key": "1", "files": []}'), ("b.json", '{"key": "1", "limits": {}}')):
         (folder / name).write_text(text, encoding="utf-8")
