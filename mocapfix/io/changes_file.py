@@ -226,8 +226,9 @@ class ReviewedChange:
     def to_change(self) -> Change:
         """Return the change with its decision, as an entry of a report in which it is not applied."""
         fields = self.entry.model_dump(exclude={"reviewed", "note"})
-        state = SampleState(**fields["before"])
-        return Change(**fields | {"markers": tuple(self.entry.markers), "samples": 0, "before": state, "after": state})
+        fields["markers"], fields["samples"] = tuple(self.entry.markers), 0
+        fields["before"] = fields["after"] = SampleState(**fields["before"])
+        return Change(**fields)
 
 
 class ReviewIndex:

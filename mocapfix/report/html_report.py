@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -58,7 +59,7 @@ def write_page(target: Path, template: str, **values: object) -> None:
 
 @cache
 def _load_environment() -> Environment:
-    environment = Environment(
+    environment: Any = Environment(
         loader=PackageLoader("mocapfix.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     for function in (describe_change, format_frame_range, format_number, format_severity):

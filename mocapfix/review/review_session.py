@@ -118,20 +118,9 @@ def build_clean_command(
     options = take.options.change(
         extra_formats=tuple(dict.fromkeys((*output.extra_formats, *formats))), rigs=tuple(dict.fromkeys((*output.rigs, *rigs)))
     )
-    changes = [argument for each in subjects for argument in ("--changes", each.changes_path.name)]
-    return [
-        sys.executable,
-        "-P",
-        "-m",
-        "mocapfix",
-        "clean",
-        take.arguments[0],
-        *format_arguments(options),
-        *changes,
-        "--out",
-        ".",
-        "--overwrite",
-    ]
+    command = [sys.executable, "-P", "-m", "mocapfix", "clean", take.arguments[0], *format_arguments(options)]
+    command += [argument for each in subjects for argument in ("--changes", each.changes_path.name)]
+    return [*command, "--out", ".", "--overwrite"]
 
 
 def explain_why_not(take: CleanedTake) -> str:
