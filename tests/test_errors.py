@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,8 +29,8 @@ from mocapfix.report import notes
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.subject.library import choose_marker_set, load_marker_set, resolve_subject
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).parents[2] / "shared" / "data" / "captures"
 MARKERS, FRAMES = 400, 40
 LABELS = tuple(f"Subject 8:Marker of the left side {m}" for m in range(MARKERS))
 
@@ -122,7 +121,7 @@ def test_body_that_does_not_fit_is_one_sentence_instead_of_a_note_for_each_marke
     assert len(notes.describe_stray_markers(take, residual_m)) == 3
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 def test_notes_on_reading_captures_are_of_two_lines():
     sentences: dict[str, list[str]] = {}
     for path in sorted((CAPTURES / "c3d").glob("*.c3d")):

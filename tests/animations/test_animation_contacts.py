@@ -18,8 +18,7 @@ from mocapfix.report.build_report import ContactSection
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+from tests.captures import CAPTURES, needs_captures
 
 
 def get_contacts(result: CleaningResult) -> BodyContacts:
@@ -114,7 +113,7 @@ def test_a_figure_without_feet_has_no_contacts_and_a_note(path, tmp_path):
     assert result.changes == ()
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/02_01.bvh", "bvh-other/Male1_B3_Walk.bvh"])
 def test_captured_walks_have_steps_of_both_feet(name):
     gait = get_section(pipeline.clean(CAPTURES / name))["gait"]

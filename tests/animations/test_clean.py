@@ -21,8 +21,8 @@ from mocapfix.io.bvh import write_bvh
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 ARM = ("RightArm", "RightForeArm")
 # Damaged tracks, first and last frame in the file's numbering from 1, and kind of the fault.
 DAMAGE = (
@@ -318,7 +318,7 @@ def test_absent_values_are_filled(walk, tmp_path):
     assert "nan" not in result.write(tmp_path / "out")["bvh"].read_text()
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/02_01.bvh", "cmu/02_01.amc", "bvh-other/louise.bvh", "bvh-other/Male1_B3_Walk.bvh"])
 def test_sound_capture_does_not_change(name, tmp_path):
     result = pipeline.clean(CAPTURES / name)
@@ -328,7 +328,7 @@ def test_sound_capture_does_not_change(name, tmp_path):
     assert copy.read_bytes() == (CAPTURES / name).read_bytes()
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@needs_captures
 def test_damaged_capture_is_repaired(tmp_path):
     truth = bvh.read_bvh(CAPTURES / "cmu/06_01.bvh")
     values = truth.values.copy()

@@ -22,8 +22,8 @@ from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.stats.rigid_alignment import compose_transforms
+from tests.captures import CAPTURES
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 FILES = sorted(CAPTURES.glob("*/*.bvh")) + sorted(CAPTURES.glob("*/*.amc"))
 MODEL = load_cmu31_body().skeleton
 ROTATIONS = ("Zrotation", "Xrotation", "Yrotation")

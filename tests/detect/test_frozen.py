@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,9 +6,8 @@ from hypothesis import strategies as st
 from mocapfix.detect import external_fills
 from mocapfix.io import capture
 from mocapfix.model.take import Take
+from tests.captures import CAPTURES, needs_captures
 from tests.detect.filled import LABELS, as_floats, walking
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 
 
 def freeze(take, marker, first, last):
@@ -81,7 +78,7 @@ def test_sound_and_empty_takes():
     assert external_fills.detect_frozen(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/05_13", "cmu/85_02", "c3d/walkingOptiTrack", "c3d/PiG_Motion-FlatFoot-Hole"])
 def test_captures_have_no_frozen_markers(name):
     take = capture.read_take(CAPTURES / f"{name}.c3d")

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,9 +6,8 @@ from hypothesis import strategies as st
 from mocapfix.detect import ghosts
 from mocapfix.io import capture
 from mocapfix.model.take import Take
+from tests.captures import CAPTURES, needs_captures
 from tests.detect.bodies import exchanged, hidden, turning
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 
 
 def add_ghost(take: Take, marker: int, first: int, last: int, away=(0.0, 0.25, 0.0)) -> Take:
@@ -67,7 +64,7 @@ def test_swapped_labels_look_like_ghosts():
     assert {ghost.marker for ghost in ghosts.detect_ghosts(exchanged(turning(), (1, 7), 100, 160))} == {1, 7}
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/squat"])
 def test_captures_have_no_ghosts(name):
     assert ghosts.detect_ghosts(capture.read_take(CAPTURES / f"{name}.c3d")) == []

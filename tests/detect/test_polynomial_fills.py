@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,9 +8,8 @@ from mocapfix.detect import external_fills
 from mocapfix.detect.external_fills import POLYNOMIAL_NAMES
 from mocapfix.io import capture
 from mocapfix.model.take import Take
+from tests.captures import CAPTURES, needs_captures
 from tests.detect.filled import as_floats, as_integers, walking
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 
 
 def filled(take, marker, first, last, degree):
@@ -111,7 +108,7 @@ def test_empty_takes():
     assert external_fills.detect_polynomial_fills(Take(np.zeros((50, 2, 3)), ("a", "b"), 120.0)) == []
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize(
     ("name", "filled"),
     [("cmu/01_01", 7), ("cmu/85_02", 0), ("c3d/tennis_serve_motive", 2), ("c3d/HDM_bd_05-01_01_120", 0), ("c3d/squat", 0)],

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -7,8 +5,7 @@ from mocapfix.detect import loop
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.options import DetectOptions
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+from tests.captures import CAPTURES, needs_captures
 
 
 def standing(frames=480, markers=3):
@@ -67,7 +64,7 @@ def test_empty_take_has_no_faults():
     assert loop.detect_sample_faults(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)).items == ()
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize(("name", "glitches"), [("02_05", 1), ("85_02", 0), ("06_01", 0)])
 def test_captures_of_fast_motion(name, glitches):
     """LBHD really jumps by 30 mm once in 02_05; everything else is motion."""

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +7,9 @@ from scipy.spatial.transform import Rotation
 from mocapfix.fill.gap_estimates import estimate_without_body, iterate_gaps
 from mocapfix.io import capture
 from mocapfix.model.take import Take
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
+CAPTURE = CAPTURES / "cmu" / "06_01.c3d"
 RATE = 100.0
 
 
@@ -126,7 +125,7 @@ def test_no_inliers_give_no_estimate():
     assert np.isnan(deviation).all()
 
 
-@pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
+@needs_captures
 def test_real_hand_gap_is_filled_better_than_linearly():
     truth = capture.read_take(CAPTURE)
     hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)

@@ -15,10 +15,10 @@ from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
 from mocapfix.stats.rigid_alignment import compose_transforms
 from tests.asf_files import AMC, ASF, FRAMES
+from tests.captures import CAPTURES, needs_captures
 
-CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"
+CMU = CAPTURES / "cmu"
 UNIT = 0.0254 / 0.45
-with_captures = pytest.mark.skipif(not CMU.is_dir(), reason="no captures beside the repository")
 
 
 def read(folder: Path, text: str = AMC, skeleton: str = ASF):
@@ -169,7 +169,7 @@ def map_to_31_joints(animation: Animation) -> np.ndarray:
     return file_joints
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("trial", ["02_01", "05_13"])
 def test_an_amc_of_cmu_agrees_with_its_bvh(trial):
     """Hahne's release omits the lengths of thorax and wrists. With these inserted in, all joints agree to 0.1 mm."""
@@ -193,7 +193,7 @@ def test_an_amc_of_cmu_agrees_with_its_bvh(trial):
         assert np.linalg.norm(own[:, joint] - motion.compute_world_poses()[0][:, joint], axis=-1).max() < 1e-4
 
 
-@with_captures
+@needs_captures
 def test_an_unchanged_patch_is_byte_identical(tmp_path):
     before = asf_amc.read_amc(CMU / "35_01.amc")
     patch_animation(tmp_path / "35_01.amc", before, before.values)

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ from mocapfix.io.patches import patch_animation
 from mocapfix.options import ReadOptions
 from tests.asf_files import AMC, ASF
 from tests.bvh_files import TEXT
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+from tests.captures import CAPTURES, needs_captures
 
 
 @pytest.fixture
@@ -69,7 +67,7 @@ def test_an_amc_in_radians_is_patched_in_radians(tmp_path):
     assert written == text.replace("lfoot 0.5 0.25", "lfoot 1.0 0.5")
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/02_01.bvh", "bvh-other/louise.bvh", "bvh-other/02_01_daz-friendly.bvh"])
 def test_captures_change_only_where_values_changed(name, tmp_path):
     before = bvh.read_bvh(CAPTURES / name)

@@ -10,9 +10,10 @@ from mocapfix.io.asf_amc import get_bone_axes_deg, get_cmu_bone_names, read_amc,
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
+from tests.captures import CAPTURES
 
 SKELETON = load_cmu31_body().skeleton
-CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"
+CMU = CAPTURES / "cmu"
 
 
 def random_motion(seed: int, frames: int = 20, fixed: tuple[str, ...] = ("LHipJoint", "RHipJoint")) -> Motion:

@@ -14,8 +14,8 @@ from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.model.animation import Animation
 from mocapfix.options import ReadOptions
 from tests.bvh_files import HIERARCHY, ROWS, TEXT
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 VALUES = np.array([row.split() for row in ROWS], float)
 
 
@@ -192,7 +192,7 @@ def test_the_up_axis_is_inferred_from_head_and_feet(tmp_path):
     assert position[0, found.names.index("Head"), 1] == pytest.approx(1.0)
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize(
     ("name", "joints", "frames", "rate"),
     [

@@ -14,9 +14,8 @@ from mocapfix.errors import ReadError
 from mocapfix.io import c3d, capture
 from mocapfix.model.take import C3dLayout
 from tests.c3d_files import ENCODINGS, c3d_bytes
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d"}
 READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
 
@@ -330,7 +329,7 @@ MARKERS = {  # counted by hand from the labels
 }
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_are_upright_and_have_the_expected_markers(path):
     take = capture.read_take(path)
@@ -343,7 +342,7 @@ def test_captures_are_upright_and_have_the_expected_markers(path):
     assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("path", [path for path in READABLE if path.name != "sgi_real.c3d"], ids=lambda path: path.name)
 def test_captures_agree_with_ezc3d(path):
     take = capture.read_take(path)
@@ -362,7 +361,7 @@ ROW = re.compile(r"\| (?:c3d|cmu)/(\S+\.c3d) \|.*?\| (\d+) points, (\d+) frames,
 SOURCES = (CAPTURES / "SOURCES.md").read_text(encoding="utf-8") if CAPTURES.is_dir() else ""
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("row", ROW.findall(SOURCES), ids=lambda row: row[0])
 def test_captures_have_the_points_frames_and_rate_of_their_source(row):
     name, points, frames, rate, unit = row
@@ -372,7 +371,7 @@ def test_captures_have_the_points_frames_and_rate_of_their_source(row):
     assert take.layout.unit_m == {"mm": 0.001, "m": 1.0}[unit]
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
     trial = capture.read_take(CAPTURES / "c3d" / "pc_int.c3d")
@@ -392,7 +391,7 @@ def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
     assert (again.labels, again.rate) == (trial.labels, trial.rate)
 
 
-@with_captures
+@needs_captures
 def test_one_trial_in_three_encodings():
     intel, dec, sgi = (capture.read_take(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
     np.testing.assert_array_equal(dec.markers, sgi.markers)
@@ -400,7 +399,7 @@ def test_one_trial_in_three_encodings():
     np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm plus rounding
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize(
     ("name", "words"),
     [

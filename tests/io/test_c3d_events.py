@@ -22,8 +22,9 @@ from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.io.capture import read_take
 from mocapfix.options import ReadOptions
 from tests.c3d_files import ENCODINGS, c3d_bytes, get_layout
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
+C3D_CAPTURES = CAPTURES / "c3d"
 RATE = 120.0
 EVENTS = (
     GaitEvent("left", "foot strike", 0.25, "markers"),
@@ -171,10 +172,10 @@ def test_ezc3d_reads_the_events(tmp_path):
     np.testing.assert_allclose(event["TIMES"]["value"], [[0, 0, 1], [0.25, 0.5, 1.5]], atol=1e-5)
 
 
-@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@needs_captures
 @pytest.mark.parametrize("name", ["pc_int", "dec_real", "sgi_real", "FunctionalWalk", "JA1Gait35", "PiG_Motion-FlatFoot-Hole"])
 def test_captures_keep_their_events_and_all_else(tmp_path, name):
-    data = (CAPTURES / f"{name}.c3d").read_bytes()
+    data = (C3D_CAPTURES / f"{name}.c3d").read_bytes()
     path = tmp_path / f"{name}.c3d"
     path.write_bytes(data)
     take = read_take(path)
@@ -282,11 +283,11 @@ def test_new_events_have_the_only_name_that_the_others_have(tmp_path):
     assert {event.subject for event in read_events(path)[0]} == {"Ann"}
 
 
-@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@needs_captures
 def test_events_of_the_header_are_read_in_every_encoding():
     for name in ("pc_int", "dec_real", "sgi_real"):
-        data = (CAPTURES / f"{name}.c3d").read_bytes()
-        events = read_header_events(C3dHead(data[: get_layout(read_take(CAPTURES / f"{name}.c3d")).data_start_byte]))
+        data = (C3D_CAPTURES / f"{name}.c3d").read_bytes()
+        events = read_header_events(C3dHead(data[: get_layout(read_take(C3D_CAPTURES / f"{name}.c3d")).data_start_byte]))
         assert [event.label for event in events] == ["RHS", "STRT", "RMS", "LHS", "RTO", "LMS", "STOP", "LTO", "EOF"]
         assert [event.time_s for event in events] == pytest.approx([0.38, 0.68, 0.72, 0.84, 0.92, 1.16, 1.2, 1.4, 1.76], abs=1e-4)
         assert [event.foot_and_kind for event in events if event.foot_and_kind] == [
@@ -308,10 +309,10 @@ PLATE_EVENTS = {
 """per capture, the seconds after the first frame at which the load of one foot passes 20 N, as ezc3d reads the plates"""
 
 
-@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@needs_captures
 @pytest.mark.parametrize("name", PLATE_EVENTS)
 def test_events_of_captures_are_within_two_frames_of_their_plates_and_none_is_there_twice(tmp_path, name):
-    result = mocapfix.clean(CAPTURES / f"{name}.c3d", write_events=True, feet="off", prior="none")
+    result = mocapfix.clean(C3D_CAPTURES / f"{name}.c3d", write_events=True, feet="off", prior="none")
     result.write_source_copy(tmp_path / f"{name}.c3d")
     take = read_take(tmp_path / f"{name}.c3d")
     start_s = (take.first_frame - 1) / take.rate

@@ -18,8 +18,8 @@ from mocapfix.model.faults import Fragment
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import ReadOptions
 from tests.c3d_files import ENCODINGS, c3d_bytes
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d"}
 # c3d 0.6.0 fails on a parameter that occurs twice, and on two different analog rates.
 NOT_BY_C3D = {"PiG_Calibration-FlatFoot-Hole.c3d", "01_01.c3d", "05_13.c3d"}
@@ -291,7 +291,7 @@ def test_changed_samples_agree_with_the_c3d_library(tmp_path, encoding):
     np.testing.assert_array_equal(np.argwhere((was != now).any(-1)), [(1, 2), (4, 3)])
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_changed_captures_agree_with_other_libraries(tmp_path, path):
     before = capture.read_take(path)
@@ -310,7 +310,7 @@ def test_changed_captures_agree_with_other_libraries(tmp_path, path):
         np.testing.assert_array_equal(new[~changed], old[~changed])
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_keep_all_other_bytes(tmp_path, path):
     before = capture.read_take(path)

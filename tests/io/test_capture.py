@@ -1,7 +1,6 @@
 """Format detection from content, and captures of every format."""
 
 import gzip
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +14,9 @@ from mocapfix.options import ReadOptions
 from tests.asf_files import AMC, ASF, FRAMES
 from tests.bvh_files import TEXT
 from tests.c3d_files import c3d_bytes
+from tests.captures import CAPTURES, needs_captures
 from tests.text_files import LABELS, STANDING, motive, motive_rows, nexus, qualisys, trc, workstation
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 PLAIN = "frame,time_s," + ",".join(f"{label}_{axis}_mm" for label in LABELS for axis in "XYZ") + "\n"
 PLAIN += "".join(f"{t},{t / 100}," + ",".join(f"{x}" for x in row.ravel()) + "\n" for t, row in enumerate(STANDING))
 COMPLETE_FILES = {  # one of each format
@@ -166,7 +164,7 @@ COUNTS = {  # frames, markers, rate, first frame, missing samples; from each fil
 }
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize("name", COUNTS)
 def test_captures_have_the_counts_of_their_headers(name):
     take = capture.read_take(CAPTURES / name)
@@ -176,7 +174,7 @@ def test_captures_have_the_counts_of_their_headers(name):
     assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
 
 
-@with_captures
+@needs_captures
 def test_a_trial_is_equal_from_its_csv_and_its_c3d():
     csv, c3d = capture.read_take(CAPTURES / "csv" / "vicon_markers.csv"), capture.read_take(CAPTURES / "c3d" / "Vicon.c3d")
     assert csv.bare_labels == c3d.bare_labels
@@ -184,7 +182,7 @@ def test_a_trial_is_equal_from_its_csv_and_its_c3d():
     np.testing.assert_allclose(csv.markers, c3d.markers, atol=1e-5)  # the CSV has six digits
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -6,10 +6,8 @@ import pytest
 from mocapfix.io import capture
 from mocapfix.io.points import find_named_computed_points
 from tests.c3d_files import c3d_bytes
+from tests.captures import CAPTURES, needs_captures
 from tests.stats.test_point_functions import build_segment, compute_hip_centre
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 
 COMPUTED_NAMES = [
     *("LHJC", "RHJC", "Jim:LKJC", "R_AJC", "V_L.KJC", "MidHJC", "HJC_L", "LeftHipCenter", "RightHipCentreStatic", "CoM"),
@@ -118,7 +116,7 @@ def test_residuals_without_cameras_are_judged_by_the_markers_alone(tmp_path):
     assert take.measured.all()
 
 
-@with_captures
+@needs_captures
 def test_a_gait_file_with_model_outputs_has_measured_markers():
     take = capture.read_take(CAPTURES / "c3d" / "FMC_walk.c3d")
     assert len(take.labels) == 16
@@ -127,7 +125,7 @@ def test_a_gait_file_with_model_outputs_has_measured_markers():
     assert len(take.computed_points.take.labels) == 36
 
 
-@with_captures
+@needs_captures
 def test_landmarks_that_a_program_placed_on_segments_are_computed():
     take = capture.read_take(CAPTURES / "c3d" / "walking2.c3d")
     computed = take.computed_points
@@ -138,7 +136,7 @@ def test_landmarks_that_a_program_placed_on_segments_are_computed():
     assert by_function == {"LLFC", "LMFC", "RLFC", "RMFC", "LLMAL", "LMMAL", "RLMAL", "RMMAL"}
 
 
-@with_captures
+@needs_captures
 @pytest.mark.parametrize(
     "name", ["c3d/HDM_bd_05-01_01_120", "c3d/squat", "c3d/tennis_serve_motive", "c3d/sprintbasket", "cmu/85_02"]
 )

@@ -10,8 +10,9 @@ from mocapfix.io.capture import read_take
 from mocapfix.io.force_plates import ForcePlate, read_force_plates
 from mocapfix.options import ReadOptions
 from tests.c3d_files import get_layout
+from tests.captures import CAPTURES, needs_captures
 
-CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
+C3D_CAPTURES = CAPTURES / "c3d"
 FRAMES, SAMPLES_PER_FRAME, RATE = 40, 10, 100.0
 CORNERS_MM = np.array([[0, 0, 0], [600, 0, 0], [600, 400, 0], [0, 400, 0]], float)
 CHANNEL_COUNTS = {1: 6, 2: 6, 3: 8, 4: 6}
@@ -145,10 +146,10 @@ def test_a_damaged_head_gives_no_plates_and_no_error(tmp_path):
         assert isinstance(read_force_plates(damaged, layout, RATE), list)
 
 
-@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@needs_captures
 @pytest.mark.parametrize("name", ["JA1Gait35", "FunctionalWalk", "ADemo1_pc_integer", "walking2", "Qualisys"])
 def test_forces_of_captures_are_those_of_ezc3d(name):
-    path = CAPTURES / f"{name}.c3d"
+    path = C3D_CAPTURES / f"{name}.c3d"
     plates = read_force_plates(path.read_bytes(), get_layout(read_take(path)), RATE)
     expected = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"]["platform"]
     assert len(plates) == len(expected) > 0
@@ -156,11 +157,11 @@ def test_forces_of_captures_are_those_of_ezc3d(name):
         np.testing.assert_allclose(np.abs(plate.vertical_force_n), np.abs(other["force"][2]), atol=0.01)
 
 
-@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@needs_captures
 def test_one_capture_in_three_encodings_has_one_force():
     forces = []
     for name in ("pc_int", "dec_real", "sgi_real"):
-        path = CAPTURES / f"{name}.c3d"
+        path = C3D_CAPTURES / f"{name}.c3d"
         take = read_take(path)
         forces.append([plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), get_layout(take), RATE)])
     for other in forces[1:]:

@@ -14,9 +14,9 @@ from mocapfix.labels.fragments import relabel_samples
 from mocapfix.model.faults import Fragment
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import ReadOptions
+from tests.captures import CAPTURES
 from tests.text_files import LABELS, STANDING, motive, motive_rows, nexus, qualisys, trc
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 TABLES = sorted(
     path
     for path in [*CAPTURES.glob("trc/*.trc"), *CAPTURES.glob("csv/*.csv"), *CAPTURES.glob("tsv/*.tsv")]

@@ -1,6 +1,5 @@
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +10,7 @@ from mocapfix import synthetic
 from mocapfix.io import capture
 from mocapfix.labels import fragments
 from mocapfix.model.take import Take
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+from tests.captures import CAPTURES, needs_captures
 
 
 @cache
@@ -195,7 +192,7 @@ def test_single_marker_is_matched_by_its_path():
     assert classify(cut(take, ("Ball", 100, 160))) == [("continues", "Ball", 100, 160)]
 
 
-@with_captures
+@needs_captures
 def test_fragment_of_a_capture():
     take = capture.read_take(CAPTURES / "cmu" / "01_01.c3d")
     (fragment,) = fragments.detect_fragments(take)
@@ -203,7 +200,7 @@ def test_fragment_of_a_capture():
     assert (fragment.relation, take.labels[fragment.marker], fragment.first, fragment.last) == ("replaces", "RBAC", 120, 127)
 
 
-@with_captures
+@needs_captures
 def test_additional_markers_of_a_capture_are_not_joined():
     take = capture.read_take(CAPTURES / "c3d" / "Movement_trial.c3d")
     found = fragments.detect_fragments(take)

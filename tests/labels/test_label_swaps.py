@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,9 +10,8 @@ from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_runs
+from tests.captures import CAPTURES, needs_captures
 from tests.detect.bodies import exchanged, hidden, turning
-
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 
 
 def undone(take, found):
@@ -118,7 +115,7 @@ def test_takes_without_frames_or_markers_have_no_swaps():
     assert label_swaps.detect_label_swaps(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 def test_single_frame_swap_of_a_capture():
     take = capture.read_take(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
     (swap,) = label_swaps.detect_label_swaps(take)
@@ -126,7 +123,7 @@ def test_single_frame_swap_of_a_capture():
     assert swap.first == swap.last == 1952
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "cmu/06_01", "c3d/tennis_serve_motive"])
 def test_sound_captures_have_no_swaps(name):
     assert label_swaps.detect_label_swaps(capture.read_take(CAPTURES / f"{name}.c3d")) == []

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from mocapfix.labels.mislabelled import select_fullest_frames
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
 from mocapfix.subject.library import build_subject_marker_set, choose_marker_set
+from tests.captures import CAPTURES, needs_captures
 from tests.detect.people import CMU41, columns, compose_person, mirrored, relabelled, without
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 PAIRED = tuple(label[1:] for label in CMU41.labels if label[0] == "L" and f"R{label[1:]}" in CMU41.labels)
 
 
@@ -150,7 +149,7 @@ def test_permutation_cycles():
     assert find_permutation_cycles(np.array([1, 0, 3, 2])) == [(0, 1), (2, 3)]
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize(
     "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
 )

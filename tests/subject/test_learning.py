@@ -13,9 +13,9 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.subject import learning, own_set
 from mocapfix.subject.library import SubjectChoice, load_marker_set, write_marker_set
+from tests.captures import CAPTURES, needs_captures
 from tests.conftest import build_c3d
 
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU = load_marker_set("cmu41")
 WHOLE = synthetic.compose_take(seed=8, seconds=8.0, rate=25.0)
 SKELETON = load_cmu31_body().skeleton
@@ -100,7 +100,7 @@ def test_subject_with_the_most_markers_is_selected():
     assert selected.excluded_markers == excluded
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 def test_unknown_labels_of_a_real_capture():
     learned = own_set.learn_marker_set(CAPTURES / "c3d" / "Qualisys.c3d", "laboratory")
     names, marker_set = load_cmu31_body().skeleton.names, learned.marker_set
@@ -111,7 +111,7 @@ def test_unknown_labels_of_a_real_capture():
     assert (len(marker_set.labels), learned.mean_residual_m < 0.005) == (55, True)
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 def test_clusters_with_numbers_as_labels_are_found_on_the_legs():
     take = read_take(CAPTURES / "c3d" / "dec_real.c3d")
     order = np.random.default_rng(0).permutation(len(take.labels))

@@ -1,7 +1,6 @@
 """Marker set files: reading, errors in them, and writing. Which shipped marker set fits the labels of a take."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.subject.library import choose_marker_set, load_marker_set, load_shipped_marker_sets, write_marker_set
+from tests.captures import CAPTURES, needs_captures
 
 
 def test_unknown_name_lists_the_shipped_sets():
@@ -105,7 +105,6 @@ def test_missing_folder_is_an_error(tmp_path):
         write_marker_set(tmp_path / "nowhere" / "mine.yaml", load_marker_set("cmu41"))
 
 
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU, GAIT = load_marker_set("cmu41"), load_marker_set("plug-in-gait39")
 EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 OTHER_LABELS = ("Stick 1", "Stick 2", "Puck", "Sword_tip", "Floor.1")
@@ -292,7 +291,7 @@ def test_unknown_labels_are_in_no_shipped_set(labels):
     assert "none of them is in a shipped set; `mocapfix marker-set list` shows these" in choose_marker_set(labels).reason
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@needs_captures
 @pytest.mark.parametrize(
     ("take", "name", "marker_count"),
     [
