@@ -36,8 +36,7 @@ from mocapfix.animations.joint_mapping import (
 from mocapfix.animations.repair import repair_animation
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
-from mocapfix.contacts.foot_points import build_foot_points
-from mocapfix.contacts.gait_events import detect_gait_events
+from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
@@ -58,9 +57,8 @@ from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
-from mocapfix.solve.gap_combination import GapContext, GapPrediction
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.solve.motion_prior import predict_shipped_gap
+from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_alignment import compose_transforms

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.solve import occluded_joints
-from mocapfix.solve.gap_combination import (
+from mocapfix.solve.motion_prior import (
     GapContext,
     combine_rotations,
     compute_combined_variance,

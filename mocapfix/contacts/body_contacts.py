@@ -20,8 +20,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_displacements import compute_foot_displacements
-from mocapfix.contacts.foot_points import build_foot_points
-from mocapfix.contacts.gait_events import detect_gait_events
+from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, merge_events
 from mocapfix.io.c3d_events import read_gait_events
 from mocapfix.io.force_plates import read_force_plates

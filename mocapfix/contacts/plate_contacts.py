@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from mocapfix.contacts.contacts import FILE_SOURCE, FOOT_JOINTS, PLATE_SOURCE, BodyContacts, EventDisagreement, Floor, GaitEvent
-from mocapfix.contacts.foot_points import FootPoints
-from mocapfix.contacts.gait_events import find_foot_near_floor
+from mocapfix.contacts.gait_events import FootPoints, find_foot_near_floor
 from mocapfix.io.force_plates import ForcePlate
 from mocapfix.stats.sequences import find_runs
 

@@ -13,8 +13,8 @@ from mocapfix.lab.recordings import RecordingSource
 from mocapfix.lab.settings import PriorSettings, TwistSettings
 from mocapfix.lab.training_poses import TrainingPoses, mirror_joint_name
 from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.solve.hybrik import TwistRegressor
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.twist_regressor import TwistRegressor
 
 ACKNOWLEDGEMENT = """\
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.

@@ -24,7 +24,7 @@ import mocapfix
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import compute_speed, remove_short_runs
 from mocapfix.contacts.foot_displacements import HORIZONTAL_AXES
-from mocapfix.contacts.foot_points import FootPoints, build_foot_points
+from mocapfix.contacts.gait_events import FootPoints, build_foot_points
 from mocapfix.contacts.plate_contacts import PlateContact, find_plate_contacts
 from mocapfix.errors import MocapfixError, TakeError
 from mocapfix.io.c3d_events import HEADER_EVENT_COUNT

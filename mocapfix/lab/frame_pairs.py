@@ -29,10 +29,10 @@ from mocapfix.lab.training_poses import (
     mirror_joint_name,
 )
 from mocapfix.model.skeleton import BODY_SECTIONS, Skeleton, load_cmu31_body, load_cmu31_skeleton
+from mocapfix.solve.hybrik import build_twist_spans, compute_bone_vectors, compute_span_directions, compute_twists
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.learned_ik import build_transfer_tree, correct_poses, transfer_poses
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.solve.twist_regressor import build_twist_spans, compute_bone_vectors, compute_span_directions, compute_twists
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
 
 BODIES_PER_EPOCH = 40

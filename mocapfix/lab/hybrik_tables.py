@@ -24,8 +24,14 @@ from mocapfix.model.skeleton import load_cmu31_body, load_cmu31_skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve import kinematics
-from mocapfix.solve.hybrik import DEFAULT_JOINT_SD_M, HybrikVariant, solve_hybrik
-from mocapfix.solve.twist_regressor import compute_bone_vectors, compute_twists, find_separate_joints
+from mocapfix.solve.hybrik import (
+    DEFAULT_JOINT_SD_M,
+    HybrikVariant,
+    compute_bone_vectors,
+    compute_twists,
+    find_separate_joints,
+    solve_hybrik,
+)
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic.synthetic_takes import draw_subject
 

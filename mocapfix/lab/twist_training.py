@@ -25,8 +25,8 @@ from mocapfix.lab.pose_prior_training import SD_INFLATION, select_measured_poses
 from mocapfix.lab.settings import TwistSettings
 from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.solve.hybrik import TwistRegressor, write_twist_regressor
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.solve.twist_regressor import TwistRegressor, write_twist_regressor
 
 MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton
 

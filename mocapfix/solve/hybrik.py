@@ -1,20 +1,328 @@
-"""HybrIK: the pose of every frame in closed form from its joint positions (Li et al. 2021; HybrIK-X: Li et al. 2023)."""
+"""HybrIK: the pose of every frame in closed form from its joint positions (Li et al. 2021; HybrIK-X: Li et al. 2023).
 
+A joint's rotation is a twist about its bone, the direction to its children, followed by a swing of the bone (section 3.2). Joint
+positions determine the swing. They determine the twist only through the variation among people's poses and through the bones
+beyond; a small network predicts it (section 3.3), evaluated here with numpy.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Float32
 from numpy.typing import ArrayLike
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
-from mocapfix.errors import ConstraintError
-from mocapfix.kernels.hybrik import HYBRIK_ADAPTIVE, HYBRIK_NAIVE, HYBRIK_X, HybrikObservations, solve_hybrik_frames
+from mocapfix.errors import ConstraintError, SceneError
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.kernels.hybrik import (
+    HYBRIK_ADAPTIVE,
+    HYBRIK_NAIVE,
+    HYBRIK_X,
+    HybrikObservations,
+    HybrikSkeleton,
+    solve_hybrik_frames,
+)
 from mocapfix.kernels.joint_registration import RootPoints, register_root_frames
+from mocapfix.kernels.twist_network import BoneLines, compute_bone_direction_frames, evaluate_layer_frames
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body, load_cmu31_skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.solve import mean_pose
+from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.solve.twist_regressor import MarkedSubject, build_bones, find_stub_joints, load_shipped_regressor
+
+SUBTREE_ROOTS = ("Head", "LeftHand", "RightHand")
+"""The roots of the sub-trees, which are also the end joints of the body (HybrIK-X, 3.2.3)."""
+MIN_JOINT_DISTANCE_M = 1e-4
+"""Distance below which two joints count as coincident, with no bone between them."""
+STIFF_JOINT_SD_RAD = 0.1
+"""Standard deviation of the rotation of a joint that hardly turns, such as a clavicle."""
+BONE_MARKER_SD_M = 0.01
+"""Standard deviation per axis of a marker about its offset."""
+WEAK_TRUNK_SD_M = 10.0
+"""Standard deviation of trunk joints in the registration of the root: negligible weight unless no point at the hips is known."""
+
+
+class MarkedSubject(NamedTuple):
+    """A subject, and whether marker positions are given for it."""
+
+    subject: Subject
+    has_markers: bool
+
+
+@dataclass(frozen=True)
+class BonePoint:
+    """A point that a joint's rotation moves.
+
+    point_index    index among J joints and K markers
+    rest_position  (3,) m in the joint's axes
+    is_child       whether it is a child joint, which determines the swing
+    variance       m^2 per axis about the rest position
+    """
+
+    point_index: int
+    rest_position: np.ndarray
+    is_child: bool
+    variance: float
+
+
+class BonePointArrays(NamedTuple):
+    """P bone points as arrays for the kernels."""
+
+    point_index: np.ndarray
+    rest_position: np.ndarray
+    is_child: np.ndarray
+    variance: np.ndarray
+
+
+def find_separate_joints(skeleton: Skeleton) -> Bool[np.ndarray, " J"]:
+    """Find the joints that do not coincide with their parents, so that there is a bone between the two."""
+    return (np.linalg.norm(skeleton.offsets, axis=1) > MIN_JOINT_DISTANCE_M) & (skeleton.parents >= 0)
+
+
+def find_stub_joints(skeleton: Skeleton, prior: MeanPosePrior) -> Bool[np.ndarray, " J"]:
+    """Find the stiff joints that coincide with their parents: the hip stubs, which are redundant with the thighs."""
+    return find_stiff_joints(prior) & ~find_separate_joints(skeleton)
+
+
+def find_stiff_joints(prior: MeanPosePrior) -> Bool[np.ndarray, " J"]:
+    """Find the joints that the mean pose locks about all axes."""
+    return np.linalg.matrix_rank(prior.locked_information) == 3
+
+
+def build_bones(
+    skeleton: Skeleton, prior: MeanPosePrior, marked_subject: MarkedSubject, is_held: Bool[np.ndarray, " J"]
+) -> tuple[HybrikSkeleton, RootPoints]:
+    """Return the bones for HybrIK, and the points that determine the root. Markers follow the joints in the subject's order.
+
+    prior    the mean pose; a joint that it locks about all axes is stiff, and what it carries moves with its parent
+    is_held  joints that keep the mean pose
+    """
+    joint_count, parents = len(skeleton.names), skeleton.parents
+    points = [list_bone_points(j, skeleton, prior, marked_subject) for j in range(joint_count)]
+    root_points, points[0] = points[0], []
+    arrays = stack_points([point for each in points for point in each])
+    conflict_joint = np.full(joint_count, -1)
+    for k in (skeleton.find_joint(name) for name in SUBTREE_ROOTS):
+        conflict_joint[parents[parents[k]]] = k
+    bones = HybrikSkeleton(
+        parents,
+        skeleton.offsets,
+        np.array([any(point.is_child for point in each) for each in points]) & ~is_held,
+        np.cumsum([0, *map(len, points)]),
+        arrays.point_index,
+        arrays.rest_position,
+        arrays.is_child,
+        np.concatenate([find_off_axis_points(each) for each in points]),
+        arrays.variance,
+        conflict_joint,
+    )
+    near_root = {point.point_index for point in root_points}
+    trunk = [point for point in list_trunk_points(skeleton, prior) if point.point_index not in near_root]
+    arrays = stack_points(root_points + trunk)
+    distance = np.linalg.norm(arrays.rest_position[:, None] - arrays.rest_position, axis=2)
+    first_coincident = (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1)
+    return bones, RootPoints(arrays.point_index, arrays.rest_position, arrays.variance, first_coincident)
+
+
+def list_bone_points(j: int, skeleton: Skeleton, prior: MeanPosePrior, marked_subject: MarkedSubject) -> list[BonePoint]:
+    """List all points that the rotation of joint `j` moves."""
+    offsets, subject = skeleton.offsets, marked_subject.subject
+    root = [BonePoint(0, np.zeros(3), False, 0.0)] if j == 0 else []
+    joints: list[BonePoint] = []
+    for c in np.flatnonzero(skeleton.parents == j):
+        is_separate = find_separate_joints(skeleton)[c]
+        if is_separate or j == 0:
+            joints.append(BonePoint(int(c), offsets[c], bool(is_separate), 0.0))
+        if find_stiff_joints(prior)[c]:
+            for g in np.flatnonzero(skeleton.parents == c):
+                position = offsets[c] + prior.mean_rotations[c] @ offsets[g]
+                variance = (STIFF_JOINT_SD_RAD * np.linalg.norm(offsets[g])) ** 2 if is_separate else 0.0
+                joints.append(BonePoint(int(g), position, False, float(variance)))
+    own_markers = np.flatnonzero(subject.joints == j) if marked_subject.has_markers else []
+    is_leaf = not joints
+    markers = [
+        BonePoint(len(skeleton.names) + int(k), subject.marker_offsets[k], is_leaf, BONE_MARKER_SD_M**2) for k in own_markers
+    ]
+    return root + joints + markers
+
+
+def find_off_axis_points(points: list[BonePoint]) -> Bool[np.ndarray, " P"]:
+    """Find the points of a joint that determine its twist: all but children at the end of its only bone."""
+    positions = np.array([point.rest_position for point in points])
+    is_child = np.array([point.is_child for point in points], bool)
+    if not is_child.any():
+        return np.ones(len(points), bool)
+    return ~is_child | (np.linalg.norm(positions - positions[is_child].mean(axis=0), axis=1) > MIN_JOINT_DISTANCE_M)
+
+
+def list_trunk_points(skeleton: Skeleton, prior: MeanPosePrior) -> list[BonePoint]:
+    """List all joints but those of the limbs in the mean pose, with a variance of WEAK_TRUNK_SD_M squared."""
+    points: list[BonePoint] = []
+    positions, rotations = {0: np.zeros(3)}, {0: np.eye(3)}
+    for j in range(1, len(skeleton.parents)):
+        p = int(skeleton.parents[j])
+        if p in positions and not skeleton.names[j].endswith(("UpLeg", "ForeArm")):
+            positions[j] = positions[p] + rotations[p] @ skeleton.offsets[j]
+            rotations[j] = rotations[p] @ prior.mean_rotations[j]
+            points.append(BonePoint(j, positions[j], False, WEAK_TRUNK_SD_M**2))
+    return points
+
+
+def stack_points(points: list[BonePoint]) -> BonePointArrays:
+    """Return points as contiguous arrays."""
+    return BonePointArrays(
+        np.array([point.point_index for point in points]),
+        np.array([point.rest_position for point in points], float),
+        np.array([point.is_child for point in points], bool),
+        np.array([point.variance for point in points], float),
+    )
+
+
+CHEST_SPAN_JOINTS = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))
+"""Pairs of joints whose direction shows the rotation of the chest, in addition to the bones."""
+
+
+@dataclass(frozen=True)
+class TwistRegressor:
+    """A network of L layers with rectifiers between them, for the 31 joints of the CMU skeleton.
+
+    weights  L matrices, inputs by outputs
+    biases   L vectors; the last layer has two outputs for each joint that has a bone
+    sd_rad   (J,) standard deviation of people's twists about the prediction; infinite for joints without a bone
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+    sd_rad: Float[np.ndarray, " J"]
+
+    def predict_twists(
+        self, positions: Float[np.ndarray, "T J 3"], root_rotations: Float[np.ndarray, "T 3 3"]
+    ) -> Float[np.ndarray, "T J 2"]:
+        """Return the cosine and sine of each joint's twist, scaled by its information in 1/rad^2.
+
+        The information is 1 / sd_rad^2, or less if the positions are compatible with many twists, whose mean vector is short; it
+        is 0 for joints without a bone.
+
+        positions       joints in the world in metres, NaN where unknown
+        root_rotations  root axes to world axes
+        """
+        outputs = self.evaluate(compute_span_directions(positions, root_rotations))
+        joints = np.flatnonzero(np.isfinite(self.sd_rad))
+        scale = 1 / (np.maximum(np.hypot(outputs[..., 0], outputs[..., 1]), 1) * self.sd_rad[joints] ** 2)
+        twists = np.zeros((len(outputs), len(self.sd_rad), 2))
+        twists[:, joints] = outputs * scale[..., None]
+        return twists
+
+    def evaluate(self, inputs: Float32[np.ndarray, "T N"]) -> Float32[np.ndarray, "T B 2"]:
+        """Return the network's outputs, not normalised: cosine and sine for the B joints with a bone."""
+        outputs = np.empty((len(inputs), len(self.biases[-1])), np.float32)
+        run_over_frames(evaluate_layer_frames, len(inputs), self.weights, self.biases, inputs, outputs)
+        return outputs.reshape(len(inputs), len(self.biases[-1]) // 2, 2)
+
+
+def compute_twists(
+    rotations: Float[np.ndarray, "*batch J 3 3"], bones: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "*batch J 2"]:
+    """Return the cosine and sine of the angle about each bone in local rotations; NaN for joints without a bone.
+
+    R = swing twist, with the swing about an axis across the bone. As a quaternion, R has the scalar part cos(s/2) cos(t/2) and
+    the part cos(s/2) sin(t/2) along the bone, for the swing angle s and the twist angle t. The squares of both follow from the
+    trace of R and its component along the bone. If the bone swings to the opposite direction, the twist is undefined and not
+    finite.
+    """
+    u = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+    along = np.einsum("ja,...jab,jb->...j", u, rotations, u)
+    skew = rotations - np.swapaxes(rotations, -1, -2)
+    axis = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    both = np.stack([np.trace(rotations, axis1=-2, axis2=-1) - along, (axis * u).sum(-1)], axis=-1)
+    return both / (1 + along)[..., None]
+
+
+def compute_bone_vectors(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
+    """Return each joint's bone in metres: the mean offset of its separate children; NaN without any."""
+    bones = np.full(skeleton.offsets.shape, np.nan)
+    is_separate = find_separate_joints(skeleton)
+    for j in set(skeleton.parents[is_separate]):
+        bones[j] = skeleton.offsets[is_separate & (skeleton.parents == j)].mean(axis=0)
+    return bones
+
+
+@cache
+def build_twist_spans() -> BoneLines:
+    """Return the spans whose directions are the inputs of the network: all bones, and CHEST_SPAN_JOINTS."""
+    skeleton = load_cmu31_skeleton()
+    spans = [(int(skeleton.parents[j]), int(j)) for j in np.flatnonzero(find_separate_joints(skeleton))]
+    rest_vectors = [skeleton.offsets[j] for _, j in spans]
+    for start_name, end_name in CHEST_SPAN_JOINTS:
+        j = skeleton.find_joint(end_name)
+        spans.append((skeleton.find_joint(start_name), j))
+        rest_vectors.append(skeleton.offsets[skeleton.parents[j]] + skeleton.offsets[j])
+    start, end = np.array(spans).T.copy()
+    span_of_joint = {int(j): p for p, j in reversed(list(enumerate(end)))}
+    return BoneLines(start, end, np.array([span_of_joint.get(int(j), -1) for j in start]), np.array(rest_vectors))
+
+
+def compute_span_directions(
+    positions: Float[np.ndarray, "T J 3"], root_rotations: Float[np.ndarray, "T 3 3"]
+) -> Float32[np.ndarray, "T N"]:
+    """Return the directions of all spans in the axes of the root, see `compute_bone_direction_frames`."""
+    spans = build_twist_spans()
+    directions = np.empty((len(positions), 2, len(spans.start), 3), np.float32)
+    inputs = (np.ascontiguousarray(each, float) for each in (positions, root_rotations))
+    run_over_frames(compute_bone_direction_frames, len(directions), spans, *inputs, directions)
+    return directions.reshape(len(directions), 6 * len(spans.start))
+
+
+@cache
+def load_shipped_regressor() -> TwistRegressor:
+    """Return the network shipped with mocapfix."""
+    return read_twist_regressor(find_shipped_folder("priors") / "twist.safetensors")
+
+
+def read_twist_regressor(path: Path) -> TwistRegressor:
+    """Read a network. Raises SceneError, naming the file, if it is not one."""
+    try:
+        tensors = {name: values.astype(np.float32) for name, values in load_file(path).items()}
+        layers = range((len(tensors) - 1) // 2)
+        weights, biases = (tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets"))
+        network = TwistRegressor(weights, biases, tensors.pop("sigma").astype(float))
+        if tensors:
+            raise ValueError(f"unexpected tensors: {', '.join(tensors)}")
+        return check_twist_regressor(network)
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
+        raise SceneError(f"{path}: is not a twist regressor trained by mocapfix ({' '.join(str(error).split())}).") from error
+
+
+def write_twist_regressor(path: Path, network: TwistRegressor) -> None:
+    """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
+    tensors = {"sigma": network.sd_rad.astype(np.float32)}
+    for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
+    with replace_atomically(path) as new_file:
+        save_file(tensors, new_file)
+
+
+def check_twist_regressor(network: TwistRegressor) -> TwistRegressor:
+    """Return the network. Raises ValueError unless its layers fit the 31 joints and each other and all numbers are finite."""
+    skeleton = load_cmu31_skeleton()
+    has_bone = ~np.isnan(compute_bone_vectors(skeleton)[:, 0])
+    widths = [6 * len(build_twist_spans().start), *map(len, network.biases)]
+    if not network.weights or network.sd_rad.shape != has_bone.shape or widths[-1] != 2 * has_bone.sum():
+        raise ValueError(f"it must have a cosine and a sine for the {has_bone.sum()} of {len(has_bone)} joints with a bone")
+    if [each.shape for each in network.weights] != list(pairwise(widths)):
+        raise ValueError(f"its layers are not {' by '.join(map(str, widths))}")
+    values = np.concatenate([each.ravel() for each in (*network.weights, *network.biases)])
+    if not np.isfinite(values).all() or not ((network.sd_rad > 0) & (np.isfinite(network.sd_rad) == has_bone)).all():
+        raise ValueError("it has values that are not finite, or a sigma for a joint without a bone")
+    return network
+
 
 HybrikVariant = Literal["naive", "adaptive", "x"]
 

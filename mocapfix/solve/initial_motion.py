@@ -28,14 +28,13 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.solve import kinematics, mean_pose
-from mocapfix.solve.frame_windows import FrameChanges, change_all_frames, find_changed_frames
-from mocapfix.solve.hybrik import MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
+from mocapfix.solve.hybrik import MIN_JOINT_DISTANCE_M, MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.pose_problem import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.solve.twist_regressor import MIN_JOINT_DISTANCE_M
 
 MIN_MARKER_SPREAD_M = 1e-7
 """Smallest marker spread, which bounds the weight of a marker."""

@@ -38,12 +38,20 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
 from mocapfix.solve import kinematics, occluded_joints, smoothing
-from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
 from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
-from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_motion_problem
+from mocapfix.solve.pose_problem import (
+    FrameChanges,
+    FrameWindow,
+    MotionProblem,
+    PoseProblem,
+    build_motion_problem,
+    change_all_frames,
+    list_window_frames,
+    select_windows,
+)
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window

@@ -14,7 +14,7 @@ proportion to the uncertainty. Used in this way, a model improves gaps of severa
 another tracking term of the poses it increased the error of every gap.
 
 Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision
-(`motion_prior.gap_combination`). In takes of markers it did not improve what was measured on real captures; see docs/priors.md.
+(`motion_prior`). In takes of markers it did not improve what was measured on real captures; see docs/priors.md.
 """
 
 import math
@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import lie
-from mocapfix.solve.gap_combination import GapContext, combine_rotations
+from mocapfix.solve.motion_prior import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
-from mocapfix.solve.gap_combination import GapContext, GapPrediction
+from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
 
 OBSERVED_JOINT_SD_RAD = 0.05

@@ -6,8 +6,7 @@ from mocapfix.animations.clean import MappedPriorConditioner
 from mocapfix.animations.joint_mapping import SkeletonAlignment
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import prior_files
-from mocapfix.solve.gap_combination import GapContext, GapPrediction
-from mocapfix.solve.motion_prior import predict_shipped_gap
+from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_alignment import compose_transforms
 

@@ -16,7 +16,7 @@ from mocapfix.lab.animation_repair import (
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.solve.gap_combination import GapContext, GapPrediction
+from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import synthetic_takes as motions
 from mocapfix.synthetic.synthetic_takes import draw_subject

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.contacts.foot_points import build_foot_points
+from mocapfix.contacts.gait_events import build_foot_points
 from mocapfix.solve import kinematics
 
 TAKE = synthetic.compose_take(seed=0, seconds=1.0)

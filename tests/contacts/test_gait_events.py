@@ -9,8 +9,14 @@ from scipy.signal import butter, sosfiltfilt
 from mocapfix import synthetic
 from mocapfix.contacts.contacts import CONTACT_JOINTS, ContactPositions, Floor
 from mocapfix.contacts.find_contacts import find_foot_contacts
-from mocapfix.contacts.foot_points import FootPoints, build_foot_points
-from mocapfix.contacts.gait_events import detect_gait_events, find_foot_near_floor, find_rise, remove_repeated_contacts
+from mocapfix.contacts.gait_events import (
+    FootPoints,
+    build_foot_points,
+    detect_gait_events,
+    find_foot_near_floor,
+    find_rise,
+    remove_repeated_contacts,
+)
 from mocapfix.synthetic.synthetic_takes import STEP_SCHEDULE
 from tests.contacts.walking_feet import find_true_stances, make_path, walk
 

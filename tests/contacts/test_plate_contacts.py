@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FILE_SOURCE, PLATE_SOURCE, BodyContacts, Floor, GaitEvent
-from mocapfix.contacts.foot_points import FootPoints
+from mocapfix.contacts.gait_events import FootPoints
 from mocapfix.contacts.plate_contacts import (
     PlateContact,
     align_contacts_with_plates,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels.hybrik import compute_swing, compute_twist
 from mocapfix.kernels.twist_network import evaluate_layer_frames
 from mocapfix.model.skeleton import load_cmu31_skeleton
-from mocapfix.solve.twist_regressor import build_twist_spans, compute_span_directions
+from mocapfix.solve.hybrik import build_twist_spans, compute_span_directions
 from tests.kernels import random_terms
 
 seeds = st.integers(0, 2**32 - 1)

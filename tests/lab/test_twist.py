@@ -10,7 +10,7 @@ from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import frame_pairs, settings, twist_training
 from mocapfix.model.skeleton import load_cmu31_skeleton
-from mocapfix.solve.twist_regressor import compute_bone_vectors, compute_twists, read_twist_regressor
+from mocapfix.solve.hybrik import compute_bone_vectors, compute_twists, read_twist_regressor
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
 BODY = load_cmu31_skeleton()

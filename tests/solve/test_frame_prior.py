@@ -11,8 +11,8 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem, window_solver
-from mocapfix.solve.frame_windows import change_all_frames
 from mocapfix.solve.pose_prior import GaussianModel
+from mocapfix.solve.pose_problem import change_all_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.prior_files import load_pose_model
 from mocapfix.solve.window_solver import set_frame_prior

@@ -7,8 +7,8 @@ from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import frame_windows, initial_motion, kinematics, mean_pose, motion_solver, pose_problem
-from mocapfix.solve.frame_windows import FrameWindow, change_all_frames, find_changed_frames, select_windows
+from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver, pose_problem
+from mocapfix.solve.pose_problem import FrameWindow, change_all_frames, find_changed_frames, select_windows
 
 BODY = load_cmu31_body()
 PRIOR, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
@@ -48,16 +48,16 @@ def test_frames_with_an_added_marker_start_from_their_solution():
 def test_windows_reach_beyond_the_changes():
     windows = select_windows(mark(2000, 300, 310, 1999), RATE)
     assert windows == [FrameWindow(270, 341, 240, 371), FrameWindow(1969, 2000, 1939, 2000)]
-    np.testing.assert_array_equal(frame_windows.list_window_frames(windows), np.r_[270:341, 1969:2000])
+    np.testing.assert_array_equal(pose_problem.list_window_frames(windows), np.r_[270:341, 1969:2000])
     assert select_windows(np.zeros(50, bool), RATE) == []
 
 
 def test_many_changes_make_one_window_and_long_takes_several(monkeypatch):
     assert select_windows(mark(300, 100, 200), RATE) == [FrameWindow(0, 300, 0, 300)]
-    monkeypatch.setattr(frame_windows, "MAX_WINDOW_FRAMES", 100)
+    monkeypatch.setattr(pose_problem, "MAX_WINDOW_FRAMES", 100)
     windows = select_windows(np.ones(300, bool), RATE)
     assert windows == [FrameWindow(0, 100, 0, 130), FrameWindow(100, 200, 70, 230), FrameWindow(200, 300, 170, 300)]
-    np.testing.assert_array_equal(frame_windows.list_window_frames(windows), np.arange(300))
+    np.testing.assert_array_equal(pose_problem.list_window_frames(windows), np.arange(300))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_solving_the_changes_equals_solving_all(scene):
 def test_several_windows_give_nearly_the_same_solution_as_one(scene, monkeypatch):
     subject, take, _ = scene
     whole = compute_joints(subject, solve(subject, take)[0])
-    monkeypatch.setattr(frame_windows, "MAX_WINDOW_FRAMES", 120)
+    monkeypatch.setattr(pose_problem, "MAX_WINDOW_FRAMES", 120)
     parts = compute_joints(subject, solve(subject, take)[0])
     distance = np.linalg.norm(whole - parts, axis=-1)
     assert distance.max() < 5e-3

@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.solve import gap_combination
-from mocapfix.solve.gap_combination import GapContext, GapPrediction
-from mocapfix.solve.motion_prior import CONTEXT_DISTANCES_S
+from mocapfix.solve import motion_prior
+from mocapfix.solve.motion_prior import CONTEXT_DISTANCES_S, GapContext, GapPrediction
 
 RATE_HZ = 60.0
 
@@ -28,7 +27,7 @@ def predict(angle, variance):
 def test_the_more_certain_estimate_counts_more():
     angles = []
     for predicted_variance in (1e-6, 0.02, 10.0, np.inf):
-        rotations, variance = gap_combination.combine_rotations(
+        rotations, variance = motion_prior.combine_rotations(
             np.eye(3)[None, None], np.array([[0.04]]), predict(0.5, predicted_variance)
         )
         angles.append(float(Rotation.from_matrix(rotations[0, 0]).magnitude()))
@@ -40,6 +39,6 @@ def test_the_more_certain_estimate_counts_more():
 
 
 def test_exact_estimates_stay():
-    rotations, variance = gap_combination.combine_rotations(np.eye(3)[None, None], np.zeros((1, 1)), predict(0.5, 0.0))
+    rotations, variance = motion_prior.combine_rotations(np.eye(3)[None, None], np.zeros((1, 1)), predict(0.5, 0.0))
     np.testing.assert_array_equal(rotations[0, 0], np.eye(3))
     assert variance[0, 0] == 0

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import motion_prior
-from mocapfix.solve.gap_combination import GapContext
-from mocapfix.solve.motion_prior import MotionPrior, PredictedGap, build_motion_tree
+from mocapfix.solve.motion_prior import GapContext, MotionPrior, PredictedGap, build_motion_tree
 
 SKELETON = load_cmu31_body().skeleton
 RATE_HZ = 60.0

@@ -16,8 +16,7 @@ from mocapfix.kernels.hybrik import compute_swing, compute_twist
 from mocapfix.lab import sound_takes
 from mocapfix.lab.training_poses import mirror_joint_name
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
-from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.twist_regressor import (
+from mocapfix.solve.hybrik import (
     TwistRegressor,
     build_twist_spans,
     compute_bone_vectors,
@@ -27,6 +26,7 @@ from mocapfix.solve.twist_regressor import (
     read_twist_regressor,
     write_twist_regressor,
 )
+from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from tests.kernels import random_terms
 
 BODY = load_cmu31_skeleton()
@@ -220,6 +220,6 @@ def test_invalid_and_missing_files_are_rejected(tmp_path):
 
 
 def test_prediction_does_not_import_torch():
-    code = "import sys, numpy as np; from mocapfix.solve.twist_regressor import load_shipped_regressor; "
+    code = "import sys, numpy as np; from mocapfix.solve.hybrik import load_shipped_regressor; "
     code += "load_shipped_regressor().predict_twists(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
