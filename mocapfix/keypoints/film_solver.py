@@ -27,7 +27,7 @@ from mocapfix.solve.model_terms import PoseModelTerm
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.single_pose import Camera
 from mocapfix.solve.smoothing import smooth_poses
-from mocapfix.solve.terms import KinematicTree, ReprojectionTerm, TrackingTerm
+from mocapfix.solve.terms import KinematicTree, ReprojectionTerm, TrackingTerm, compute_robust_weights
 from mocapfix.stats.sequences import find_cheapest_states
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
@@ -161,7 +161,7 @@ class ReprojectionProblem:
         """Return the keypoints' weights in 1/m^2, beside points at `positions`, at the solve's last robust scale."""
         error = self.position_px / scale_px_m - self.project_to_image_plane(positions)
         square = self.weight * (error**2).sum(axis=-1)
-        return self.weight / (1 + square / self.robust_scales_sd[-1] ** 2) ** 2
+        return self.weight * compute_robust_weights(square, self.robust_scales_sd[-1] ** 2)
 
 
 HEADING_COUNT = 6  # start headings of each frame, in equal steps

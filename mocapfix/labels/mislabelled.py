@@ -29,12 +29,10 @@ from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits
 from mocapfix.solve.pose_problem import build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
+from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term, compute_robust_costs
 
 # Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
 BODY_MARKER_SD_M = 0.030
-# Standard deviation of a joint angle beyond its limits.
-JOINT_LIMIT_SD_RAD = 0.1
 # Scales of the robust loss (Geman & McClure 1987), from coarse to fine.
 ROBUST_SCALES_M = (0.4, 0.2, 0.1)
 # Number of iterations at each scale.
@@ -59,7 +57,7 @@ class BodyFitter:
             markers: Measured world positions in metres, NaN where missing.
         """
         poses = register_poses(self.subject, self.body.free_joints, self.prior, markers)
-        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD)
+        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits)
         problem = build_marker_problem(self.subject, self.body.free_joints, markers, BODY_MARKER_SD_M, prior, limits)
         start = poses.root_position, poses.local_rotations
         solution = problem.minimise(start, ROBUST_SCALES_M, max_iterations=MAX_BODY_FIT_ITERATIONS)
@@ -108,7 +106,7 @@ def estimate_size_ratio(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3
 def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
     """Compute half the robust squared distance in standard deviations (Geman & McClure 1987), 0 where missing."""
     square = ((markers - predicted) ** 2).sum(-1)
-    return np.nan_to_num(0.5 * square / (1 + square / ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
+    return np.nan_to_num(compute_robust_costs(square, ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
 
 
 def compute_rest_markers(marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:

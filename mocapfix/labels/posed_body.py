@@ -27,8 +27,6 @@ POSING_ITERATIONS = 8
 """Solver iterations at each scale."""
 POSING_MARKER_SD_M = 0.02
 """Standard deviation of a marker about the body per axis."""
-LABELLING_LIMIT_SD_RAD = 0.1
-"""Standard deviation of joint angles beyond the joint limits."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class PosedBody:
         return kinematics.predict_markers(self.subject, poses)
 
     def _build_problem(self, markers: Float[np.ndarray, "S K 3"], marker_sd_m: float) -> PoseProblem:
-        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits, LABELLING_LIMIT_SD_RAD)
+        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits)
         return build_marker_problem(self.subject, self.body.free_joints, markers, marker_sd_m, prior, limits)
 
 

@@ -2,12 +2,17 @@
 
 The cost of a frame is the sum of its terms (`terms`, `model_terms`), each half a sum of squares in standard deviations. Nothing
 else calls the kernels of the solver: bodies, contacts, retargeting, priors and benchmarks pass their terms to `minimise`.
+
+Unknowns that frames share, such as the bones of a person, are minimised by damped steps too. At each step the poses of the
+frames are solved again and eliminated exactly (variable projection; Golub & Pereyra 1973): the pose of each frame adapts to a
+change of the body, so that the sum over the frames gives curvature and gradient of the cost whose poses are solved.
 """
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,10 +25,12 @@ from mocapfix.kernels.levenberg_marquardt import (
     compute_cost_frames,
     solve_frames,
 )
+from mocapfix.kernels.schur import eliminate_pose_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import SolveOrder, order_independently, run_over_frames
+from mocapfix.solve.terms import ShapeDeformations
 
 NEGLIGIBLE_COST_DECREASE = MIN_COST_DECREASE
 """Decrease of the cost that does not count."""
@@ -184,3 +191,143 @@ def compute_uncertainty(
         compute_uncertainty_frames, frame_count, tree, terms, squared_robust_scale, rows, *poses, shared, *uncertainty
     )
     return uncertainty
+
+
+INITIAL_DAMPING = 1e-3
+"""Marquardt damping of the shared unknowns at the start."""
+MIN_DAMPING = 1e-6
+"""Smallest damping after accepted steps."""
+MAX_DAMPING = 1e3
+"""Damping above which the search ends without an accepted step."""
+MIN_RELATIVE_DECREASE = 1e-3
+"""Relative decrease of the cost below which the search ends."""
+MIN_CURVATURE_CHANGE_DECREASE = 0.02
+"""Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
+
+
+class SharedState(Protocol):
+    """Shared unknowns (Q,), and cost and gradient (Q,) there, with the poses of the frames solved."""
+
+    @property
+    def unknowns(self) -> np.ndarray: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def gradient(self) -> np.ndarray: ...
+
+
+State = TypeVar("State", bound=SharedState)
+
+
+def minimise_shared(
+    fit: Callable[[np.ndarray, State], State],
+    start: State,
+    compute_curvature: Callable[[State], Float[np.ndarray, "Q Q"]],
+    max_rounds: int,
+) -> tuple[State, Float[np.ndarray, "Q Q"]]:
+    """Return the state of least cost, and the curvature there or near it, by damped Gauss-Newton steps (Marquardt 1963).
+
+    Args:
+        fit: Returns the state at other unknowns, whose poses start from those of a state.
+        start: The first state.
+        compute_curvature: Returns the curvature at a state.
+        max_rounds: Steps of the shared unknowns.
+    """
+    state, curvature, damping = start, compute_curvature(start), INITIAL_DAMPING
+    for _ in range(max_rounds):
+        step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), -state.gradient)
+        trial = fit(state.unknowns + step, state)
+        if trial.cost < state.cost:
+            decrease = (state.cost - trial.cost) / trial.cost
+            state, damping = trial, max(damping / 5, MIN_DAMPING)
+            if decrease < MIN_RELATIVE_DECREASE:
+                break
+            if decrease > MIN_CURVATURE_CHANGE_DECREASE:
+                curvature = compute_curvature(state)
+        else:
+            damping *= 10
+            if damping > MAX_DAMPING:
+                break
+    return state, curvature
+
+
+class SharedResponses(NamedTuple):
+    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
+
+    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
+    radians.
+    """
+
+    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
+    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
+    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
+    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
+    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
+    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
+    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
+
+
+def compute_shared_responses(
+    tree: KinematicTree,
+    terms: KernelTerms,
+    deformations: ShapeDeformations,
+    squared_robust_scale: float,
+    root: Float[np.ndarray, "T 3"],
+    local: Float[np.ndarray, "T J 3 3"],
+    *,
+    only_errors: bool = False,
+) -> SharedResponses:
+    """Return the responses of frames at their solved poses, root in metres and local rotations.
+
+    terms                 those of the pose problem
+    squared_robust_scale  in units of the markers' standard deviation
+    only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
+    """
+    frames, joints = local.shape[:2]
+    dense, markers = deformations.marker_offsets.shape[:2]
+    rotating = np.flatnonzero(tree.free)[1:]
+    unknowns = dense + 3 * markers + 3 * len(rotating)
+    responses = SharedResponses(
+        np.empty(frames),
+        np.zeros((frames, markers)),
+        np.empty((frames, dense, markers, 3)),
+        np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns + 1, len(rotating), 3)),
+        terms[2].information[0, rotating],
+        np.empty((frames, unknowns, joints, 3)),
+    )
+    run_over_frames(
+        eliminate_pose_frames, frames, tree, terms, deformations, rotating, squared_robust_scale, only_errors, root, local,
+        *responses,
+    )  # fmt: skip
+    return responses
+
+
+def reduce_shared_curvature(responses: SharedResponses) -> Float[np.ndarray, "Q Q"]:
+    """Return the curvature of the cost in the shared unknowns, summed over frames."""
+    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
+    curvature = _reduce_rows(responses, slice(0, unknowns), dense)
+    curvature[dense:, :dense] = curvature[:dense, dense:].T
+    return curvature
+
+
+def reduce_shared_gradient(responses: SharedResponses) -> Float[np.ndarray, " Q"]:
+    """Return the gradient of the cost in the shared unknowns, summed over frames."""
+    return _reduce_rows(responses, slice(-1, None), 1)[0]
+
+
+def _reduce_rows(responses: SharedResponses, rows: slice, deformed_rows: int) -> np.ndarray:
+    """Return the products of some rows of the responses with the shifts of the body by each of the Q shared unknowns.
+
+    The products with the deformations are computed for the first rows only: a curvature is symmetric.
+    """
+    (_, dense, markers), unknowns = responses.marker_shift.shape[:3], responses.marker_response.shape[1] - 1
+    own = dense + 3 * markers  # first unknown after the markers' own offsets
+    weighted = responses.marker_response[:, rows] * responses.marker_weight[:, None, :, None]
+    products = np.zeros((weighted.shape[1], unknowns))
+    products[:, dense:own] = weighted.sum(0).reshape(len(products), -1)
+    prior = np.einsum("qfa,fab->qfb", responses.prior_response[:, rows].sum(0), responses.prior_information)
+    products[:, own:] = -prior.reshape(len(products), -1)
+    deformed = weighted[:, :deformed_rows]
+    products[:deformed_rows, :dense] = np.tensordot(deformed, responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
+    return products

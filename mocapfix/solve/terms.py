@@ -26,9 +26,11 @@ from mocapfix.kernels.terms import (
     TrackingTerm,
     normalise_pixels,
 )
+from mocapfix.options import SolveOptions
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 
 __all__ = [
+    "JOINT_LIMIT_SD_RAD",
     "BodyTerms",
     "DirectionTerm",
     "DistanceTerm",
@@ -39,12 +41,15 @@ __all__ = [
     "PointTerm",
     "PosePriorTerm",
     "ReprojectionTerm",
+    "ShapeDeformations",
     "TrackingTerm",
     "build_joint_limit_term",
     "build_marker_term",
     "build_no_joint_limits",
     "build_no_tracking",
     "build_pose_prior_term",
+    "compute_robust_costs",
+    "compute_robust_weights",
     "normalise_pixels",
 ]
 
@@ -54,6 +59,13 @@ class MarkerAttachment(NamedTuple):
 
     joints: Int[np.ndarray, " K"]
     offsets: Float[np.ndarray, "K 3"]  # metres
+
+
+class ShapeDeformations(NamedTuple):
+    """Changes of the body by P shared unknowns, in metres per unit."""
+
+    joint_offsets: Float[np.ndarray, "P J 3"]  # of a joint in its parent's axes
+    marker_offsets: Float[np.ndarray, "P K 3"]  # of a marker in its joint's axes
 
 
 BodyTerms: TypeAlias = tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm]
@@ -78,7 +90,11 @@ def build_pose_prior_term(prior: MeanPosePrior, huber_scale_sd: float = math.inf
     return PosePriorTerm(prior.mean_rotations[None], prior.information[None], huber_scale2=huber_scale_sd**2)
 
 
-def build_joint_limit_term(limits: JointLimits, sd_rad: float) -> JointLimitTerm:
+JOINT_LIMIT_SD_RAD = SolveOptions().limit_sd_rad
+"""Standard deviation of a joint's excess over its limits, where the options of a take do not apply."""
+
+
+def build_joint_limit_term(limits: JointLimits, sd_rad: float = JOINT_LIMIT_SD_RAD) -> JointLimitTerm:
     """Return joint limits as soft limits: the standard deviation of an excess is `sd_rad`."""
     return JointLimitTerm(limits.mean_rotations, limits.lower_rad, limits.upper_rad, sd_rad**-2)
 
@@ -86,3 +102,13 @@ def build_joint_limit_term(limits: JointLimits, sd_rad: float) -> JointLimitTerm
 def build_no_joint_limits(joints: int) -> JointLimitTerm:
     """Return infinite joint limits."""
     return JointLimitTerm(np.zeros((joints, 3, 3)), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 0.0)
+
+
+def compute_robust_costs(square: Float[np.ndarray, "*shape"], scale2: float) -> Float[np.ndarray, "*shape"]:
+    """Return the costs of points (Geman & McClure 1987), from their squared distances; `scale2` is the squared scale."""
+    return 0.5 * square * scale2 / (scale2 + square)
+
+
+def compute_robust_weights(square: Float[np.ndarray, "*shape"], scale2: float) -> Float[np.ndarray, "*shape"]:
+    """Return the factors of the weights of points that correspond to `compute_robust_costs`."""
+    return (scale2 / (scale2 + square)) ** 2

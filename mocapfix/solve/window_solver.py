@@ -50,7 +50,7 @@ from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
 from mocapfix.solve.pose_problem import MotionProblem, PoseProblem
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.solve.terms import PosePriorTerm, TrackingTerm
+from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MIN_ROOT_CURVATURE = 1.0
@@ -93,7 +93,7 @@ def compute_marker_equations(
     error = np.where(problem.solver_mask[..., None], markers - problem.marker_positions, 0.0)
     scale2 = (robust_scale_m / problem.marker_sd) ** 2
     square = (error**2).sum(-1) / problem.marker_sd**2
-    weight = problem.solver_mask * (scale2 / (scale2 + square)) ** 2 / problem.marker_sd**2
+    weight = problem.solver_mask * compute_robust_weights(square, scale2) / problem.marker_sd**2
     slopes = np.zeros((*markers.shape, 6 + 3 * len(joints)))
     slopes[..., :3] = np.eye(3)
     arm = markers - position[:, :1]
@@ -422,7 +422,7 @@ def compute_marker_cost(problem: PoseProblem, predicted: Float[np.ndarray, "T K 
     """Return the cost of each frame's visible markers, half the sum of squares in standard deviations, at a wide robust scale."""
     square = ((problem.marker_positions - predicted) ** 2).sum(-1) / problem.marker_sd**2
     scale2 = (COMPARED_ROBUST_SCALE_M / problem.marker_sd) ** 2
-    return np.where(problem.solver_mask, 0.5 * square * scale2 / (scale2 + square), 0.0).sum(1)
+    return np.where(problem.solver_mask, compute_robust_costs(square, scale2), 0.0).sum(1)
 
 
 class WindowSolution(NamedTuple):

@@ -14,14 +14,16 @@ noise and its opposite, so that what is linear in the noise cancels (indirect in
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
-from mocapfix.solve.kinematics import compute_tree_poses
+from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.mean_pose import MeanPosePrior
+from mocapfix.solve.minimise import minimise_shared
 from mocapfix.subject import refinement
 from mocapfix.subject.calibration import CalibrationFrames, build_average_subject
 from mocapfix.subject.parameters import CalibrationParameters, add_hip_regression, build_calibration_parameters
@@ -46,6 +48,20 @@ class JointUnknowns:
     of_take: tuple[Int[np.ndarray, " Q"], ...]
     information: Float[np.ndarray, "N N"]
     expected: Float[np.ndarray, " N"]
+
+
+class JointState(NamedTuple):
+    """The state of all takes: the unknowns (N,), cost and gradient (N,) there, and the state of each take."""
+
+    unknowns: np.ndarray
+    cost: float
+    gradient: np.ndarray
+    of_take: tuple[RefinementState, ...]
+
+    @property
+    def poses(self) -> list[Poses]:
+        """The poses of each take."""
+        return [(state.root_position, state.local_rotations) for state in self.of_take]
 
 
 @dataclass(frozen=True)
@@ -81,55 +97,36 @@ def calibrate_jointly(
     plain = build_calibration_parameters(start, body, prior)
     parameters = add_hip_regression(plain, start, body.skeleton)
     unknowns = lay_out_unknowns(plain, parameters, places)
-    poses = [(take.root_position, take.local_rotations) for take in takes]
-    if previous is not None:
-        poses = [(state.root_position, state.local_rotations) for state in previous.states]
+    poses = [(each.root_position, each.local_rotations) for each in (takes if previous is None else previous.states)]
 
-    def fit(values: np.ndarray, poses: list[tuple[np.ndarray, np.ndarray]]) -> tuple[list[RefinementState], float, np.ndarray]:
+    def fit(values: np.ndarray, poses: Sequence[Poses]) -> JointState:
         states: list[RefinementState] = []
         deviation = values - unknowns.expected
         gradient = unknowns.information @ deviation
         cost = float(0.5 * deviation @ gradient)
-        for take, indices, (root, local) in zip(takes, unknowns.of_take, poses, strict=True):
+        for take, indices, start_poses in zip(takes, unknowns.of_take, poses, strict=True):
             of_take = values[indices]
             # the prior is that of all takes together, and is added once
             shape = replace(parameters, information=np.zeros_like(parameters.information))
             problem = refinement.build_calibration_problem(start, body, prior, take.markers, shape.compute_body(of_take))
-            states.append(refinement.solve_and_linearise(shape, problem, of_take, root.copy(), local.copy()))
+            states.append(refinement.solve_and_linearise(shape, problem, of_take, *start_poses))
             cost += states[-1].cost
             gradient[indices] += states[-1].gradient
-        return states, cost, gradient
+        return JointState(values, cost, gradient, tuple(states))
 
-    def sum_curvature(states: list[RefinementState]) -> np.ndarray:
+    def sum_curvature(state: JointState) -> np.ndarray:
         curvature = unknowns.information.copy()
-        for state, indices in zip(states, unknowns.of_take, strict=True):
-            curvature[np.ix_(indices, indices)] += refinement.compute_curvature(state)
+        for of_take, indices in zip(state.of_take, unknowns.of_take, strict=True):
+            curvature[np.ix_(indices, indices)] += refinement.compute_curvature(of_take)
         return curvature
 
     values = np.zeros(len(unknowns.expected))
     if previous is not None:
         for state, indices in zip(previous.states, unknowns.of_take, strict=True):
             values[indices] = state.unknowns
-    states, cost, gradient = fit(values, poses)
-    curvature, damping = sum_curvature(states), refinement.INITIAL_DAMPING
-    for _ in range(MAX_JOINT_ROUNDS):
-        step = refinement.compute_damped_step(curvature, gradient, damping)
-        trial_states, trial_cost, trial_gradient = fit(
-            values + step, [(state.root_position, state.local_rotations) for state in states]
-        )
-        if trial_cost >= cost:
-            damping *= 10
-            if damping > refinement.MAX_DAMPING:
-                break
-            continue
-        decrease = (cost - trial_cost) / trial_cost
-        values, states, cost, gradient = values + step, trial_states, trial_cost, trial_gradient
-        damping = max(damping / 5, refinement.MIN_DAMPING)
-        if decrease < refinement.MIN_RELATIVE_DECREASE:
-            break
-        if decrease > refinement.MIN_CURVATURE_CHANGE_DECREASE:
-            curvature = sum_curvature(states)
-    return build_joint_calibration(start, parameters, takes, places, states)
+    first = fit(values, poses)
+    found, _ = minimise_shared(lambda values, state: fit(values, state.poses), first, sum_curvature, MAX_JOINT_ROUNDS)
+    return build_joint_calibration(start, parameters, takes, places, found.of_take)
 
 
 def lay_out_unknowns(

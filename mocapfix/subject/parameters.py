@@ -21,6 +21,7 @@ from scipy.linalg import block_diag
 from mocapfix.model.skeleton import BodyModel, Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.solve.mean_pose import MeanPosePrior
+from mocapfix.solve.terms import ShapeDeformations
 from mocapfix.subject.library import find_landmark
 
 BODY_SIZE_SD = 1e3
@@ -42,13 +43,6 @@ MEAN_POSE_SD_RAD = 0.02
 """Standard deviation of a take's mean pose from the average about axes for which no variation is known."""
 MIN_SCALED_BONE_LENGTH_M = 0.02
 """Length above which an offset counts as a bone with a length of its own."""
-
-
-class ShapeDeformations(NamedTuple):
-    """Changes of the body by P shared unknowns, in metres per unit."""
-
-    joint_offsets: Float[np.ndarray, "P J 3"]  # of a joint in its parent's axes
-    marker_offsets: Float[np.ndarray, "P K 3"]  # of a marker in its joint's axes
 
 
 class CalibratedBody(NamedTuple):

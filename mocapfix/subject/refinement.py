@@ -1,131 +1,42 @@
 """Refinement: bones, marker offsets and the poses of many frames, fitted together.
 
-Levenberg-Marquardt over the unknowns that the frames share (see `parameters`). At each step the poses of the frames are solved
-again and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step accounts for the change of the poses.
-The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
+Levenberg-Marquardt over the unknowns that the frames share (see `parameters`), with the poses of the frames eliminated (see
+`solve.minimise`). The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
 
-`kernels.schur` describes the unknowns and the elimination, `calibration_uncertainty` the errors that remain.
-
-Shared responses: how each frame's markers and joints change with the unknowns that the frames share.
-
-The pose of each frame adapts to a change of the body (variable projection), so that the sum over the frames gives the curvature
-and the gradient of the cost whose poses are solved at every step. `kernels.schur` computes the responses.
-
-Calibration uncertainty: how far bones and markers of a calibrated subject may lie from the true ones.
-
-A calibration error is the same in every frame, so that no residual shows it. It is predicted from the normal equations of the
-calibration, with the actual variation of markers about their places instead of the weights of the fit.
+Calibration uncertainty: how far bones and markers of a calibrated subject may lie from the true ones. A calibration error is the
+same in every frame, so that no residual shows it. It is predicted from the normal equations of the calibration, with the actual
+variation of markers about their places instead of the weights of the fit.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.kernels.schur import eliminate_pose_frames
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior
-from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.minimise import (
+    SharedResponses,
+    compute_shared_responses,
+    minimise_shared,
+    reduce_shared_curvature,
+    reduce_shared_gradient,
+)
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.solve.terms import BodyTerms, KinematicTree, build_no_joint_limits, build_pose_prior_term
+from mocapfix.solve.terms import build_no_joint_limits, build_pose_prior_term
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF, evaluate_matern
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.parameters import (
     CalibratedBody,
     CalibrationParameters,
-    ShapeDeformations,
     add_hip_regression,
     build_calibration_parameters,
 )
-
-
-class SharedResponses(NamedTuple):
-    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
-
-    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
-    radians.
-    """
-
-    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
-    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
-    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
-    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
-    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
-    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
-    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
-
-
-def compute_shared_responses(
-    tree: KinematicTree,
-    terms: BodyTerms,
-    deformations: ShapeDeformations,
-    squared_robust_scale: float,
-    root: Float[np.ndarray, "T 3"],
-    local: Float[np.ndarray, "T J 3 3"],
-    *,
-    only_errors: bool = False,
-) -> SharedResponses:
-    """Return the responses of frames at their solved poses, root in metres and local rotations.
-
-    terms                 those of the pose problem
-    squared_robust_scale  in units of the markers' standard deviation
-    only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
-    """
-    frames, joints = local.shape[:2]
-    dense, markers = deformations.marker_offsets.shape[:2]
-    rotating = np.flatnonzero(tree.free)[1:]
-    unknowns = dense + 3 * markers + 3 * len(rotating)
-    responses = SharedResponses(
-        np.empty(frames),
-        np.zeros((frames, markers)),
-        np.empty((frames, dense, markers, 3)),
-        np.empty((frames, unknowns + 1, markers, 3)),
-        np.empty((frames, unknowns + 1, len(rotating), 3)),
-        terms[2].information[0, rotating],
-        np.empty((frames, unknowns, joints, 3)),
-    )
-    run_over_frames(
-        eliminate_pose_frames, frames, tree, terms, deformations, rotating, squared_robust_scale, only_errors, root, local,
-        *responses,
-    )  # fmt: skip
-    return responses
-
-
-def reduce_shared_curvature(responses: SharedResponses) -> Float[np.ndarray, "Q Q"]:
-    """Return the curvature of the cost in the shared unknowns, summed over frames."""
-    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
-    curvature = _reduce_rows(responses, slice(0, unknowns), dense)
-    curvature[dense:, :dense] = curvature[:dense, dense:].T
-    return curvature
-
-
-def reduce_shared_gradient(responses: SharedResponses) -> Float[np.ndarray, " Q"]:
-    """Return the gradient of the cost in the shared unknowns, summed over frames."""
-    return _reduce_rows(responses, slice(-1, None), 1)[0]
-
-
-def _reduce_rows(responses: SharedResponses, rows: slice, deformed_rows: int) -> np.ndarray:
-    """Return the products of some rows of the responses with the shifts of the body by each of the Q shared unknowns.
-
-    The products with the deformations are computed for the first rows only: a curvature is symmetric.
-    """
-    (_, dense, markers), unknowns = responses.marker_shift.shape[:3], responses.marker_response.shape[1] - 1
-    own = dense + 3 * markers  # first unknown after the markers' own offsets
-    weighted = responses.marker_response[:, rows] * responses.marker_weight[:, None, :, None]
-    products = np.zeros((weighted.shape[1], unknowns))
-    products[:, dense:own] = weighted.sum(0).reshape(len(products), -1)
-    prior = np.einsum("qfa,fab->qfb", responses.prior_response[:, rows].sum(0), responses.prior_information)
-    products[:, own:] = -prior.reshape(len(products), -1)
-    deformed = weighted[:, :deformed_rows]
-    products[:deformed_rows, :dense] = np.tensordot(deformed, responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
-    return products
-
 
 SKIN_CORRELATION_S = 0.3
 """Time after which the correlation of a marker's motion with the skin has fallen to 1/e."""
@@ -209,16 +120,6 @@ MAX_CALIBRATION_POSE_ITERATIONS = 6
 """Iterations of a frame between two steps of the shared unknowns."""
 MAX_REFINEMENT_ROUNDS = 25
 """Steps of the shared unknowns."""
-MIN_RELATIVE_DECREASE = 1e-3
-"""Relative decrease of the cost below which the refinement ends."""
-MIN_CURVATURE_CHANGE_DECREASE = 0.02
-"""Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
-INITIAL_DAMPING = 1e-3
-"""Marquardt damping at the start."""
-MIN_DAMPING = 1e-6
-"""Smallest damping after accepted steps."""
-MAX_DAMPING = 1e3
-"""Damping above which the refinement ends without an accepted step."""
 FRAMES_PER_BLOCK = 10
 """Frames whose responses are held at a time: those of one frame take about a megabyte."""
 MAX_UNCERTAINTY_FRAMES = 30
@@ -295,24 +196,14 @@ def refine_subject(
         return solve_and_linearise(parameters, problem, unknowns, root_position, local_rotations)
 
     unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
-    state = fit(unknowns, root_position, local_rotations)
-    first_cost = state.cost
-    curvature, damping = compute_curvature(state), INITIAL_DAMPING
-    for _ in range(MAX_REFINEMENT_ROUNDS):
-        step = compute_damped_step(curvature, state.gradient, damping)
-        trial = fit(state.unknowns + step, state.root_position, state.local_rotations)
-        if trial.cost < state.cost:
-            decrease = (state.cost - trial.cost) / trial.cost
-            state, damping = trial, max(damping / 5, MIN_DAMPING)
-            if decrease < MIN_RELATIVE_DECREASE:
-                break
-            if decrease > MIN_CURVATURE_CHANGE_DECREASE:
-                curvature = compute_curvature(state)
-        else:
-            damping *= 10
-            if damping > MAX_DAMPING:
-                break
-    return build_refined_subject(start, state, curvature, times_s), state, first_cost
+    first = fit(unknowns, root_position, local_rotations)
+    state, curvature = minimise_shared(
+        lambda unknowns, state: fit(unknowns, state.root_position, state.local_rotations),
+        first,
+        compute_curvature,
+        MAX_REFINEMENT_ROUNDS,
+    )
+    return build_refined_subject(start, state, curvature, times_s), state, first.cost
 
 
 def solve_and_linearise(
@@ -381,13 +272,6 @@ def respond_in_frames(
         local_rotations[frames],
         only_errors=only_errors,
     )
-
-
-def compute_damped_step(
-    curvature: Float[np.ndarray, "Q Q"], gradient: Float[np.ndarray, " Q"], damping: float
-) -> Float[np.ndarray, " Q"]:
-    """Return the damped Gauss-Newton step (Marquardt 1963)."""
-    return np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), -gradient)
 
 
 def compute_calibration_sd(

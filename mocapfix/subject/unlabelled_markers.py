@@ -57,8 +57,6 @@ MATCHING_GATES_M = (0.4, 0.15)
 """Largest distance of an assigned marker in the first and in the last round."""
 MATCHING_MARKER_SD_M = 0.04
 """Standard deviation of a person's markers about those of the average body."""
-MATCHING_LIMIT_SD_RAD = 0.1
-"""Standard deviation of joint angles beyond the joint limits."""
 MAX_TRIED_BODIES = 9
 """Best bodies that are tested on more frames."""
 MAX_TRIAL_FRAMES = 60
@@ -124,7 +122,7 @@ def fit_bodies_to_markers(
 ) -> MarkerAssignment:
     """Return the assignment (H, M) and misfit (H,) of the H best bodies fitted to one frame's markers of a height in metres."""
     root_position, local_rotations, subject = build_standing_bodies(markers, height, atlas, body, prior)
-    prior_term, limit_term = build_pose_prior_term(prior), build_joint_limit_term(limits, MATCHING_LIMIT_SD_RAD)
+    prior_term, limit_term = build_pose_prior_term(prior), build_joint_limit_term(limits)
     indices, misfit = np.full((len(root_position), len(markers)), -1), np.full(len(root_position), np.inf)
     for solve_round, gate in enumerate(np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS)):
         if solve_round == BODY_SCREENING_ROUNDS:

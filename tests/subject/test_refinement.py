@@ -42,17 +42,6 @@ def refine(markers, start=NOMINAL, interval_s=0.1):
     return refinement.refine_subject(start, BODY, MEAN, markers, posed.root_position, posed.local_rotations, times_s=times_s)[0]
 
 
-def test_damped_step_minimises_a_quadratic_and_damping_shortens_it():
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(6, 6))
-    curvature, bottom = root @ root.T + np.eye(6), rng.normal(size=6)
-    gradient = -curvature @ bottom
-    np.testing.assert_allclose(refinement.compute_damped_step(curvature, gradient, 0.0), bottom)
-    damped = refinement.compute_damped_step(curvature, gradient, 10.0)
-    assert np.linalg.norm(damped) < np.linalg.norm(bottom)
-    assert damped @ gradient < 0
-
-
 def test_average_body_is_a_fixed_point():
     found = refine(perform(NOMINAL)[0])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(BODY.skeleton), atol=0.013)  # the prior bends the wrists

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocapfix.solve.minimise import compute_shared_responses, reduce_shared_curvature, reduce_shared_gradient
 from mocapfix.solve.pose_problem import PoseProblem
-from mocapfix.solve.terms import MarkerAttachment, build_no_tracking
-from mocapfix.subject.parameters import ShapeDeformations
-from mocapfix.subject.refinement import compute_shared_responses, reduce_shared_curvature, reduce_shared_gradient
+from mocapfix.solve.terms import MarkerAttachment, ShapeDeformations, build_no_tracking
 from tests.kernels import dense_oracle, random_terms
 
 DAMPING = 1e-3  # what the pose's unknowns are given so that none is left loose
