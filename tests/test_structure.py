@@ -17,10 +17,7 @@ MAX_MODULE_LINES = 600
 MAX_IMPORT_LAYERS = 27
 MAX_POSITIONAL_PARAMETERS = 7
 MAX_TUPLE_RESULTS = 3
-FOLDERS_THAT_USE_KERNELS = {
-    "animations", "batch", "characters", "cli", "contacts", "detect", "io", "keypoints", "kernels", "lab", "labels", "model",
-    "solve", "stats", "subject",
-}  # fmt: skip
+FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
 SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank")
 """the kernels of which a minimisation consists"""
 CYCLES = {

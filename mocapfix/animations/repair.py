@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.solve import occluded_joints
+from mocapfix.solve.kinematics import compute_local_rotations
 from mocapfix.solve.motion_prior import (
     GapContext,
     combine_rotations,
@@ -213,9 +214,7 @@ def interpolate_body(
         rotations = rotations @ correction.reshape(rotations.shape)
         root = root + bias.displacement @ extract_heading(world_rotations[span.first - 1, 0]).T
         root_variance, rotation_variance = root_variance * bias.variance_ratio, rotation_variance * bias.variance_ratio
-    has_parent = parents >= 0
-    rotations[:, has_parent] = np.swapaxes(rotations[:, parents[has_parent]], -1, -2) @ rotations[:, has_parent]
-    return InterpolatedBody(root, rotations, root_variance, rotation_variance)
+    return InterpolatedBody(root, compute_local_rotations(rotations, parents), root_variance, rotation_variance)
 
 
 def find_context_frames(is_known: Bool[np.ndarray, " T"], span: FrameSpan) -> Int[np.ndarray, " N"]:

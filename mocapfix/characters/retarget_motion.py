@@ -48,9 +48,17 @@ from mocapfix.characters.kept_positions import (
 )
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.options import FEET_LOCK
-from mocapfix.solve.kinematics import Poses, compute_tree_poses
+from mocapfix.solve.kinematics import Poses, compute_local_rotations, compute_tree_poses
 from mocapfix.solve.minimise import SolverSettings, minimise
-from mocapfix.solve.terms import DirectionTerm, JointLimitTerm, KinematicTree, OrientationTerm, PointTerm, TrackingTerm
+from mocapfix.solve.terms import (
+    JOINT_LIMIT_SD_RAD,
+    DirectionTerm,
+    JointLimitTerm,
+    KinematicTree,
+    OrientationTerm,
+    PointTerm,
+    TrackingTerm,
+)
 
 CHAIN_SEGMENTS = ("spine", "neck")  # segments of which every bone is a joint of its own
 FIXED_SEGMENTS = ("neck", "toe")  # segments that keep their rotation relative to their parent
@@ -122,7 +130,6 @@ ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03,
 DIRECTION_SD_RAD = 0.1  # standard deviation of the direction of a limb's bone
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}  # standard deviations of rotations relative to the parent, by segment
 OTHER_TRACKING_SD_RAD = 0.3
-LIMIT_SD_RAD = 0.1  # standard deviation of a joint's excess over its limits
 MAX_POSE_ITERATIONS = 30
 SIDEWAYS_SD_RAD = 0.2
 """Standard deviation of the direction of a thigh's or shin's own sideways axis: it keeps the plane in which a knee bends."""
@@ -157,7 +164,7 @@ class SegmentTargets(NamedTuple):
 
 def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
     """Return positions (T, 3) of the pelvis in metres and local rotations (T, N, 3, 3) that reach the targets."""
-    local = compute_rotations_to_parents(tree, targets.rotation)
+    local = compute_local_rotations(targets.rotation, tree.tree.parents)
     terms = (
         _build_point_term(tree, targets),
         _build_direction_term(tree, targets.rotation),
@@ -182,14 +189,6 @@ def bend_straight_knees(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"]) ->
         bent[:, shin] = axes[thigh].T @ whole @ knee @ axes[shin]
         bent[:, foot] = axes[shin].T @ np.swapaxes(half, 1, 2) @ axes[shin] @ bent[:, foot]
     return bent
-
-
-def compute_rotations_to_parents(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
-    """Return rotations relative to the parents, of rotations in the world."""
-    local = rotation.copy()
-    parents = tree.tree.parents
-    local[:, 1:] = np.swapaxes(rotation[:, parents[1:]], 2, 3) @ rotation[:, 1:]
-    return local
 
 
 def _get_base_segment(segment: str) -> str:
@@ -256,8 +255,8 @@ def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
     for k, bone in enumerate(tree.bones.tolist()):
         if bone in character.limits_deg and bone not in shared:
             low[k], high[k] = np.deg2rad(character.limits_deg[bone]).T
-    reference = compute_rotations_to_parents(tree, rest[None])[0]
-    return JointLimitTerm(reference, low, high, LIMIT_SD_RAD**-2)
+    reference = compute_local_rotations(rest, tree.tree.parents)
+    return JointLimitTerm(reference, low, high, JOINT_LIMIT_SD_RAD**-2)
 
 
 LEG_AXIS = np.array([0.0, 1.0, 0.0])
@@ -385,7 +384,7 @@ def build_retarget_problem(
             rotation[:, joint] = foot @ tree.standard_rotations[joint]
     points = {f"{side}_foot": ankle for side, ankle in ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
-        start = compute_tree_poses(tree.tree, kept.pelvis, compute_rotations_to_parents(tree, rotation))[0]
+        start = compute_tree_poses(tree.tree, kept.pelvis, compute_local_rotations(rotation, tree.tree.parents))[0]
         hands = compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))

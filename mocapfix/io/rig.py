@@ -149,7 +149,7 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
     rest_rotations = _compute_pose_rotations(skeleton, load_bone_directions(rig.rest_pose))
     rig_skeleton = _build_rig_skeleton(rig, skeleton, rest_rotations, joints, ends)
     positions, rotations = kinematics.compute_world_poses(skeleton, motion)
-    local_rotations = _compute_local_rotations(rotations[:, axes] @ rest_rotations[axes].swapaxes(-1, -2), parents)
+    local_rotations = kinematics.compute_local_rotations(rotations[:, axes] @ rest_rotations[axes].swapaxes(-1, -2), parents)
     rig_motion = _replace_poses(motion, positions[:, joints[0]], local_rotations)
     rig_positions, _ = kinematics.compute_world_poses(rig_skeleton, rig_motion)
     error_m = np.linalg.norm(rig_positions - positions[:, joints], axis=-1).max(0)
@@ -161,7 +161,7 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
         )
     if rig.starts_with_t_pose:
         t_pose = _compute_pose_rotations(skeleton, load_bone_directions("t-pose"))
-        local_pose = _compute_local_rotations((t_pose @ rest_rotations.swapaxes(-1, -2))[axes][None], parents)
+        local_pose = kinematics.compute_local_rotations((t_pose @ rest_rotations.swapaxes(-1, -2))[axes][None], parents)
         rig_motion = _prepend_pose(rig_skeleton, rig_motion, _round_to_degrees(local_pose, rig.rotation_order))
     return rig_skeleton, rig_motion
 
@@ -210,14 +210,6 @@ def _compute_pose_positions(
         if parent >= 0:
             positions[joint] = positions[parent] + rotations[parent] @ skeleton.offsets[joint]
     return positions, positions + (rotations @ np.nan_to_num(skeleton.ends)[..., None])[..., 0]
-
-
-def _compute_local_rotations(
-    world_rotations: Float[np.ndarray, "T J 3 3"], parents: Int[np.ndarray, " J"]
-) -> Float[np.ndarray, "T J 3 3"]:
-    """Compute the rotations of joints relative to their parents."""
-    parent_rotations = np.where((parents >= 0)[:, None, None], world_rotations[:, parents], np.eye(3))
-    return np.ascontiguousarray(parent_rotations.swapaxes(-1, -2) @ world_rotations)
 
 
 def _round_to_degrees(rotations: Float[np.ndarray, "1 J 3 3"], order: str) -> Float[np.ndarray, "1 J 3 3"]:

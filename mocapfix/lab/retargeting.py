@@ -31,7 +31,6 @@ from mocapfix.characters.retarget_motion import (
     build_retarget_problem,
     build_solve_tree,
     compose_character_motion,
-    compute_rotations_to_parents,
     retarget_motion,
     solve_retarget_problem,
     spread_rotations,
@@ -42,6 +41,7 @@ from mocapfix.lab.sound_takes import iterate_sound_takes, read_performed_motions
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS
+from mocapfix.solve.kinematics import compute_local_rotations
 
 
 def copy_rotations(source: Character, motion: CharacterMotion, target: Character) -> CharacterMotion:
@@ -51,7 +51,7 @@ def copy_rotations(source: Character, motion: CharacterMotion, target: Character
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     standing = [frame.leg_length_m + frame.ankle_height_m - frame.hip_centre[1] for frame in (source_frame, target_frame)]
     pelvis = segments.position["pelvis"] + np.array([0.0, standing[1] - standing[0], 0.0])
-    return compose_character_motion(target_frame, tree, pelvis, compute_rotations_to_parents(tree, rotation), motion.rate)
+    return compose_character_motion(target_frame, tree, pelvis, compute_local_rotations(rotation, tree.tree.parents), motion.rate)
 
 
 SKATE_RATE_HZ = 30.0

@@ -29,7 +29,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.hybrik import MIN_JOINT_DISTANCE_M, MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
-from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.solve.kinematics import compute_local_rotations, compute_world_poses
 from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
@@ -341,9 +341,7 @@ def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subjec
     seen_world = compute_world_poses(subject.skeleton, motion)[1]
     learned = Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
     world = np.where(is_seen[..., None, None], seen_world, compute_world_poses(subject.skeleton, learned)[1])
-    parents = subject.skeleton.parents
-    combined = np.swapaxes(world[:, np.maximum(parents, 0)], 2, 3) @ world
-    combined[:, 0] = world[:, 0]
+    combined = compute_local_rotations(world, subject.skeleton.parents)
     root = np.where(is_seen[:, :1], motion.root_position, root)
     return Motion(root, combined, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
 

@@ -21,7 +21,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_world_poses
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_local_rotations, compute_world_poses
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
 
@@ -342,8 +342,7 @@ def build_posture_motion(
     skeleton = subject.skeleton
     standing = _compute_standing_rotations(skeleton)
     world = np.stack([posture[name] @ standing[name] for name in skeleton.names], axis=1)
-    local = world.copy()
-    local[:, 1:] = world[:, skeleton.parents[1:]].swapaxes(-1, -2) @ world[:, 1:]
+    local = compute_local_rotations(world, skeleton.parents)
     zeros = np.zeros(len(root), int)
     return Motion(root, local, zeros, zeros, np.zeros((len(root), len(subject.labels))), np.zeros(local.shape[:2]))
 
