@@ -18,7 +18,7 @@ MAX_IMPORT_LAYERS = 27
 MAX_POSITIONAL_PARAMETERS = 7
 MAX_TUPLE_RESULTS = 3
 FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
-SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank")
+SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank", "schur")
 """the kernels of which a minimisation consists"""
 CYCLES = {
     frozenset({"mocapfix.io.output_formats", "mocapfix.result"}),
