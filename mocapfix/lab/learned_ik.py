@@ -180,7 +180,7 @@ def measure_sequential(sequences: FrameSequences, model: PoseRegressor) -> dict[
         positions, _ = compute_tree_poses(build_kinematic_tree(model.skeleton), root, rotations)
         joint_sd = np.full(positions.shape[:2], KNOWN_JOINT_SD_M)
         for key, has_selector in (("sequential_mm", False), ("sequential_selected_mm", True)):
-            poses = model.follow_take((root[:1], rotations[:1]), positions, joint_sd, has_selector=has_selector)
+            poses = follow_take(model, (root[:1], rotations[:1]), positions, joint_sd, has_selector=has_selector)
             errors[key].append(compute_position_error_mm(poses, positions))
         worst.append(errors["sequential_mm"][-1])
     return {key: median(values) for key, values in errors.items()} | {"sequential_worst_take_mm": max(worst)}
@@ -295,3 +295,39 @@ def use_one_core() -> Generator[None]:
         yield
     finally:
         os.sched_setaffinity(0, before)
+
+
+FIRST_SELECTED_FRAME = 60  # from this frame on, the published sequential protocol selects among three poses
+
+
+def follow_take(
+    model: PoseRegressor,
+    first: Poses,
+    positions: Float[np.ndarray, "T J 3"],
+    joint_sd: Float[np.ndarray, "T J"],
+    *,
+    has_selector: bool = False,
+) -> Poses:
+    """Return the poses of all frames, each started from the frame before (3.2.3); the first one from `first` (one frame).
+
+    has_selector  from FIRST_SELECTED_FRAME on, keep whichever has the least joint error: the prediction, a prediction from
+                  the pose of the first frame, or a copy of the pose before. The published code does this.
+    """
+    root, local = np.empty(positions.shape[::2]), np.empty((*positions.shape[:2], 3, 3))
+    current = first
+    for t in range(len(positions)):
+        given, sd = positions[t : t + 1], joint_sd[t : t + 1]
+        predicted = model.refine_poses(current, given, sd)
+        if has_selector and t >= FIRST_SELECTED_FRAME:
+            restarted = model.refine_poses((root[:1], local[:1]), given, sd)
+            candidates = (predicted, restarted, (given[:, 0], current[1]))
+            errors = [_compute_joint_error(model.skeleton, each, given) for each in candidates]
+            predicted = candidates[int(np.argmin(errors))]
+        current = predicted
+        root[t], local[t] = current[0][0], current[1][0]
+    return root, local
+
+
+def _compute_joint_error(skeleton: Skeleton, poses: Poses, positions: Float[np.ndarray, "T J 3"]) -> float:
+    placed, _ = compute_tree_poses(build_kinematic_tree(skeleton), *poses)
+    return float(np.nanmean(np.linalg.norm(placed - positions, axis=-1)))

@@ -1,14 +1,8 @@
-"""The protocols of Learnable SMPLify (3.2.3): any pose refined (plug-in), a take followed frame after frame (sequential).
+"""Learned inverse kinematics (Learnable SMPLify): any pose is brought to joint positions and refined by a network.
 
-Both can be iterated (B.3): each further pass starts from the result of the pass before.
-
-The network of learned inverse kinematics, evaluated without torch, and its file.
-
-The closed form of learned inverse kinematics: start poses brought to joint positions, and the network's inputs.
-
-A window of frames instead of one: joint positions smoothed over time before the network sees them.
-
-The window is that of a Kalman smoother: wide where the positions are uncertain, one frame where they are exact.
+Start poses are brought to the positions in closed form, which gives the network's inputs; its outputs correct the result. Each
+further pass (B.3) starts from the result of the pass before. For a take, the joint positions are smoothed over time before the
+network sees them, by a Kalman smoother: wide where they are uncertain, one frame where they are exact.
 """
 
 import json
@@ -35,7 +29,7 @@ from mocapfix.kernels.pose_transfer import (
 )
 from mocapfix.kernels.position_smoothing import smooth_position_joints
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
-from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import run_over_frames
 
 IK_WEIGHTS_FILE = "ik.safetensors"
@@ -240,9 +234,6 @@ def get_acceleration_density(joint_name: str) -> float:
     return LIMB_ACCELERATION_DENSITY if any(part in joint_name for part in LIMB_NAME_PARTS) else TRUNK_ACCELERATION_DENSITY
 
 
-FIRST_SELECTED_FRAME = 60  # from this frame on, the published sequential protocol selects among three poses
-
-
 @dataclass(frozen=True)
 class PoseRegressor:
     """A network, applied to the poses of one skeleton.
@@ -271,34 +262,3 @@ class PoseRegressor:
     ) -> Poses:
         """Return the poses of a take, each from its own start pose, from joint positions smoothed over time."""
         return self.refine_poses(start, *smooth_positions(positions, joint_sd, rate_hz))
-
-    def follow_take(
-        self,
-        first: Poses,
-        positions: Float[np.ndarray, "T J 3"],
-        joint_sd: Float[np.ndarray, "T J"],
-        *,
-        has_selector: bool = False,
-    ) -> Poses:
-        """Return the poses of all frames, each started from the frame before; the first one from `first` (one frame).
-
-        has_selector  from FIRST_SELECTED_FRAME on, keep whichever has the least joint error: the prediction, a prediction from
-                      the pose of the first frame, or a copy of the pose before. The published code does this.
-        """
-        root, local = np.empty(positions.shape[::2]), np.empty((*positions.shape[:2], 3, 3))
-        current = first
-        for t in range(len(positions)):
-            given, sd = positions[t : t + 1], joint_sd[t : t + 1]
-            predicted = self.refine_poses(current, given, sd)
-            if has_selector and t >= FIRST_SELECTED_FRAME:
-                restarted = self.refine_poses((root[:1], local[:1]), given, sd)
-                candidates = (predicted, restarted, (given[:, 0], current[1]))
-                errors = [self._compute_joint_error(each, given) for each in candidates]
-                predicted = candidates[int(np.argmin(errors))]
-            current = predicted
-            root[t], local[t] = current[0][0], current[1][0]
-        return root, local
-
-    def _compute_joint_error(self, poses: Poses, positions: Float[np.ndarray, "T J 3"]) -> float:
-        placed, _ = compute_tree_poses(build_kinematic_tree(self.skeleton), *poses)
-        return float(np.nanmean(np.linalg.norm(placed - positions, axis=-1)))

@@ -1,9 +1,7 @@
-"""The two protocols: any pose refined, and a take followed."""
+"""Any pose refined by learned inverse kinematics."""
 
 import numpy as np
-import pytest
 
-from mocapfix.solve import learned_ik
 from mocapfix.solve.learned_ik import PoseRegressor
 from tests.solve.ik_cases import SKELETON, build_network, draw_poses, place
 
@@ -26,27 +24,3 @@ def test_second_pass_starts_from_the_first():
     np.testing.assert_allclose(
         one.refine_poses(first, positions, SD_M)[1], two.refine_poses((np.zeros((12, 3)), start), positions, SD_M)[1]
     )
-
-
-@pytest.mark.parametrize("has_selector", [False, True])
-def test_followed_take_reaches_given_joints(has_selector, monkeypatch):
-    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 4)
-    rotations = draw_poses(1)
-    positions, _ = place(rotations)
-    model = PoseRegressor(build_network(scale=0.0), SKELETON)
-    first = np.zeros((1, 3)), rotations[:1]
-    root, local = model.follow_take(first, positions, SD_M, has_selector=has_selector)
-    np.testing.assert_allclose(place(local, root)[0], positions, atol=1e-3)
-
-
-def test_selector_copies_a_pose_that_fits_better(monkeypatch):
-    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 0)
-    rotations = np.repeat(draw_poses(1)[:1], 12, axis=0)
-    positions, _ = place(rotations)
-    model = PoseRegressor(build_network(scale=5.0), SKELETON)
-    sd_m = np.full((12, 31), 0.1)
-    free, selected = (
-        model.follow_take((np.zeros((1, 3)), rotations[:1]), positions, sd_m, has_selector=each) for each in (False, True)
-    )
-    np.testing.assert_allclose(selected[1], rotations, atol=1e-9)
-    assert np.abs(free[1] - rotations).max() > 0.1
