@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -205,6 +205,7 @@ MIN_CURVATURE_CHANGE_DECREASE = 0.02
 """Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
 
 
+@runtime_checkable
 class SharedState(Protocol):
     """Shared unknowns (Q,), and cost and gradient (Q,) there, with the poses of the frames solved."""
 
