@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
     from mocapfix.model.take import Take
     from mocapfix.options import CleanOptions, build_clean_options
-    from mocapfix.pipeline import calibrate_takes, clean, inspect, label
+    from mocapfix.pipeline import clean, inspect, label
     from mocapfix.result import CleaningResult
+    from mocapfix.surveys import calibrate_takes
 
 __all__ = [
     "CleanOptions",
@@ -35,7 +36,7 @@ MODULE_OF_NAME = {
     "MocapfixError": "errors",
     "Take": "model.take",
     "build_clean_options": "options",
-    "calibrate_takes": "pipeline",
+    "calibrate_takes": "surveys",
     "clean": "pipeline",
     "inspect": "pipeline",
     "label": "pipeline",

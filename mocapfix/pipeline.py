@@ -11,29 +11,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from threadpoolctl import threadpool_limits
-
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
-from mocapfix.errors import TakeError, join_names
+from mocapfix.errors import TakeError
 from mocapfix.fill.computed_points import update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
 from mocapfix.labels import multi_subject
-from mocapfix.labels.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
-from mocapfix.labels.requested_labels import describe_missing_labels, label_capture, label_take
+from mocapfix.labels.multi_subject import split_corrected_subjects
+from mocapfix.labels.requested_labels import describe_missing_labels, label_capture
 from mocapfix.model.animation import Animation
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import FaultReview
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions, SubjectOptions
+from mocapfix.options import CleanOptions
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
@@ -41,7 +38,6 @@ from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.solve.initial_motion import initialise_body
-from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_processes
 from mocapfix.solve.pose_prior import PoseModel
@@ -49,24 +45,16 @@ from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_condi
 from mocapfix.solve.prior_files import build_pose_model_loader
 from mocapfix.subject.calibration import (
     Calibrated,
-    CalibrationFrames,
     calibrate_body,
     place_moved_markers,
-    select_calibration_frames,
 )
 from mocapfix.subject.library import (
     SubjectChoice,
     choose_marker_set,
     describe_marker_set_match,
-    load_requested_subject,
-    resolve_subject,
 )
 from mocapfix.subject.own_set import withdraw_marker_set
-from mocapfix.subject.person_calibration import calibrate_person
-
-DEFAULT_OPTIONS = CleanOptions()
-# The matrices are small and the kernels have their own threads: threads of the BLAS library only slow them down.
-limit_blas_threads = threadpool_limits.wrap(limits=1, user_api="blas")
+from mocapfix.surveys import DEFAULT_OPTIONS, calibrate_takes, identify_subject, limit_blas_threads
 
 
 @limit_blas_threads
@@ -133,16 +121,6 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     return labelled
 
 
-def identify_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
-    """Return the subject and the marker set of one subject's take. Raises TakeError if the given marker set does not fit it."""
-    choice = resolve_subject(take, choose_subject(take, options))
-    if choice.marker_set is None and not options.known_sets_only:
-        from mocapfix.subject.own_set import find_own_marker_set  # few takes need it
-
-        choice = find_own_marker_set(take, choice)
-    return choice
-
-
 def clean_subjects(
     takes: Sequence[Take],
     reviews: Sequence[Review],
@@ -161,7 +139,8 @@ def clean_subjects(
     def clean_one(index: int) -> CleaningResult:
         take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        return clean_subject(take, reviews[index], options, conditioner, StageTimer(dict(timer.stage_seconds), report_progress))
+        subject, own_timer = identify_subject(take, options.subject), StageTimer(dict(timer.stage_seconds), report_progress)
+        return clean_subject(take, subject, reviews[index], options, conditioner, own_timer)
 
     while len(results) < len(takes):
         for result in map_in_processes(clean_one, range(len(results), len(takes)), multi_subject.list_shared_data(takes)):
@@ -186,10 +165,14 @@ def report_in_this_process(progress: ProgressCallback | None) -> ProgressCallbac
 
 
 def clean_subject(
-    take: Take, review: Review, options: CleanOptions, conditioner: PriorConditioner | None, timer: StageTimer
+    take: Take,
+    choice: SubjectChoice,
+    review: Review,
+    options: CleanOptions,
+    conditioner: PriorConditioner | None,
+    timer: StageTimer,
 ) -> CleaningResult:
     """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
-    choice = identify_subject(take, options.subject)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
     subject, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
@@ -334,83 +317,3 @@ def inspect(
         return build_inspection_report(take, marker_set and marker_set.name, take, faults, notes)
 
     return list(map_in_processes(inspect_one, split_corrected_subjects(capture, options)[0]))
-
-
-@limit_blas_threads
-def calibrate_takes(
-    paths: Sequence[str | Path],
-    options: CleanOptions = DEFAULT_OPTIONS,
-    *,
-    mean_pose_prior: str = "mean-pose",
-    **changed_options: object,
-) -> Subject:
-    """Calibrate one person's bones and marker offsets from the best frames of one or several takes together.
-
-    Args:
-        paths: the takes.
-        options: `options.read` and `options.subject`; the others are not used.
-        mean_pose_prior: the name of the mean pose prior.
-
-    Raises:
-        TakeError: if there is no take, no marker set fits, marker sets differ, or one of several subjects is to be named.
-    """
-    surveys = survey_person(paths, [Path(path).name for path in paths], options.change(**changed_options))
-    return calibrate_person(surveys, mean_pose_prior=mean_pose_prior).subject
-
-
-def survey_person(paths: Sequence[str | Path], ids: Sequence[str], options: CleanOptions) -> list[CalibrationFrames]:
-    """Return the best frames of each take of one person. Raises TakeError as `calibrate_takes`."""
-    if not paths:
-        raise TakeError("There is no take to calibrate from; name at least one.")
-    surveys: list[CalibrationFrames] = []
-    for path, take_id in zip(paths, ids, strict=True):
-        found = survey_take(path, options, take_id)
-        if len(found) > 1:
-            names = join_names([frames.subject_name for frames in found])
-            raise TakeError(f"{Path(path).name}: shows {names}; name the subject to calibrate with --subject-prefix.")
-        surveys += found
-    return surveys
-
-
-@limit_blas_threads
-def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_id: str = "") -> list[CalibrationFrames]:
-    """Return the best frames of each subject in a take, from which persons are calibrated. Raises TakeError without a body."""
-    return [survey_subject(body, options, take_id) for body in find_bodies_to_calibrate(path, options)]
-
-
-class BodyToCalibrate(NamedTuple):
-    """The take of one subject, its marker set, whether that was learned from the take, and the subject if it is known."""
-
-    take: Take
-    marker_set: MarkerSet
-    is_learned: bool
-    subject: Subject | None
-
-
-def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[BodyToCalibrate]:
-    """Return each subject in a take that has a marker set. Raises TakeError if none has."""
-    capture = read_capture(path, options.read)
-    if isinstance(capture, Animation):
-        raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
-    capture = label_take(capture, load_requested_subject(options.subject))
-    takes = split_known_subjects(capture, options.subject)
-    choices = [identify_subject(take, options.subject) for take in takes]
-    found = [
-        BodyToCalibrate(take, each.marker_set, each.is_learned, each.subject)
-        for take, each in zip(takes, choices, strict=True)
-        if each.marker_set is not None
-    ]
-    if not found:
-        raise TakeError(f"{capture.name}: {choices[0].notes[0]} There is no body to calibrate.")
-    return found
-
-
-@limit_blas_threads
-def survey_subject(body: BodyToCalibrate, options: CleanOptions, take_id: str) -> CalibrationFrames:
-    """Return the best frames of one subject: its sound samples in frames that differ in pose. Raises TakeError."""
-    marker_set = body.marker_set
-    detected = detect_on_trajectories(body.take, marker_set, body.subject, FaultReview(), options)
-    shown = detected.take.select(marker_set.find_columns(detected.take.labels), detected.inlier_mask)
-    model = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
-    prior = load_mean_pose_prior("mean-pose", model.skeleton)
-    return select_calibration_frames(take_id, shown, marker_set, model, prior)

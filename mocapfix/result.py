@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +21,8 @@ from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_ou
 from mocapfix.io.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
+    ExportedMotion,
+    OutputContent,
     OutputFormat,
     build_exported_motion,
     list_output_formats,
@@ -36,10 +37,9 @@ from mocapfix.model.take import C3dLayout, TableLayout, Take
 from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
+from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
-
-if TYPE_CHECKING:
-    from mocapfix.report.sample_states import CleaningComparison
+from mocapfix.report.terms import get_point_terms
 
 
 def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
@@ -83,12 +83,12 @@ class CleaningResult:
     faults           detected faults, indexing the markers of `relabelled_take`
     changes          changes that were applied or declined in review
     unfilled_runs    intervals that stay empty, with their reasons
+    report           contents of the JSON report
     fragment_donors  markers whose samples are fragments of other markers
     subject          calibrated subject; None if no marker set matches
     motion           motion of the subject; None if no marker set matches
     joint_position_world  (T, J, 3) m, the solved joints; NaN for joints that the markers do not show; None without a body
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
-    report           contents of the JSON report
     contacts         when joints of the body are in contact with the floor, and the events of gait; None without a body
     review           what a reviewer decided after an earlier cleaning
     requested        the options with which the take was cleaned
@@ -101,12 +101,12 @@ class CleaningResult:
     faults: Faults
     changes: tuple[Change, ...]
     unfilled_runs: tuple[UnfilledRun, ...]
-    fragment_donors: tuple[int, ...]
-    subject: Subject | None
-    motion: Motion | None
-    joint_position_world: Float[np.ndarray, "T J 3"] | None
-    residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
+    fragment_donors: tuple[int, ...] = ()
+    subject: Subject | None = None
+    motion: Motion | None = None
+    joint_position_world: Float[np.ndarray, "T J 3"] | None = None
+    residual_m: Float[np.ndarray, "T M"] | None = None
     contacts: BodyContacts | None = None
     review: Review = NO_REVIEW
     requested: CleanOptions = DEFAULT_CLEAN_OPTIONS
@@ -220,12 +220,17 @@ class CleaningResult:
                 f"{what} the time of a force plate in the cleaned file; its description there tells the time before."
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
-        final = replace(self, report=final_report)._drop_samples(unstorable_samples)
+        content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
         for each in list_output_formats(options):
             if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
                 with timer(each.timer_stage):
-                    sentences = each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", final, exported_motion)
-                    final.subject_report["notes"].extend(sentences or ())
+                    sentences = each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", content)
+                    content.report["notes"].extend(sentences or ())
+
+    def build_content(self, exported: ExportedMotion | None) -> OutputContent:
+        """Return what the files of a take of at most one subject are written from, with the motion as it is written."""
+        written = self.contacts, self.changes, self.review, self.subject_report, self.comparison
+        return OutputContent(self.input_take, self.output_take, exported, *written)
 
     def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> "CleaningResult":
         """Return the result without the samples (frame, marker) that the cleaned file cannot store."""
@@ -242,11 +247,8 @@ class CleaningResult:
         return replace(self, take=take, unfilled_runs=runs, report=report)
 
     @cached_property
-    def comparison(self) -> "CleaningComparison":
+    def comparison(self) -> CleaningComparison:
         """The take before and after cleaning, as the HTML report and the recording show it."""
-        from mocapfix.report.sample_states import CleaningComparison
-        from mocapfix.report.terms import get_point_terms
-
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world
         return CleaningComparison(
             self.input_take,

@@ -235,9 +235,10 @@ def load_everything() -> None:
         path = Path(folder) / "take.c3d"
         synthetic.write_synthetic_take(path, take)
         result = pipeline.clean(path)
+        content = result.build_content(None)
         for each in list_output_formats(CleanOptions().output):
             if not each.needs_body and each.suffix not in ("c3d", "rrd"):  # a recording starts threads, which a fork has not
-                each.write_file(Path(folder) / f"out.{each.suffix}", result, None)
+                each.write_file(Path(folder) / f"out.{each.suffix}", content)
     get_thread_pool(1).shutdown()
     get_thread_pool.cache_clear()
     os.environ.pop("MOCAPFIX_CHECK_TYPES", None)

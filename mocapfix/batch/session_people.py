@@ -26,8 +26,8 @@ from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 if TYPE_CHECKING:
     from distributed import Client
 
-    from mocapfix.pipeline import BodyToCalibrate
     from mocapfix.subject.people import Person
+    from mocapfix.surveys import BodyToCalibrate
 
 
 PEOPLE_FILE_NAME = "people.yaml"
@@ -122,12 +122,12 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
     A take without a body has none, and the sentence on it. A take that has to be labelled, or whose marker set has to be learned,
     is surveyed at once, since that is most of the work.
     """
-    from mocapfix import pipeline
+    from mocapfix import surveys
     from mocapfix.subject.body_size import measure_body
 
     def measure(key: str) -> dict[str, Any]:
         try:
-            found = pipeline.find_bodies_to_calibrate(request.path, request.options)
+            found = surveys.find_bodies_to_calibrate(request.path, request.options)
             if any(body.is_learned or body.take.labelled_file is not None for body in found):
                 survey = SurveyRequest(request)
                 _use_record(*locate_record(survey), lambda survey_key: _write_surveys(survey, survey_key, found))
@@ -144,11 +144,11 @@ def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
 
     A take whose frames do not suffice has no files, and the sentence on it.
     """
-    from mocapfix import pipeline
+    from mocapfix import surveys
 
     def survey(key: str) -> dict[str, Any]:
         try:
-            return _write_surveys(request, key, pipeline.find_bodies_to_calibrate(request.take.path, request.take.options))
+            return _write_surveys(request, key, surveys.find_bodies_to_calibrate(request.take.path, request.take.options))
         except MocapfixError as error:
             return {"key": key, "files": [], "subjects": {}, "error": str(error)}
 
@@ -157,11 +157,11 @@ def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
 
 def _write_surveys(request: SurveyRequest, key: str, bodies: "Sequence[BodyToCalibrate]") -> dict[str, Any]:
     """Write the calibration frames of the subjects of a take; return the record. Raises MocapfixError."""
-    from mocapfix import pipeline
+    from mocapfix import surveys
     from mocapfix.subject.calibration import write_calibration_frames
 
     path, take = locate_record(request)[0], request.take
-    found = [pipeline.survey_subject(body, take.options, take.take) for body in bodies]
+    found = [surveys.survey_subject(body, take.options, take.take) for body in bodies]
     files = {frames.subject_name: str(path.with_suffix(f".{number}.npz")) for number, frames in enumerate(found)}
     make_output_folder(path.parent)
     for frames in found:

@@ -342,9 +342,9 @@ def run_scene(
 
 def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
     """Clean the takes of the job at `path`; return the exit status."""
-    from mocapfix import pipeline
     from mocapfix.batch.job_files import read_cleaning_job
     from mocapfix.io.files import make_output_folder
+    from mocapfix.surveys import calibrate_takes
 
     job = read_cleaning_job(path)
     takes = job.list_takes(output_folder)
@@ -355,7 +355,7 @@ def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
     if calibration_takes := job.list_calibration_takes():
         with show_progress(path.name, needs_kernels=True) as progress:
             progress("calibrate")
-            subject = pipeline.calibrate_takes(calibration_takes, job.options)
+            subject = calibrate_takes(calibration_takes, job.options)
     return clean_takes(takes, output_folder, job.options.change(subject=subject), overwrite=overwrite)
 
 

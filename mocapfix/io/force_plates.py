@@ -39,7 +39,7 @@ def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list
         return []
     try:
         return _read_plates(data, layout, frame_rate)
-    except (ValueError, IndexError, struct.error):  # damaged parameters; the markers are read already
+    except (ValueError, IndexError, ZeroDivisionError, struct.error):  # damaged or without channels; the markers are read already
         return []
 
 

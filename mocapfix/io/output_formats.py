@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
@@ -22,7 +21,7 @@ from mocapfix.io import rig
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
 from mocapfix.io.c3d import write_c3d
-from mocapfix.io.changes_file import CHANGES_SUFFIX, write_changes_file
+from mocapfix.io.changes_file import CHANGES_SUFFIX, Review, write_changes_file
 from mocapfix.io.files import get_source_suffixes, replace_atomically
 from mocapfix.io.gltf import write_gltf
 from mocapfix.io.npz import write_npz
@@ -31,16 +30,15 @@ from mocapfix.io.resampling import FRAME_TOLERANCE, resample_motion
 from mocapfix.io.rig import Rig
 from mocapfix.io.source_file import append_computed_points
 from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.model.changes import Change
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import OutputOptions
+from mocapfix.report.report import Report
+from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.subject import subject_file
-
-if TYPE_CHECKING:
-    from mocapfix.result import CleaningResult
-
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
 
@@ -92,12 +90,46 @@ class ExportedMotion:
     floor_height_m: float = 0.0
 
     @property
-    def skeleton(self) -> Skeleton:
-        """Skeleton of the subject."""
-        return self.subject.skeleton
+    def parts(self) -> tuple[Skeleton, Motion, float]:
+        """Skeleton, motion and rate."""
+        return self.subject.skeleton, self.motion, self.rate
 
 
-WriteFile = Callable[[Path, "CleaningResult", ExportedMotion | None], Sequence[str] | None]
+@dataclass(frozen=True)
+class OutputContent:
+    """What the files of one subject are written from.
+
+    Attributes:
+        input_take: The take as read.
+        points: The cleaned markers; of an animation its joints.
+        exported: The motion as it is written; None without a body.
+        contacts: When joints of the body are in contact with the floor; None without a body.
+        changes: The changes that were applied or declined.
+        review: What a reviewer decided after an earlier cleaning.
+        report: Contents of the JSON report.
+        comparison: The take before and after cleaning.
+    """
+
+    input_take: Take
+    points: Take
+    exported: ExportedMotion | None
+    contacts: BodyContacts | None
+    changes: tuple[Change, ...]
+    review: Review
+    report: Report
+    comparison: CleaningComparison
+
+    @property
+    def motion(self) -> ExportedMotion:
+        """The motion. Raises ValueError without a body."""
+        if self.exported is None:
+            raise ValueError("this format is written only for a take with a body")
+        return self.exported
+
+    @property
+    def exported_contacts(self) -> BodyContacts | None:
+        """The contacts with the floor at the height that it has in motion files."""
+        return self.contacts.lower_floor(self.motion.floor_height_m) if self.contacts else None
 
 
 @dataclass(frozen=True)
@@ -106,8 +138,7 @@ class OutputFormat:
 
     Attributes:
         suffix: Suffix of the file, which follows the stem of the input.
-        write_file: Writes a result to a path, with the motion at the output rate if the take has a body, and returns sentences
-            for the report.
+        write_file: Writes content to a path and returns sentences for the report.
         companion_suffixes: Suffixes of files that `write_file` writes beside it.
         needs_body: Whether the format is written only if the take has a body.
         needs_markers: Whether the format is written only if the subject has markers.
@@ -116,7 +147,7 @@ class OutputFormat:
     """
 
     suffix: str
-    write_file: WriteFile
+    write_file: Callable[[Path, OutputContent], Sequence[str] | None]
     companion_suffixes: tuple[str, ...] = ()
     needs_body: bool = False
     needs_markers: bool = False
@@ -145,21 +176,13 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
 
 
-def _for_body(write: Callable[[Path, "CleaningResult", ExportedMotion], Sequence[str] | None]) -> WriteFile:
-    """Return the function that writes a format of takes with a body."""
-
-    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> Sequence[str] | None:
-        if exported is None:
-            raise ValueError("this format is written only for a take with a body")
-        return write(target, result, exported)
-
-    return write_file
-
-
 def build_rig_format(rig: Rig) -> OutputFormat:
     """Return the format of a BVH for the rig of a program."""
     unit = RIG_UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
-    write_file = _for_body(lambda target, _, body: write_rig_bvh(target, rig, body.skeleton, body.motion, body.rate))
+
+    def write_file(target: Path, content: OutputContent) -> None:
+        write_rig_bvh(target, rig, *content.motion.parts)
+
     usage_note = f"is for {rig.program}: {unit}, Y up; {rig.note}."
     return OutputFormat(f"{rig.name}.bvh", write_file, needs_body=True, usage_note=usage_note)
 
@@ -171,75 +194,71 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
 
     files = CharacterFiles(load_character(name_or_path, options.character_map), has_fbx="fbx" in options.extra_formats)
 
-    def write(target: Path, result: "CleaningResult", body: ExportedMotion) -> list[str]:
-        contacts = result.contacts.lower_floor(body.floor_height_m) if result.contacts else None
-        return files.write(target, body.skeleton, body.motion, body.rate, contacts)
+    def write_file(target: Path, content: OutputContent) -> list[str]:
+        return files.write(target, *content.motion.parts, content.exported_contacts)
 
     first, *others = files.suffixes
-    return OutputFormat(first, _for_body(write), tuple(others), needs_body=True)
+    return OutputFormat(first, write_file, tuple(others), needs_body=True)
 
 
-def _write_fbx(target: Path, result: "CleaningResult", body: ExportedMotion) -> list[str]:
+def _write_fbx(target: Path, content: OutputContent) -> list[str]:
     from mocapfix.io.character_files import write_skeleton_fbx
 
-    return write_skeleton_fbx(target, body.skeleton, body.motion, body.rate)
+    return write_skeleton_fbx(target, *content.motion.parts)
 
 
-def _write_amc(target: Path, result: "CleaningResult", body: ExportedMotion) -> None:
-    first_frame = result.input_take.first_frame if body.rate == result.input_take.rate else 1
-    write_asf_amc(target.with_suffix(".asf"), target, body.skeleton, body.motion, body.rate, first_frame)
+def _write_amc(target: Path, content: OutputContent) -> None:
+    first_frame = content.input_take.first_frame if content.motion.rate == content.input_take.rate else 1
+    write_asf_amc(target.with_suffix(".asf"), target, *content.motion.parts, first_frame)
 
 
-def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    take = result.output_take
-    if exported is None:
+def _write_npz(target: Path, content: OutputContent) -> None:
+    take = content.points
+    if content.exported is None:
         write_npz(target, take)
         return
-    lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
-    contacts = result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None
-    solved_joints = exported.subject.solved_joints
-    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate, solved_joints, contacts)
+    motion = content.exported
+    lowered = take.replace_markers(take.markers - [0.0, motion.floor_height_m, 0.0], take.sample_sd)
+    write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts)
 
 
-def _write_recording(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+def _write_recording(target: Path, content: OutputContent) -> None:
     from mocapfix.report.recording import write_recording
 
-    write_recording(target, result.comparison)
+    write_recording(target, content.comparison)
 
 
-def _write_html_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+def _write_html_report(target: Path, content: OutputContent) -> None:
     from mocapfix.report.html_report import write_html_report
 
-    write_html_report(target, result.subject_report, result.comparison)
+    write_html_report(target, content.report, content.comparison)
 
 
-def _write_json_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
+def _write_json_report(target: Path, content: OutputContent) -> None:
+    target.write_text(json.dumps(content.report, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_contacts(target: Path, result: "CleaningResult", body: ExportedMotion) -> None:
-    if result.contacts is not None:
-        is_source_bvh = BVH_FORMAT.suffix in get_source_suffixes(result.input_take.path)  # it keeps its rate
-        write_contacts(target, result.contacts, result.contacts.rate if is_source_bvh else body.rate)
+def _write_contacts(target: Path, content: OutputContent) -> None:
+    if content.contacts is not None:
+        is_source_bvh = BVH_FORMAT.suffix in get_source_suffixes(content.input_take.path)  # it keeps its rate
+        write_contacts(target, content.contacts, content.contacts.rate if is_source_bvh else content.motion.rate)
 
 
-def _write_events(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    if result.contacts is not None:
-        write_gait_events(target, result.contacts, result.input_take.first_frame)
+def _write_events(target: Path, content: OutputContent) -> None:
+    if content.contacts is not None:
+        write_gait_events(target, content.contacts, content.input_take.first_frame)
 
 
-BVH_FORMAT = OutputFormat(
-    "bvh", _for_body(lambda target, _, body: write_bvh(target, body.skeleton, body.motion, body.rate)), needs_body=True
-)
+BVH_FORMAT = OutputFormat("bvh", lambda target, content: write_bvh(target, *content.motion.parts), needs_body=True)
 DEFAULT_FORMATS = (
     OutputFormat(
         "subject.yaml",
-        _for_body(lambda target, _, body: subject_file.write_subject(target, body.subject)),
+        lambda target, content: subject_file.write_subject(target, content.motion.subject),
         needs_body=True,
         needs_markers=True,
     ),
     OutputFormat(
-        CHANGES_SUFFIX, lambda target, result, _: write_changes_file(target, result.input_take, result.changes, result.review)
+        CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
     OutputFormat("rrd", _write_recording, timer_stage="show"),
     OutputFormat("report.html", _write_html_report, timer_stage="show"),
@@ -248,13 +267,13 @@ DEFAULT_FORMATS = (
 OPTIONAL_FORMATS = {
     "gltf": OutputFormat(
         "glb",
-        _for_body(lambda target, _, body: write_gltf(target, body.skeleton, body.motion, body.rate)),
+        lambda target, content: write_gltf(target, *content.motion.parts),
         needs_body=True,
         usage_note="is binary glTF: metres, Y up.",
     ),
     "amc": OutputFormat(
         "amc",
-        _for_body(_write_amc),
+        _write_amc,
         ("asf",),
         needs_body=True,
         usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up.",
@@ -262,14 +281,14 @@ OPTIONAL_FORMATS = {
     "npz": OutputFormat("npz", _write_npz),
     "c3d": OutputFormat(
         "c3d",
-        lambda target, result, _: write_c3d(target, result.output_take),
+        lambda target, content: write_c3d(target, content.points),
         usage_note="is a new file with positions only and the predicted standard deviation of each filled sample.",
     ),
-    "trc": OutputFormat("trc", lambda target, result, _: write_trc(target, result.output_take)),
-    "csv": OutputFormat("csv", lambda target, result, _: write_csv(target, result.output_take)),
-    "contacts": OutputFormat("contacts.json", _for_body(_write_contacts), needs_body=True),
+    "trc": OutputFormat("trc", lambda target, content: write_trc(target, content.points)),
+    "csv": OutputFormat("csv", lambda target, content: write_csv(target, content.points)),
+    "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
-    "fbx": OutputFormat("fbx", _for_body(_write_fbx), needs_body=True),
+    "fbx": OutputFormat("fbx", _write_fbx, needs_body=True),
 }
 
 

@@ -301,6 +301,7 @@ def measure_sessions(
     """
     from mocapfix import pipeline
     from mocapfix.subject.person_calibration import calibrate_person
+    from mocapfix.surveys import survey_take
 
     shards = [] if motion_folder is None else [motion_folder / "test.npz"]
     errors, outcomes = list[SessionErrors](), list[MoveOutcome]()
@@ -311,7 +312,7 @@ def measure_sessions(
             for path, take in zip(paths, person.takes, strict=True):
                 synthetic.write_synthetic_take(path, take)
             begin = process_time()
-            surveys = [pipeline.survey_take(path, take_id=path.stem)[0] for path in paths]
+            surveys = [survey_take(path, take_id=path.stem)[0] for path in paths]
             calibration = calibrate_person(surveys)
             subjects = [calibration.take_subjects.get(path.stem, calibration.subject) for path in paths]
             results = [
@@ -352,8 +353,8 @@ def _move_and_find(
     person: SessionPerson, surveys: list[CalibrationFrames], rng: np.random.Generator, folder: Path
 ) -> MoveOutcome:
     """Return how a marker is found that lies elsewhere from one of the takes on."""
-    from mocapfix import pipeline
     from mocapfix.subject.person_calibration import calibrate_person
+    from mocapfix.surveys import survey_take
 
     moved_subject, marker = move_marker(person.subject, rng, MOVE_DISTANCE_M)
     first = int(rng.integers(1, len(person.takes)))
@@ -361,7 +362,7 @@ def _move_and_find(
     for t in range(first, len(person.takes)):
         path = folder / f"take{t}.c3d"
         synthetic.write_synthetic_take(path, record_take(rng, moved_subject, person.takes[t].motion))
-        changed[t] = pipeline.survey_take(path, take_id=path.stem)[0]
+        changed[t] = survey_take(path, take_id=path.stem)[0]
     calibration = calibrate_person(changed)
     label = person.subject.labels[marker]
     is_match = [calibration.subject.labels[each.marker] == label for each in calibration.moved]

@@ -173,14 +173,14 @@ def calibrate_one_person(
 ) -> list[CalibratedPerson]:
     """Calibrate the person whom all takes show. Returns one person, none if no take is left by `guard`.
 
-    Raises TakeError as `pipeline.calibrate_takes`.
+    Raises TakeError as `calibrate_takes`.
     """
-    from mocapfix import pipeline
+    from mocapfix.surveys import survey_person
 
     surveys: list[CalibrationFrames] = []
     for path, take in zip(paths, name_takes(paths), strict=True):
         with guard(path):
-            surveys += pipeline.survey_person([path], [take], options)
+            surveys += survey_person([path], [take], options)
     return [CalibratedPerson("", calibrate_with_one_thread(surveys, mean_pose_prior))] if surveys else []
 
 
@@ -191,13 +191,13 @@ def calibrate_people(
 
     Raises TakeError if a take cannot be read or shows no body.
     """
-    from mocapfix import pipeline
+    from mocapfix.surveys import BodyToCalibrate, find_bodies_to_calibrate, survey_subject
 
-    found: dict[tuple[str, str], pipeline.BodyToCalibrate] = {}
+    found: dict[tuple[str, str], BodyToCalibrate] = {}
     path_of_take = dict(zip(name_takes(paths), paths, strict=True))
     for take, path in path_of_take.items():
         with guard(path):
-            for body in pipeline.find_bodies_to_calibrate(path, options):
+            for body in find_bodies_to_calibrate(path, options):
                 found[take, body.take.subject_name] = body
     bodies = [measure_body(take, body.take, body.marker_set) for (take, _), body in found.items()]
     people: list[CalibratedPerson] = []
@@ -206,7 +206,7 @@ def calibrate_people(
         surveys: list[CalibrationFrames] = []
         for key in keys:
             with guard(path_of_take[key[0]]):
-                surveys.append(pipeline.survey_subject(found[key], options, key[0]))
+                surveys.append(survey_subject(found[key], options, key[0]))
         if surveys:
             people.append(CalibratedPerson(person.name, calibrate_with_one_thread(surveys, mean_pose_prior), person.notes))
     return people

@@ -302,6 +302,7 @@ def test_what_one_subject_takes_is_not_available_to_the_next(assigned, cores, mo
             left = replace(left, markers=left.markers[:, 1:], labels=left.labels[1:])
         return SimpleNamespace(take=replace(take, unlabelled=left), input_take=take)
 
+    monkeypatch.setattr(pipeline, "identify_subject", lambda *_: None)
     monkeypatch.setattr(pipeline, "clean_subject", clean_one)
     results = pipeline.clean_subjects(takes, [NO_REVIEW] * 5, CleanOptions(), None, StageTimer())
     counts = [sum(each < n for each in assigned) for n in range(5)]
