@@ -232,7 +232,6 @@ def _compute_squared_amplitudes(fourth_differences: Float[np.ndarray, "n 3"]) ->
 
 
 def _merge_overlapping(bursts: list[JitterBurst]) -> list[JitterBurst]:
-    """Merge bursts that overlap or adjoin."""
     merged: list[JitterBurst] = []
     for burst in bursts:
         if merged and burst.first <= merged[-1].last + 1:

@@ -18,6 +18,13 @@ from scipy.ndimage import median_filter
 
 from mocapfix.stats.constant_offsets import OffsetModel
 
+FrameIndices = Int[np.ndarray, " n"]
+Mask = Bool[np.ndarray, " n"]
+Track = Float[np.ndarray, "T C"]
+Differences = Float[np.ndarray, " D"]
+Rows = Int[np.ndarray, "n R"]
+Models = tuple[OffsetModel, ...]
+
 THIRD_DIFFERENCE_STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
 MIN_REDUCTION_RATIO = 15.0  # of the mean square that is removed to the usual one
 MAX_RESIDUAL_SHARE = 0.05  # of the squares that may remain
@@ -29,9 +36,9 @@ RELATIVE_ROUNDING = 1e-9  # of the squares of the targets: subtracted from the s
 class ThirdDifferences(NamedTuple):
     """Of a track: its values, where third differences are known, and how large they usually are there."""
 
-    track: Float[np.ndarray, "T C"]
+    track: Track
     is_known: Bool[np.ndarray, " D"]
-    background: Float[np.ndarray, " D"]
+    background: Differences
 
 
 class _NormalEquations(NamedTuple):
@@ -42,12 +49,7 @@ class _NormalEquations(NamedTuple):
     square: Float[np.ndarray, " S"]
 
 
-def screen_offsets(
-    differences: ThirdDifferences,
-    models: tuple[OffsetModel, ...],
-    starts: Int[np.ndarray, " n"],
-    stops: Int[np.ndarray, " n"],
-) -> Bool[np.ndarray, " n"]:
+def screen_offsets(differences: ThirdDifferences, models: Models, starts: FrameIndices, stops: FrameIndices) -> Mask:
     """Return whether a constant offset of the frames starts..stops - 1 may remove the steps at both ends.
 
     It may if so little would remain, and so much be removed, as MAX_RESIDUAL_SHARE and MIN_REDUCTION_RATIO demand.
@@ -63,12 +65,7 @@ def screen_offsets(
     return is_removable
 
 
-def _screen_long_offsets(
-    differences: ThirdDifferences,
-    models: tuple[OffsetModel, ...],
-    starts: Int[np.ndarray, " n"],
-    stops: Int[np.ndarray, " n"],
-) -> Bool[np.ndarray, " n"]:
+def _screen_long_offsets(differences: ThirdDifferences, models: Models, starts: FrameIndices, stops: FrameIndices) -> Mask:
     """Return whether an offset may be removed. No third difference spans both of its steps, so their normal equations add up."""
     signs = _compare_signs(differences.track, starts, stops)
     steps, step_of_edge = np.unique(np.concatenate([starts, stops]), return_inverse=True)
@@ -90,9 +87,7 @@ def _screen_long_offsets(
     return _is_removable(differences, both_rows, residual)
 
 
-def _screen_short_offsets(
-    differences: ThirdDifferences, models: tuple[OffsetModel, ...], starts: Int[np.ndarray, " n"], frames: int
-) -> Bool[np.ndarray, " n"]:
+def _screen_short_offsets(differences: ThirdDifferences, models: Models, starts: FrameIndices, frames: int) -> Mask:
     """Return whether a constant in the few `frames` from each start may remove the steps at both ends."""
     signs = _compare_signs(differences.track, starts, starts + frames)
     shifts = np.arange(-3, frames)
@@ -103,9 +98,7 @@ def _screen_short_offsets(
     return _is_removable(differences, rows, np.minimum.reduce([_bound_residual(each) for each in equations]))
 
 
-def _compare_signs(
-    track: Float[np.ndarray, "T C"], starts: Int[np.ndarray, " n"], stops: Int[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
+def _compare_signs(track: Track, starts: FrameIndices, stops: FrameIndices) -> Float[np.ndarray, " n"]:
     """Return -1 where the quaternions on the two sides of an interval have opposite signs, which stand for one rotation."""
     if track.shape[1] != 4:
         return np.ones(len(starts))
@@ -146,9 +139,7 @@ def _bound_residual(equations: _NormalEquations) -> Float[np.ndarray, " S"]:
     return equations.square * (1 - RELATIVE_ROUNDING) - (equations.moment * amounts[..., 0]).sum(1)
 
 
-def _is_removable(
-    differences: ThirdDifferences, rows: Int[np.ndarray, "n R"], residual: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
+def _is_removable(differences: ThirdDifferences, rows: Rows, residual: Float[np.ndarray, " n"]) -> Mask:
     """Return whether so little may remain of the third differences in `rows` as `_fit_offset` demands."""
     clipped, is_row = np.clip(rows, 0, len(differences.is_known) - 1), _is_known_row(differences, rows)
     third_differences = np.diff(differences.track, 3, axis=0)
@@ -157,7 +148,7 @@ def _is_removable(
     return (residual <= MAX_RESIDUAL_SHARE * before) & (before - residual >= MIN_REDUCTION_RATIO * background_square)
 
 
-def _is_known_row(differences: ThirdDifferences, rows: Int[np.ndarray, "n R"]) -> Bool[np.ndarray, "n R"]:
+def _is_known_row(differences: ThirdDifferences, rows: Rows) -> Bool[np.ndarray, "n R"]:
     clipped = np.clip(rows, 0, len(differences.is_known) - 1)
     return differences.is_known[clipped] & (rows == clipped)
 
@@ -204,11 +195,7 @@ class OffsetThresholds(NamedTuple):
 
 
 def detect_offsets(
-    track: Float[np.ndarray, "T C"],
-    models: tuple[OffsetModel, ...],
-    is_usable: Bool[np.ndarray, " T"],
-    rate: float,
-    thresholds: OffsetThresholds,
+    track: Track, models: Models, is_usable: Bool[np.ndarray, " T"], rate: float, thresholds: OffsetThresholds
 ) -> list[TemporaryOffset]:
     """Detect offsets that do not overlap, ordered by first frame; of overlapping ones the one with the strongest evidence.
 
@@ -236,7 +223,7 @@ def detect_offsets(
     return sorted(selected)
 
 
-def _find_steps(relative_difference: Float[np.ndarray, " D"]) -> tuple[Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
+def _find_steps(relative_difference: Differences) -> tuple[Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
     """Return the frames to which a step may lead, and each step's power, summed over the three differences that span it."""
     starts = np.unique(np.concatenate([np.flatnonzero(relative_difference > MIN_STEP_RATIO) + shift for shift in (1, 2, 3)]))
     power = np.array([(relative_difference[max(0, start - 3) : start] ** 2).sum() for start in starts], float)
@@ -245,11 +232,7 @@ def _find_steps(relative_difference: Float[np.ndarray, " D"]) -> tuple[Int[np.nd
 
 
 def _list_step_pairs(
-    differences: ThirdDifferences,
-    models: tuple[OffsetModel, ...],
-    starts: Int[np.ndarray, " S"],
-    power: Float[np.ndarray, " S"],
-    rate: float,
+    differences: ThirdDifferences, models: Models, starts: Int[np.ndarray, " S"], power: Float[np.ndarray, " S"], rate: float
 ) -> list[tuple[int, int]]:
     """Return the pairs of steps, in order, that are near and alike enough to be one offset's and that one constant may remove."""
     firsts, seconds = np.triu_indices(len(starts), 1)
@@ -261,7 +244,7 @@ def _list_step_pairs(
     return list(zip(firsts[is_removable].tolist(), seconds[is_removable].tolist(), strict=True))
 
 
-def _fit_offset(differences: ThirdDifferences, models: tuple[OffsetModel, ...], first: int, last: int) -> TemporaryOffset | None:
+def _fit_offset(differences: ThirdDifferences, models: Models, first: int, last: int) -> TemporaryOffset | None:
     """Fit an offset of the frames first..last. Returns None if no constant removes both of its steps."""
     track = differences.track
     rows = np.unique(np.r_[first - 3 : first, last - 2 : last + 1])
@@ -289,10 +272,7 @@ def _fit_offset(differences: ThirdDifferences, models: tuple[OffsetModel, ...], 
 
 
 def _fit_model(
-    model: OffsetModel,
-    outside_sum: Float[np.ndarray, "R C"],
-    inside: Float[np.ndarray, "R 4"],
-    samples: Int[np.ndarray, "R 4"],
+    model: OffsetModel, outside_sum: Float[np.ndarray, "R C"], inside: Float[np.ndarray, "R 4"], samples: Int[np.ndarray, "R 4"]
 ) -> tuple[float, float]:
     """Fit an offset of one kind by least squares. Returns the squares that remain, and the amount.
 
@@ -310,7 +290,7 @@ def _fit_model(
     return float(((slopes @ amounts - target) ** 2).sum()), float(amount)
 
 
-def _estimate_background(difference: Float[np.ndarray, " D"], rate: float, min_difference: float) -> Float[np.ndarray, " D"]:
+def _estimate_background(difference: Differences, rate: float, min_difference: float) -> Differences:
     """Estimate the usual size of third differences around each of them."""
     least = max(min_difference, BACKGROUND_MEDIAN_FACTOR * float(np.quantile(difference, BACKGROUND_QUANTILE)))
     window = 2 * round(BACKGROUND_HALF_WINDOW_S * rate) + 1

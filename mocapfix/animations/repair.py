@@ -22,12 +22,7 @@ from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.solve import occluded_joints
 from mocapfix.solve.kinematics import compute_local_rotations
-from mocapfix.solve.motion_prior import (
-    GapContext,
-    combine_rotations,
-    compute_combined_variance,
-    compute_prediction_weight,
-)
+from mocapfix.solve.motion_prior import GapContext, combine_rotations, compute_combined_variance, compute_prediction_weight
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.constant_offsets import OffsetModel
@@ -51,7 +46,6 @@ class FrameSpan(NamedTuple):
 
     @property
     def frames(self) -> Int[np.ndarray, " n"]:
-        """The indices of the frames."""
         return np.arange(self.first, self.last + 1)
 
 
@@ -218,7 +212,6 @@ def interpolate_body(
 
 
 def find_context_frames(is_known: Bool[np.ndarray, " T"], span: FrameSpan) -> Int[np.ndarray, " N"]:
-    """Return the known frames near a span."""
     count = round(INTERPOLATION_CONTEXT_S * span.rate)
     context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_known), span.last + 1 + count)]
     return context[is_known[context]]

@@ -84,7 +84,6 @@ class ChildReply:
 
 
 def write_message(stream: BinaryIO, message: object) -> None:
-    """Write one message."""
     data = pickle.dumps(message)
     stream.write(struct.pack(LENGTH_FORMAT, len(data)) + data)
     stream.flush()
@@ -401,7 +400,6 @@ class ForkServer:
 
     @property
     def process_id(self) -> int:
-        """The server's process number."""
         return self._process.pid
 
     def _wait(self, timeout_s: float) -> bool:

@@ -59,7 +59,6 @@ class CleanRequest:
 
 @cache
 def get_version() -> str:
-    """Return the version of mocapfix."""
     try:
         return version("mocapfix")
     except PackageNotFoundError:  # a checkout that is not installed
@@ -180,7 +179,6 @@ def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> T
 
 
 def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> TakeRecord:
-    """Return the record of a take that failed."""
     return build_record(
         request,
         input_sha256=try_to_hash(request.path),

@@ -71,7 +71,6 @@ def get_take_folder(output_folder: Path, take: str) -> Path:
 
 
 def get_record_path(output_folder: Path, take: str) -> Path:
-    """Return the path of a take's record."""
     return get_take_folder(output_folder, take) / f"{PurePosixPath(take).stem}{RECORD_SUFFIX}"
 
 

@@ -207,7 +207,6 @@ def locate_record(request: CleanRequest | SurveyRequest | PersonRequest) -> tupl
 
 
 def locate_records(output_folder: Path) -> Path:
-    """Return the folder with the records of the jobs in the output folder of a batch."""
     return output_folder / PEOPLE_FOLDER / RECORDS_FOLDER
 
 

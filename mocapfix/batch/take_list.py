@@ -21,7 +21,6 @@ from mocapfix.options import CleanOptions
 
 TAKE_SUFFIXES = (".c3d", ".trc", ".tsv", ".csv", ".bvh", ".amc")
 """suffixes of captures; of files in a folder that differ only by them, the first of this order is the take"""
-WILDCARDS = "*?["
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
         elif Path(source).is_file():
             paths.append(Path(source))
         else:
-            matching = expand_pattern(source) if set(WILDCARDS) & set(source) else []
+            matching = expand_pattern(source) if has_wildcards(source) else []
             if not matching:
                 raise ReadError(f"{source}: no such take; name a folder, a file, a pattern or a session file (.yaml).")
             paths += matching
@@ -77,12 +76,11 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
     """Return the captures in a folder and its folders, also behind links to folders. Raises ReadError if there is none."""
     by_stem: dict[Path, list[Path]] = {}
     unreadable: list[Path] = []
-    visited = {folder.resolve()}
+    visited = {folder.resolve(), output_folder.resolve()}
     for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: unreadable.append(Path(error.filename))):
-        inputs = [each for each in sorted(folders) if is_input_folder(Path(place) / each, output_folder)]
-        folders[:] = [each for each in inputs if add_folder(visited, Path(place) / each)]
-        shown = (Path(place) / name for name in names if not name.startswith("."))
-        for path in remove_outputs(path for path in shown if path.suffix.lower() in TAKE_SUFFIXES):
+        folders[:] = [each for each in sorted(folders) if not is_set_aside(each) and add_folder(visited, Path(place) / each)]
+        files = (Path(place) / name for name in names if not name.startswith("."))
+        for path in remove_outputs(path for path in files if path.suffix.lower() in TAKE_SUFFIXES):
             by_stem.setdefault(path.with_suffix(""), []).append(path)
     for paths in by_stem.values():
         paths.sort(key=lambda path: (TAKE_SUFFIXES.index(path.suffix.lower()), path.suffix))
@@ -98,11 +96,6 @@ def add_folder(visited: set[Path], folder: Path) -> bool:
     is_new = place not in visited
     visited.add(place)
     return is_new
-
-
-def is_input_folder(folder: Path, output_folder: Path) -> bool:
-    """Return whether captures in a folder are input: not hidden, and no outputs of mocapfix."""
-    return not is_set_aside(folder.name) and folder.resolve() != output_folder.resolve()
 
 
 def remove_outputs(paths: Iterable[Path]) -> list[Path]:

@@ -79,7 +79,6 @@ class BodyFrame:
 
     @property
     def leg_length_m(self) -> float:
-        """Length of thigh and shin."""
         return self.compute_length("thigh", "shin") + self.compute_length("shin", "foot")
 
     @property

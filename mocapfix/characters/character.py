@@ -132,7 +132,6 @@ class CharacterMotion:
 
     @property
     def frame_count(self) -> int:
-        """T."""
         return len(self.pelvis_position)
 
 

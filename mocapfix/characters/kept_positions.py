@@ -14,9 +14,8 @@ the body the palm keeps its vector across the part's axis, so that a hand on a t
 Palms that are near each other stay so.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +25,9 @@ from mocapfix.characters.character import SIDES
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.foot_displacements import compute_foot_displacements
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+
+Points = Float[np.ndarray, "T 3"]  # in the world, in metres
+Rotations = Float[np.ndarray, "T 3 3"]
 
 NEAR_DISTANCE = 0.3
 """Distance of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept."""
@@ -37,56 +39,38 @@ MIN_PALM_DISTANCE_M = 1e-6
 MIN_LINE_LENGTH2_M2 = 1e-12  # squared length of a line below which it has no direction
 
 
-class BodyPart(NamedTuple):
-    """A part of the body near which hands keep their places: the line from one segment's beginning to another's."""
-
-    start: str
-    end: str
-
-
-LEG_PARTS = tuple(BodyPart(f"{side}_thigh", f"{side}_shin") for side in SIDES)
-TRUNK_PARTS = (BodyPart("pelvis", "neck"), BodyPart("neck", "head"))
+LEG_PARTS = tuple((f"{side}_thigh", f"{side}_shin") for side in SIDES)
+BODY_PARTS = (*LEG_PARTS, ("pelvis", "neck"), ("neck", "head"))
+"""Parts of the body near which hands keep their places: lines from one segment's beginning to another's."""
 
 
 def compute_hand_targets(
-    source: BodyFrame, target: BodyFrame, motion: SegmentMotion, target_position: Mapping[str, Float[np.ndarray, "T 3"]]
-) -> dict[str, Float[np.ndarray, "T 3"]]:
+    source: BodyFrame, target: BodyFrame, motion: SegmentMotion, target_position: Mapping[str, Points]
+) -> dict[str, Points]:
     """Return by side where the wrists shall be, in metres.
 
     motion           of the source
     target_position  segment to (T, 3) m: where it begins, before the hands are placed
     """
     arm_ratio = target.arm_length_m / source.arm_length_m
-    palms: dict[str, Float[np.ndarray, "T 3"]] = {}
-    source_palms: dict[str, Float[np.ndarray, "T 3"]] = {}
+    palms: dict[str, Points] = {}
+    source_palms: dict[str, Points] = {}
     for side in SIDES:
         wrist, hand = motion.position[f"{side}_hand"], motion.rotation[f"{side}_hand"]
         source_palms[side] = wrist + hand @ source.compute_palm(side)
         arm = arm_ratio * (wrist - motion.position[f"{side}_upper_arm"])
         free = target_position[f"{side}_upper_arm"] + arm + hand @ target.compute_palm(side)
-        places = BesideParts.allocate(len(free))
-        for part in (*LEG_PARTS, *TRUNK_PARTS):
-            if all(end in motion.position and end in target_position for end in part):
-                ends = [motion.position[end] for end in part], [target_position[end] for end in part]
-                places.add(source_palms[side], free, *ends, (source, target))
-        palms[side] = places.combine(free)
+        parts = [each for each in BODY_PARTS if all(end in motion.position and end in target_position for end in each)]
+        ends = [[[position[end] for end in part] for position in (motion.position, target_position)] for part in parts]
+        palms[side] = place_beside_parts(source_palms[side], free, ends, source.trunk_length_m, target.trunk_length_m)
     palms = keep_palms_together(source_palms, palms, source.trunk_length_m, target.trunk_length_m)
-    return {
-        side: limit_reach(
-            palm - motion.rotation[f"{side}_hand"] @ target.compute_palm(side),
-            target_position[f"{side}_upper_arm"],
-            target.arm_length_m,
-        )
-        for side, palm in palms.items()
-    }
+    wrists = {side: palm - motion.rotation[f"{side}_hand"] @ target.compute_palm(side) for side, palm in palms.items()}
+    return {side: limit_reach(each, target_position[f"{side}_upper_arm"], target.arm_length_m) for side, each in wrists.items()}
 
 
 def keep_palms_together(
-    source_palms: Mapping[str, Float[np.ndarray, "T 3"]],
-    palms: Mapping[str, Float[np.ndarray, "T 3"]],
-    source_trunk_m: float,
-    target_trunk_m: float,
-) -> dict[str, Float[np.ndarray, "T 3"]]:
+    source_palms: Mapping[str, Points], palms: Mapping[str, Points], source_trunk_m: float, target_trunk_m: float
+) -> dict[str, Points]:
     """Return the palms (T, 3) in metres by side, where they are near each other in the source as far apart as there.
 
     Their middle stays where it is. Distances are compared in lengths of the trunk.
@@ -100,63 +84,37 @@ def keep_palms_together(
     }
 
 
-@dataclass
-class BesideParts:
-    """The places of a palm beside the parts of a body, weighted by its nearness to each.
+def place_beside_parts(
+    palm: Points, free: Points, ends: Sequence[Sequence[Sequence[Points]]], source_trunk_m: float, target_trunk_m: float
+) -> Points:
+    """Return the places of a palm in metres: beside the parts of the body where it is near one, `free` where it is near none.
 
-    total    (T, 3) m: sum of the weighted places
-    weight   (T,) sum of the weights
-    nearest  (T,) nearness to the nearest part, from 0 to 1
+    How far along a part it is follows from the arm: a longer arm hangs lower. The nearest part decides.
+
+    palm  of the source
+    free  of the target, by the arm's directions
+    ends  of each part in the source, and in the target
     """
-
-    total: Float[np.ndarray, "T 3"]
-    weight: Float[np.ndarray, " T"]
-    nearest: Float[np.ndarray, " T"]
-
-    @classmethod
-    def allocate(cls, frame_count: int) -> "BesideParts":
-        """Return no places."""
-        return cls(np.zeros((frame_count, 3)), np.zeros(frame_count), np.zeros(frame_count))
-
-    def add(
-        self,
-        palm: Float[np.ndarray, "T 3"],
-        free: Float[np.ndarray, "T 3"],
-        source_ends: list[Float[np.ndarray, "T 3"]],
-        target_ends: list[Float[np.ndarray, "T 3"]],
-        frames: tuple[BodyFrame, BodyFrame],
-    ) -> None:
-        """Add the place beside a part, whose ends are given in the source and in the target.
-
-        How far along the part it is follows from the arm: a longer arm hangs lower.
-
-        palm  of the source;  free  (T, 3) m: of the target, by the arm's directions
-        """
-        source, target = frames
-        distance = np.linalg.norm(find_nearest_point(palm, *source_ends)[1], axis=1) / source.trunk_length_m
+    total, weights, nearest = np.zeros(free.shape), np.zeros(len(free)), np.zeros(len(free))
+    for source_ends, (start, end) in ends:
         _, across = split_along_line(palm, *source_ends)
-        share, _ = split_along_line(free, *target_ends)
-        nearness = compute_nearness(distance)
+        share, _ = split_along_line(free, start, end)
+        nearness = compute_nearness(np.linalg.norm(find_nearest_point(palm, *source_ends)[1], axis=1) / source_trunk_m)
         weight = nearness**NEARNESS_POWER
-        axis = target_ends[1] - target_ends[0]
-        place = target_ends[0] + share[:, None] * axis + target.trunk_length_m / source.trunk_length_m * across
-        self.total += weight[:, None] * place
-        self.weight += weight
-        np.maximum(self.nearest, nearness, out=self.nearest)
-
-    def combine(self, free: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-        """Return the places of the palm: beside the parts where it is near one, `free` where it is near none."""
-        beside = self.total / np.maximum(self.weight, MIN_PLACE_WEIGHT)[:, None]
-        return free + self.nearest[:, None] * np.where(self.weight[:, None] > MIN_PLACE_WEIGHT, beside - free, 0.0)
+        total += weight[:, None] * (start + share[:, None] * (end - start) + target_trunk_m / source_trunk_m * across)
+        weights += weight
+        nearest = np.maximum(nearest, nearness)
+    beside = total / np.maximum(weights, MIN_PLACE_WEIGHT)[:, None]
+    return free + nearest[:, None] * np.where(weights[:, None] > MIN_PLACE_WEIGHT, beside - free, 0.0)
 
 
 def move_hands_out_of_thighs(
     source: BodyFrame,
     target: BodyFrame,
     motion: SegmentMotion,
-    solved_position: Mapping[str, Float[np.ndarray, "T 3"]],
-    wanted: Mapping[str, Float[np.ndarray, "T 3"]],
-) -> dict[str, Float[np.ndarray, "T 3"]]:
+    solved_position: Mapping[str, Points],
+    wanted: Mapping[str, Points],
+) -> dict[str, Points]:
     """Return the targets of the wrists, moved so far that no palm is nearer to the axis of a thigh than in the source.
 
     Distances are compared in lengths of the trunk, and only where they are less than NEAR_DISTANCE of these.
@@ -182,17 +140,13 @@ def move_hands_out_of_thighs(
     return moved
 
 
-def find_nearest_point(
-    point: Float[np.ndarray, "T 3"], start: Float[np.ndarray, "T 3"], end: Float[np.ndarray, "T 3"]
-) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T 3"]]:
+def find_nearest_point(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
     """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
     share = np.clip(split_along_line(point, start, end)[0], 0.0, 1.0)
     return share, point - start - share[:, None] * (end - start)
 
 
-def split_along_line(
-    point: Float[np.ndarray, "T 3"], start: Float[np.ndarray, "T 3"], end: Float[np.ndarray, "T 3"]
-) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T 3"]]:
+def split_along_line(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
     """Return how far along a line a point is, in lengths of the line also beyond its ends, and its vector across the line."""
     axis = end - start
     share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_LINE_LENGTH2_M2)
@@ -210,10 +164,7 @@ def compute_smooth_step(value: Float[np.ndarray, " T"], full: float, none: float
     return share * share * (3.0 - 2.0 * share)
 
 
-def limit_reach(
-    wanted: Float[np.ndarray, "T 3"], shoulder: Float[np.ndarray, "T 3"], arm_length_m: float
-) -> Float[np.ndarray, "T 3"]:
-    """Return targets that are within reach of the shoulder."""
+def limit_reach(wanted: Points, shoulder: Points, arm_length_m: float) -> Points:
     vector = wanted - shoulder
     distance = np.linalg.norm(vector, axis=1)
     ratio = np.minimum(1.0, MAX_REACH * arm_length_m / np.maximum(distance, MIN_PALM_DISTANCE_M))
@@ -292,17 +243,13 @@ class KeptPositions:
     scale   metres of the character per metre of the source
     """
 
-    pelvis: Float[np.ndarray, "T 3"]
-    ankles: dict[str, Float[np.ndarray, "T 3"]]
+    pelvis: Points
+    ankles: dict[str, Points]
     scale: float
 
 
 def compute_kept_positions(
-    source: BodyFrame,
-    target: BodyFrame,
-    motion: SegmentMotion,
-    flat_feet: Mapping[str, FlatFoot],
-    floor_height_m: float = 0.0,
+    source: BodyFrame, target: BodyFrame, motion: SegmentMotion, flat_feet: Mapping[str, FlatFoot], floor_height_m: float = 0.0
 ) -> KeptPositions:
     """Compute where pelvis and ankles of a target body shall be, from the segments of the source.
 
@@ -313,7 +260,7 @@ def compute_kept_positions(
     pelvis, thighs = motion.rotation["pelvis"], [motion.position[f"{side}_thigh"] for side in SIDES]
     ankle_height_m = float(np.mean([flat_feet[side].compute_ankle_height(source.compute_ball(side)) for side in SIDES]))
     hips = scale_positions(np.mean(thighs, axis=0), scale, floor_height_m + ankle_height_m, target.ankle_height_m)
-    ankles: dict[str, Float[np.ndarray, "T 3"]] = {}
+    ankles: dict[str, Points] = {}
     for side in SIDES:
         foot, flat = motion.rotation[f"{side}_foot"], flat_feet[side]
         ball = motion.position[f"{side}_foot"] + foot @ source.compute_ball(side)
@@ -322,9 +269,7 @@ def compute_kept_positions(
     return KeptPositions(hips - pelvis @ target.hip_centre, ankles, scale)
 
 
-def scale_positions(
-    position: Float[np.ndarray, "T 3"], scale: float, source_height_m: float, target_height_m: float
-) -> Float[np.ndarray, "T 3"]:
+def scale_positions(position: Points, scale: float, source_height_m: float, target_height_m: float) -> Points:
     """Return positions scaled about the origin, so that one at `source_height_m` comes to `target_height_m`."""
     scaled = scale * position
     scaled[:, 1] += target_height_m - scale * source_height_m
@@ -332,11 +277,8 @@ def scale_positions(
 
 
 def hold_kept_feet(
-    target: BodyFrame,
-    ankles: dict[str, Float[np.ndarray, "T 3"]],
-    feet: dict[str, Float[np.ndarray, "T 3 3"]],
-    contacts: BodyContacts,
-) -> tuple[dict[str, Float[np.ndarray, "T 3"]], dict[str, Float[np.ndarray, "T 3 3"]]]:
+    target: BodyFrame, ankles: dict[str, Points], feet: dict[str, Rotations], contacts: BodyContacts
+) -> tuple[dict[str, Points], dict[str, Rotations]]:
     """Return ankles (T, 3) in metres and rotations S (T, 3, 3) of the feet, by side, with the feet held in contacts.
 
     ankles, feet  by side, before
@@ -345,8 +287,8 @@ def hold_kept_feet(
     balls = {side: ankles[side] + feet[side] @ target.compute_ball(side) for side in SIDES}
     position = np.stack([place[side] for side in FOOT_JOINTS for place in (ankles, balls)], axis=1)
     held = position + compute_foot_displacements(position, contacts, is_locked=True)
-    held_ankles: dict[str, Float[np.ndarray, "T 3"]] = {}
-    held_feet: dict[str, Float[np.ndarray, "T 3 3"]] = {}
+    held_ankles: dict[str, Points] = {}
+    held_feet: dict[str, Rotations] = {}
     for k, side in enumerate(FOOT_JOINTS):
         ankle, ball = held[:, 2 * k], held[:, 2 * k + 1]
         held_ankles[side] = ankle
@@ -371,7 +313,7 @@ LARGER_DROP_POWER = 4
 MIN_DROP_M = 1e-12
 
 
-def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotation: Float[np.ndarray, "T 3 3"]) -> KeptPositions:
+def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotation: Rotations) -> KeptPositions:
     """Return the targets with the pelvis lowered, and feet brought nearer, where a leg would be stretched.
 
     pelvis_rotation  (T, 3, 3) S of the pelvis
@@ -380,7 +322,7 @@ def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotati
     drops = [compute_drop(kept.ankles[side] - kept.pelvis - hips[side], target.leg_length_m) for side in SIDES]
     drop = (np.sum(np.power(drops, LARGER_DROP_POWER), axis=0)) ** (1 / LARGER_DROP_POWER)
     pelvis = kept.pelvis - drop[:, None] * np.array([0.0, 1.0, 0.0])
-    ankles: dict[str, Float[np.ndarray, "T 3"]] = {}
+    ankles: dict[str, Points] = {}
     for side in SIDES:
         leg = kept.ankles[side] - pelvis - hips[side]
         distance = np.maximum(np.linalg.norm(leg, axis=1), MIN_DROP_M)
@@ -390,7 +332,7 @@ def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotati
     return KeptPositions(pelvis, ankles, kept.scale)
 
 
-def compute_drop(leg: Float[np.ndarray, "T 3"], leg_length_m: float) -> Float[np.ndarray, " T"]:
+def compute_drop(leg: Points, leg_length_m: float) -> Float[np.ndarray, " T"]:
     """Return how far in metres the hip must be lowered for a leg that bears the body, from hip to ankle (T, 3) in metres."""
     across, height = np.linalg.norm(leg[:, [0, 2]], axis=1), -leg[:, 1]
     wanted = limit_distance(np.linalg.norm(leg, axis=1), leg_length_m)
@@ -398,7 +340,7 @@ def compute_drop(leg: Float[np.ndarray, "T 3"], leg_length_m: float) -> Float[np
     return compute_bearing(leg) * np.maximum(height - lower, 0.0)
 
 
-def compute_bearing(leg: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
+def compute_bearing(leg: Points) -> Float[np.ndarray, " T"]:
     """Return 1 for a leg (T, 3) below its hip, 0 for one that reaches to the side, ahead or up, and a smooth step between."""
     cosine = -leg[:, 1] / np.maximum(np.linalg.norm(leg, axis=1), MIN_DROP_M)
     return compute_smooth_step(-cosine, -BELOW_COSINE, -BESIDE_COSINE)

@@ -157,7 +157,6 @@ class SegmentTargets(NamedTuple):
         return self._replace(points=self.points | points)
 
     def select_frames(self, is_selected: Bool[np.ndarray, " T"]) -> "SegmentTargets":
-        """Return the targets of some frames."""
         points = {segment: place[is_selected] for segment, place in self.points.items()}
         return SegmentTargets(self.rotation[is_selected], self.pelvis[is_selected], points)
 

@@ -61,7 +61,6 @@ class _DetectorFile(StrictModel):
 
 
 def list_detectors() -> list[str]:
-    """Return the names of the shipped detectors."""
     return sorted(path.stem for path in (find_shipped_folder("scenes") / "keypoints").glob("*.yaml"))
 
 

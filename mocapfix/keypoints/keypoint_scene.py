@@ -81,8 +81,6 @@ MIN_OPACITY = 0.25  # of a keypoint with confidence 0
 
 
 class CameraEntry(TypedDict):
-    """The estimated camera."""
-
     pixels_per_metre: float
     origin_px: list[float]
     pitch_down_deg: float
@@ -255,7 +253,6 @@ class KeypointResult:
 
     @property
     def joint_positions(self) -> Float[np.ndarray, "T J 3"]:
-        """World positions in metres."""
         return self._positions[0]
 
     @property
@@ -266,7 +263,6 @@ class KeypointResult:
 
     @property
     def report(self) -> KeypointReport:
-        """The report, for report.json."""
         error_px, detector = self.reprojection_error_px, self.keypoints.detector
         by_keypoint = [column[np.isfinite(column)] for column in error_px.T]
         means = [round(float(column.mean()), 2) if len(column) else None for column in by_keypoint]

@@ -246,7 +246,6 @@ def build_inspection_report(
 
 
 def build_subject_section(subject: Subject) -> SubjectSection:
-    """Return the section on the calibrated subject."""
     lengths, is_solved = np.linalg.norm(subject.skeleton.offsets, axis=1), subject.solved_joints
     has_length = (lengths > 0) & is_solved & is_solved[subject.skeleton.parents]
     return {

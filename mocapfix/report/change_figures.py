@@ -405,7 +405,6 @@ def _compute_change_weight(change: Change, fault: Fault, rate_hz: float) -> floa
 
 
 def build_change_figures(comparison: CleaningComparison) -> list[Figure]:
-    """Return the figures of the worst changes."""
     return [_build_change_figure(comparison, change, fault) for change, fault in select_worst_changes(comparison)]
 
 

@@ -37,12 +37,7 @@ from mocapfix.report.sample_states import (
 )
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
 from mocapfix.report.terms import FAULT_GROUPS, format_frame_range, format_number, get_fault_group
-from mocapfix.report.timeline import (
-    build_contact_part,
-    build_fault_rows,
-    build_residual_plot,
-    build_time_ticks,
-)
+from mocapfix.report.timeline import build_contact_part, build_fault_rows, build_residual_plot, build_time_ticks
 
 PAGE_COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "blue": BLUE}
 

@@ -213,7 +213,6 @@ class _RecordingWriter:
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
     def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
-        """Send columns with one row for each of `frames`."""
         times = [
             rr.TimeColumn("time", duration=self.time_s[frames]),
             rr.TimeColumn("frame", sequence=self.frame_numbers[frames]),
@@ -340,7 +339,6 @@ def _compute_eye_position(
 
 
 def _convert_to_rgba(colour: str) -> np.uint32:
-    """Convert "#rrggbb" to 0xRRGGBBAA."""
     return np.uint32(int(colour[1:] + "ff", 16))
 
 

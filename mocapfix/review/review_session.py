@@ -246,7 +246,6 @@ class OpenTake:
             return self._describe_state()
 
     def withdraw(self) -> dict[str, Any]:
-        """Withdraw the approval."""
         with self.lock:
             withdraw_approval(self.take)
             return self._describe_state()
@@ -367,7 +366,6 @@ class ReviewSession:
 
     @property
     def ids(self) -> list[str]:
-        """The ids of all takes."""
         return list(self._takes)
 
     @property
@@ -387,7 +385,6 @@ class ReviewSession:
         return remove
 
     def announce(self, event: Event) -> None:
-        """Send an event to all pages."""
         with self._lock:
             for receive in self._listeners:
                 receive(event)
@@ -468,7 +465,6 @@ class ReviewSession:
         return described
 
     def withdraw(self, name: str) -> dict[str, Any]:
-        """Withdraw the approval of a take."""
         described = self.open_take(name).withdraw()
         self.announce({"type": "session"})
         return described

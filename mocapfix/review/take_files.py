@@ -49,7 +49,6 @@ class CleanedTake:
 
     @property
     def name(self) -> str:
-        """Name of the input file."""
         return str(self.report["take"]["file"])
 
     @property
@@ -75,7 +74,6 @@ class CleanedTake:
 
     @property
     def cleaned_path(self) -> Path:
-        """The cleaned file."""
         return self.folder / f"{Path(self.name).stem}.{get_source_suffixes(Path(self.name))[0]}"
 
     def get_path(self, suffix: str) -> Path:
@@ -84,7 +82,6 @@ class CleanedTake:
 
     @property
     def changes_path(self) -> Path:
-        """The changes file."""
         return self.get_path(CHANGES_SUFFIX)
 
     @property
@@ -170,7 +167,6 @@ def write_approval(take: CleanedTake, name: str) -> Approval:
 
 
 def withdraw_approval(take: CleanedTake) -> None:
-    """Remove the approval of a take, if there is one."""
     take.approval_path.unlink(missing_ok=True)
 
 

@@ -59,7 +59,6 @@ class TakeView:
 
     @property
     def frame_count(self) -> int:
-        """Number of frames."""
         return len(self.after)
 
     @cached_property

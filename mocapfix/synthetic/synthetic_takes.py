@@ -25,6 +25,10 @@ from mocapfix.solve.kinematics import compute_joint_and_marker_positions, comput
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
 
+Curve = Float[np.ndarray, " T"]
+Rotations = Float[np.ndarray, "T 3 3"]
+Positions = Float[np.ndarray, "T 3"]
+
 CYCLE_DURATION_S = 10.0  # walk, reach, crouch, turn by half a circle; then the same back again
 ANKLE_HEIGHT_M = 0.075  # from the sole
 TOE_PIVOT_M = 0.17  # forward of the ankle: the point about which a foot rolls off the floor
@@ -78,13 +82,13 @@ class FootMotion:
     foot_rotation: Float[np.ndarray, "T 2 3 3"]
 
 
-def compute_ramp(time_s: Float[np.ndarray, " T"], first_s: float, last_s: float) -> Float[np.ndarray, " T"]:
+def compute_ramp(time_s: Curve, first_s: float, last_s: float) -> Curve:
     """Return 0 before `first_s`, 1 after `last_s`, between them the minimum-jerk curve of reaching (Flash and Hogan 1985)."""
     u = np.clip((time_s - first_s) / (last_s - first_s), 0, 1)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
-def compute_bump(time_s: Float[np.ndarray, " T"], first_s: float, last_s: float) -> Float[np.ndarray, " T"]:
+def compute_bump(time_s: Curve, first_s: float, last_s: float) -> Curve:
     """Return 1 half-way between `first_s` and `last_s`, decreasing smoothly to 0 at both."""
     x = np.clip(2 * (time_s - first_s) / (last_s - first_s) - 1, -1, 1)
     return (1 - x**2) ** 3
@@ -95,7 +99,7 @@ def compute_axis_rotation(axis: str, angle_rad: Float[np.ndarray, "*batch"] | fl
     return Rotation.from_euler(axis, np.reshape(angle_rad, (-1, 1))).as_matrix().reshape(*np.shape(angle_rad), 3, 3)
 
 
-def plan_footsteps(time_s: Float[np.ndarray, " T"], stride_m: float, half_width_m: float) -> FootMotion:
+def plan_footsteps(time_s: Curve, stride_m: float, half_width_m: float) -> FootMotion:
     """Return the feet of a person of a given stride and half distance between the hips."""
     place, yaw = np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 2))
     lift, heel_rise, toe_lift = np.zeros((3, len(time_s), 2))
@@ -178,16 +182,14 @@ GESTURES = (  # joint, axis, degrees, times
 )
 
 
-def compute_plateau(time_s: Float[np.ndarray, " T"], times_s: tuple[float, float, float, float]) -> Float[np.ndarray, " T"]:
+def compute_plateau(time_s: Curve, times_s: tuple[float, float, float, float]) -> Curve:
     """Return a curve from 0 to 1 and back, at the same times of every cycle."""
     begins, is_complete, begins_to_end, has_ended = times_s
     cycle_time_s = time_s % CYCLE_DURATION_S
     return compute_ramp(cycle_time_s, begins, is_complete) - compute_ramp(cycle_time_s, begins_to_end, has_ended)
 
 
-def compute_gesture_angles(
-    gait_phase: Float[np.ndarray, " T"], pelvis_drop_deg: Float[np.ndarray, " T"], time_s: Float[np.ndarray, " T"]
-) -> dict[str, Float[np.ndarray, "T 3"]]:
+def compute_gesture_angles(gait_phase: Curve, pelvis_drop_deg: Curve, time_s: Curve) -> dict[str, Positions]:
     """Return angles in degrees about X, Y, Z of the rotated joints above the pelvis, each in its parent's axes.
 
     gait_phase       distance of the left foot in front of the right, in strides
@@ -255,7 +257,7 @@ def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
     return build_posture_motion(subject, root, posture)
 
 
-def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Float[np.ndarray, " T"]:
+def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Curve:
     """Return the distance of the left foot in front of the right, in strides."""
     heading = feet.yaw_rad.mean(axis=1)
     apart = feet.floor_position[:, 0] - feet.floor_position[:, 1]
@@ -263,13 +265,7 @@ def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Float
     return gaussian_filter1d(forward / stride_m, PHASE_SMOOTHING_S * rate)
 
 
-def _compute_pelvis_rotation(
-    feet: FootMotion,
-    gait_phase: Float[np.ndarray, " T"],
-    drop_deg: Float[np.ndarray, " T"],
-    crouch: Float[np.ndarray, " T"],
-    rate: float,
-) -> Float[np.ndarray, "T 3 3"]:
+def _compute_pelvis_rotation(feet: FootMotion, gait_phase: Curve, drop_deg: Curve, crouch: Curve, rate: float) -> Rotations:
     """Return world rotations: the pelvis heads as the feet do, turns with the leading leg and drops on the swinging side."""
     yaw = np.degrees(gaussian_filter1d(feet.yaw_rad.mean(axis=1), YAW_SMOOTHING_S * rate)) - PELVIS_YAW_DEG * gait_phase
     pitch = PELVIS_PITCH_DEG + CROUCH_PITCH_DEG * crouch
@@ -277,13 +273,8 @@ def _compute_pelvis_rotation(
 
 
 def _compute_root_position(
-    feet: FootMotion,
-    pelvis: Float[np.ndarray, "T 3 3"],
-    hips: Float[np.ndarray, "2 3"],
-    reach_m: float,
-    crouch: Float[np.ndarray, " T"],
-    rate: float,
-) -> Float[np.ndarray, "T 3"]:
+    feet: FootMotion, pelvis: Rotations, hips: Float[np.ndarray, "2 3"], reach_m: float, crouch: Curve, rate: float
+) -> Positions:
     """Return positions over the feet, nearer to the standing one, and as high as both legs can reach."""
     share = 0.5 + SUPPORT_SHIFT * (feet.is_swinging @ [-1.0, 1.0])[:, None]
     support = share * feet.floor_position[:, 0] + (1 - share) * feet.floor_position[:, 1]
@@ -298,9 +289,7 @@ def _compute_root_position(
     return middle - pelvis @ hips.mean(axis=0)
 
 
-def _compute_upper_body(
-    skeleton: Skeleton, pelvis: Float[np.ndarray, "T 3 3"], angles_deg: dict[str, Float[np.ndarray, "T 3"]]
-) -> dict[str, Float[np.ndarray, "T 3 3"]]:
+def _compute_upper_body(skeleton: Skeleton, pelvis: Rotations, angles_deg: dict[str, Positions]) -> dict[str, Rotations]:
     """Return the posture of each joint: its parent's, rotated by the gesture."""
     posture = {skeleton.names[0]: pelvis}
     for name, parent in zip(skeleton.names[1:], skeleton.parents[1:], strict=True):
@@ -316,12 +305,8 @@ def _compute_upper_body(
 
 
 def _solve_leg(
-    hip: Float[np.ndarray, "T 3"],
-    feet: FootMotion,
-    side: int,
-    leg: Float[np.ndarray, "2"],
-    pelvis: Float[np.ndarray, "T 3 3"],
-) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3 3"]]:
+    hip: Positions, feet: FootMotion, side: int, leg: Float[np.ndarray, "2"], pelvis: Rotations
+) -> tuple[Rotations, Rotations]:
     """Return the postures of thigh and shin for the ankle's position, the knee pointing between pelvis and toes."""
     thigh, shin = leg
     up = hip - feet.ankle_position[:, side]
@@ -335,9 +320,7 @@ def _solve_leg(
     return straight @ compute_axis_rotation("X", -lift), straight @ compute_axis_rotation("X", bend - lift)
 
 
-def build_posture_motion(
-    subject: Subject, root: Float[np.ndarray, "T 3"], posture: dict[str, Float[np.ndarray, "T 3 3"]]
-) -> Motion:
+def build_posture_motion(subject: Subject, root: Positions, posture: dict[str, Rotations]) -> Motion:
     """Return the motion of the postures of all joints by name, with zero iterations and uncertainty."""
     skeleton = subject.skeleton
     standing = _compute_standing_rotations(skeleton)
