@@ -37,17 +37,13 @@ UNAPPLIED_CHANGE_REASON = "its change was not applied"  # not among the kinds to
 
 @dataclass(frozen=True)
 class RepairedAnimation:
-    """A cleaned animation, and its changes.
+    """A cleaned animation, and its changes."""
 
-    animation    cleaned
-    tips_before, tips_after  takes of the joint tips of the input and of the cleaned animation, without values that are lost
-    joint_take   joint positions of the cleaned animation, with standard deviations
-    """
-
-    animation: Animation
+    animation: Animation  # cleaned
+    # tips_before, tips_after: takes of the joint tips of the input and of the cleaned animation, without values that are lost
     tips_before: Take
     tips_after: Take
-    joint_take: Take
+    joint_take: Take  # joint positions of the cleaned animation, with standard deviations
     faults: Faults
     changes: tuple[Change, ...]
     unfilled: tuple[UnfilledRun, ...]
@@ -163,16 +159,11 @@ LOCK_METHOD = "the place at which the foot stands"
 
 
 class LockedFeet(NamedTuple):
-    """An animation whose feet are held.
+    """An animation whose feet are held."""
 
-    repaired  the animation with the changes to its legs
-    contacts  the contacts, with what was done to the feet
-    notes     sentences on legs that cannot be held
-    """
-
-    repaired: RepairedAnimation
-    contacts: BodyContacts
-    notes: list[str]
+    repaired: RepairedAnimation  # the animation with the changes to its legs
+    contacts: BodyContacts  # the contacts, with what was done to the feet
+    notes: list[str]  # sentences on legs that cannot be held
 
 
 class _Leg(NamedTuple):

@@ -118,14 +118,10 @@ def find_placed_joints(animation: Animation, alignment: SkeletonAlignment) -> Bo
 
 @dataclass(frozen=True, kw_only=True)
 class MappedPriorConditioner(PriorConditioner):
-    """Trained models of poses and motion, applied to the joints of a file, which are mapped to the model's 31 joints.
+    """Trained models of poses and motion, applied to the joints of a file, which are mapped to the model's 31 joints."""
 
-    parents    (J,) the tree of the file
-    alignment  the model's joints in the file
-    """
-
-    parents: Int[np.ndarray, " J"]
-    alignment: SkeletonAlignment
+    parents: Int[np.ndarray, " J"]  # (J,) the tree of the file
+    alignment: SkeletonAlignment  # the model's joints in the file
 
     def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:
         """As `PriorConditioner.predict_gap`, for joints of the file."""
@@ -193,14 +189,11 @@ class AnimationResult(CleaningResult):
 
     The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `joint_mapping.build_tip_take`). Subject and
     motion are those of the 31-joint skeleton, None if the joint names are not those of a body.
-
-    input_animation, animation  as read, and cleaned
-    joint_take  joint positions of the cleaned animation
     """
 
-    input_animation: Animation
+    input_animation: Animation  # input_animation, animation: as read, and cleaned
     animation: Animation
-    joint_take: Take
+    joint_take: Take  # joint positions of the cleaned animation
 
     @property
     def output_take(self) -> Take:

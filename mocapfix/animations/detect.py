@@ -66,14 +66,10 @@ class AnimationGap(NamedTuple):
 
 
 class TrackMotion(NamedTuple):
-    """Motion of N tracks over T frames, NaN where unknown.
+    """Motion of N tracks over T frames, NaN where unknown."""
 
-    steps  (T - 1, N) distance from each frame to the next, radians or metres
-    rest_distances  (T, N) distance from the rest pose, likewise
-    """
-
-    steps: Float[np.ndarray, "S N"]
-    rest_distances: Float[np.ndarray, "T N"]
+    steps: Float[np.ndarray, "S N"]  # (T - 1, N) distance from each frame to the next, radians or metres
+    rest_distances: Float[np.ndarray, "T N"]  # (T, N) distance from the rest pose, likewise
 
 
 def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"], rate: float) -> list[AnimationGap]:

@@ -46,15 +46,12 @@ class _NamingConventionFile(StrictModel):
 
 @dataclass(frozen=True)
 class NamingConvention:
-    """The names that some programs give to joints.
+    """The names that some programs give to joints."""
 
-    name, title  short, and for people
-    candidate_names  names of each of the 31 joints, the most likely first. Each joint of a file is assigned once, to the
-                     first of the 31 joints, in this order, that has its name
-    """
-
-    name: str
+    name: str  # name, title: short, and for people
     title: str
+    # names of each of the 31 joints, the most likely first. Each joint of a file is assigned once, to the first of the 31
+    # joints, in this order, that has its name
     candidate_names: dict[str, tuple[str, ...]]
 
     def match_joints(self, names: Sequence[str], parents: Int[np.ndarray, " J"]) -> Int[np.ndarray, " 31"]:
@@ -76,14 +73,11 @@ class NamingConvention:
 
 @dataclass(frozen=True)
 class JointMapping:
-    """The 31 joints in a file's tree.
+    """The 31 joints in a file's tree."""
 
-    file_joints  (31,) index of the file's joint for each, -1 if there is none; None if the file lacks required joints
-    reason       sentence on what was found
-    """
-
+    # (31,) index of the file's joint for each, -1 if there is none; None if the file lacks required joints
     file_joints: Int[np.ndarray, " 31"] | None
-    reason: str
+    reason: str  # sentence on what was found
 
 
 def map_joints(names: Sequence[str], parents: Int[np.ndarray, " J"], convention: str | Path | None = None) -> JointMapping:
@@ -261,16 +255,12 @@ MAX_ALIGNMENT_FRAMES = 200  # frames from which the upright pose and the bone le
 
 @dataclass(frozen=True)
 class SkeletonAlignment:
-    """How the 31 joints lie in the body of a file.
+    """How the 31 joints lie in the body of a file."""
 
-    file_joints  (31,) index of the file's joint for each, -1 if there is none
-    rotation_file_model  (31, 3, 3) A: the axes of each model joint in those of the file's joint
-    skeleton     the 31-joint skeleton with the file's bone lengths in metres. Its joints coincide with the file's as far as
-                 these are at a constant distance from each other
-    """
-
-    file_joints: Int[np.ndarray, " 31"]
-    rotation_file_model: Float[np.ndarray, "31 3 3"]
+    file_joints: Int[np.ndarray, " 31"]  # (31,) index of the file's joint for each, -1 if there is none
+    rotation_file_model: Float[np.ndarray, "31 3 3"]  # (31, 3, 3) A: the axes of each model joint in those of the file's joint
+    # the 31-joint skeleton with the file's bone lengths in metres. Its joints coincide with the file's as far as these are at a
+    # constant distance from each other
     skeleton: Skeleton
 
 

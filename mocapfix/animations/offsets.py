@@ -171,27 +171,19 @@ SHORT_OFFSET_DURATION_S = 0.3  # among overlapping offsets, the evidence of thos
 
 
 class TemporaryOffset(NamedTuple):
-    """A constant offset in the frames first..last, inclusive.
-
-    amount    radians or metres
-    evidence  ratio of the mean squared third difference that its removal removes to the one that remains
-    """
+    """A constant offset in the frames first..last, inclusive."""
 
     first: int
     last: int
-    amount: float
-    evidence: float
+    amount: float  # radians or metres
+    evidence: float  # ratio of the mean squared third difference that its removal removes to the one that remains
 
 
 class OffsetThresholds(NamedTuple):
-    """Thresholds in the unit of a track.
+    """Thresholds in the unit of a track."""
 
-    min_difference  least usual size of third differences that is assumed
-    min_amount      smallest offset that counts as a fault
-    """
-
-    min_difference: float
-    min_amount: float
+    min_difference: float  # least usual size of third differences that is assumed
+    min_amount: float  # smallest offset that counts as a fault
 
 
 def detect_offsets(

@@ -157,16 +157,11 @@ class InterpolatedBody(NamedTuple):
 
 
 class GapBias(NamedTuple):
-    """The predicted error of an interpolation over n frames.
+    """The predicted error of an interpolation over n frames."""
 
-    rotation_vectors  (n, J, 3) radians in the axes of the segments
-    displacement      (n, 3) m in the heading before the gap
-    variance_ratio    remaining variance over that of the interpolation
-    """
-
-    rotation_vectors: np.ndarray
-    displacement: np.ndarray
-    variance_ratio: float
+    rotation_vectors: np.ndarray  # (n, J, 3) radians in the axes of the segments
+    displacement: np.ndarray  # (n, 3) m in the heading before the gap
+    variance_ratio: float  # remaining variance over that of the interpolation
 
 
 class BodyMotion(NamedTuple):
@@ -360,18 +355,12 @@ _REPAIR_DESCRIPTIONS = {
 
 
 class AnimationRepair(NamedTuple):
-    """A repaired animation with N = J + 1 tracks: the rotations of J joints, and last the root position.
+    """A repaired animation with N = J + 1 tracks: the rotations of J joints, and last the root position."""
 
-    root_position    (T, 3) m
-    local_rotations  (T, J, 3, 3)
-    variance         (T, N) of repaired values, in rad^2 or m^2 per axis; 0 elsewhere
-    method           (T, N) a RepairMethod for each value
-    """
-
-    root_position: Float[np.ndarray, "T 3"]
+    root_position: Float[np.ndarray, "T 3"]  # (T, 3) m
     local_rotations: Float[np.ndarray, "T J 3 3"]
-    variance: Float[np.ndarray, "T N"]
-    method: Int[np.ndarray, "T N"]
+    variance: Float[np.ndarray, "T N"]  # (T, N) of repaired values, in rad^2 or m^2 per axis; 0 elsewhere
+    method: Int[np.ndarray, "T N"]  # (T, N) a RepairMethod for each value
 
 
 def repair_animation(

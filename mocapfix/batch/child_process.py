@@ -39,47 +39,31 @@ LENGTH_FORMAT = ">I"
 
 @dataclass(frozen=True)
 class ForkRequest:
-    """A job for a child.
+    """A job for a child."""
 
-    function   "module:name" of a function
-    arguments  its arguments by name, pickled
-    memory_mb  limit of its resident memory
-    new_child  whether a child that has run other jobs is not used: the last one was killed
-    """
-
-    function: str
-    arguments: bytes
-    memory_mb: float
-    new_child: bool = False
+    function: str  # "module:name" of a function
+    arguments: bytes  # its arguments by name, pickled
+    memory_mb: float  # limit of its resident memory
+    new_child: bool = False  # whether a child that has run other jobs is not used: the last one was killed
 
 
 @dataclass(frozen=True)
 class JobEnd:
-    """How a job ended.
+    """How a job ended."""
 
-    wait_status     of os.waitpid, if its process ended with it; 0 otherwise
-    peak_memory_mb  greatest resident memory, if its process ended with it
-    reply           what the child wrote: a pickled ChildReply; empty if it was killed
-    """
-
-    wait_status: int
-    peak_memory_mb: float
-    reply: bytes
+    wait_status: int  # of os.waitpid, if its process ended with it; 0 otherwise
+    peak_memory_mb: float  # greatest resident memory, if its process ended with it
+    reply: bytes  # what the child wrote: a pickled ChildReply; empty if it was killed
 
 
 @dataclass(frozen=True)
 class ChildReply:
-    """What a child reports.
+    """What a child reports."""
 
-    value           the function's result
-    error           the sentence of an error; "" if there was none
-    is_memory       whether the error is that no memory was left
-    peak_memory_mb  greatest resident memory during the job, with that of the libraries which the child shares with the server
-    """
-
-    value: object = None
-    error: str = ""
-    is_memory: bool = False
+    value: object = None  # the function's result
+    error: str = ""  # the sentence of an error; "" if there was none
+    is_memory: bool = False  # whether the error is that no memory was left
+    # greatest resident memory during the job, with that of the libraries which the child shares with the server
     peak_memory_mb: float = 0.0
 
 
@@ -307,16 +291,11 @@ and with two workers took a quarter of the processor time."""
 
 @dataclass(frozen=True)
 class JobLimits:
-    """Limits of one job.
+    """Limits of one job."""
 
-    timeout_s  wall-clock time
-    memory_mb  resident memory of its process, MB of 10^6 bytes
-    retries    how often a job whose process crashed is repeated
-    """
-
-    timeout_s: float = 3600.0
-    memory_mb: float = 4000.0
-    retries: int = 1
+    timeout_s: float = 3600.0  # wall-clock time
+    memory_mb: float = 4000.0  # resident memory of its process, MB of 10^6 bytes
+    retries: int = 1  # how often a job whose process crashed is repeated
 
 
 @dataclass(frozen=True)

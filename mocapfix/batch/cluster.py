@@ -29,18 +29,12 @@ SILENT_LOGGERS = ("distributed", "distributed.nanny", "distributed.worker", "dis
 
 @dataclass(frozen=True)
 class ClusterOptions:
-    """Where a batch is computed; by default on this machine.
+    """Where a batch is computed; by default on this machine."""
 
-    workers    worker processes of one thread; None for one a core of this machine
-    scheduler  address of a scheduler that is running
-    use_slurm  whether to start the workers as Slurm jobs, by the profile "jobqueue.slurm" of Dask's configuration
-    ssh_hosts  computers on which workers are started over SSH
-    """
-
-    workers: int | None = None
-    scheduler: str | None = None
-    use_slurm: bool = False
-    ssh_hosts: tuple[str, ...] = ()
+    workers: int | None = None  # worker processes of one thread; None for one a core of this machine
+    scheduler: str | None = None  # address of a scheduler that is running
+    use_slurm: bool = False  # whether to start the workers as Slurm jobs, by the profile "jobqueue.slurm" of Dask's configuration
+    ssh_hosts: tuple[str, ...] = ()  # computers on which workers are started over SSH
 
 
 def check_dask_installed(options: ClusterOptions) -> None:

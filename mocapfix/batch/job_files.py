@@ -37,16 +37,12 @@ def _wrap_file_name(value: object) -> object:
 
 
 class JobTake(StrictModel):
-    """A take to be cleaned.
+    """A take to be cleaned."""
 
-    file     a file or a wildcard; in YAML also as plain text
-    compose  instead: the name of a C3D file for a synthetic take with damage
-    seed     the seed of the synthetic take
-    """
-
-    file: str | None = None
+    file: str | None = None  # a file or a wildcard; in YAML also as plain text
+    # instead: the name of a C3D file for a synthetic take with damage
     compose: Annotated[str, AfterValidator(_check_c3d_name)] | None = None
-    seed: NonNegativeInt = 0
+    seed: NonNegativeInt = 0  # the seed of the synthetic take
 
     @model_validator(mode="after")
     def _check_exactly_one(self) -> "JobTake":
@@ -69,16 +65,12 @@ class JobSubject(StrictModel):
 
 
 class JobHeader(StrictModel):
-    """The keys of a job that are not options.
-
-    title    one line
-    takes    the takes, in this order
-    subject  the subject of all takes; null calibrates one from each take
-    """
+    """The keys of a job that are not options."""
 
     kind: Literal["clean"]
-    title: str
-    takes: tuple[Annotated[JobTake, BeforeValidator(_wrap_file_name)], ...] = Field(min_length=1)
+    title: str  # one line
+    takes: tuple[Annotated[JobTake, BeforeValidator(_wrap_file_name)], ...] = Field(min_length=1)  # the takes, in this order
+    # the subject of all takes; null calibrates one from each take
     subject: Annotated[JobSubject, BeforeValidator(_wrap_file_name)] | None = None
 
 

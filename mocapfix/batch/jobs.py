@@ -41,19 +41,13 @@ MAX_LOST_ATTEMPTS = 10  # attempts after which no record was written, because th
 
 @dataclass(frozen=True)
 class CleanRequest:
-    """A take to be cleaned.
+    """A take to be cleaned."""
 
-    take           id of the take
-    path           input file
-    output_folder  folder of the batch
-    options        with the subject of the take, if it is known
-    subject_files  for the record: the subject files among the options, by subject, relative to the batch's folder
-    """
-
-    take: str
-    path: Path
-    output_folder: Path
-    options: CleanOptions
+    take: str  # id of the take
+    path: Path  # input file
+    output_folder: Path  # folder of the batch
+    options: CleanOptions  # with the subject of the take, if it is known
+    # for the record: the subject files among the options, by subject, relative to the batch's folder
     subject_files: tuple[tuple[str, str], ...] = ()
 
 

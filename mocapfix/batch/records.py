@@ -30,38 +30,25 @@ FailureReason = Literal["error", "timeout", "memory", "crash"]
 
 
 class TakeRecord(StrictModel):
-    """How the last attempt to clean a take ended.
+    """How the last attempt to clean a take ended."""
 
-    take             id of the take: its path relative to the common folder of all takes, with "/"
-    input            path of the input file
-    input_sha256     hash of the input's bytes; "" if it could not be read
-    options_sha256   hash of the options, and of the subject files among them
-    version          version of mocapfix
-    reason           why it failed: an error that mocapfix explains, a limit, or a crash of the process
-    error            one sentence; "" if done
-    attempts         how often the cleaning was begun with this input, these options and this version
-    seconds          time of the last attempt
-    peak_memory_mb   greatest resident memory of the process that cleaned, MB of 10^6 bytes
-    outputs          paths of the outputs by suffix, relative to the batch's folder, with "/"
-    subject_files    paths of the subject files with which the take was cleaned, by subject, relative to the batch's folder
-    started          time in ISO 8601 with time zone
-    """
-
-    take: str
-    input: str
-    input_sha256: str = ""
-    options_sha256: str = ""
-    version: str = ""
+    take: str  # id of the take: its path relative to the common folder of all takes, with "/"
+    input: str  # path of the input file
+    input_sha256: str = ""  # hash of the input's bytes; "" if it could not be read
+    options_sha256: str = ""  # hash of the options, and of the subject files among them
+    version: str = ""  # version of mocapfix
     status: Literal["done", "failed"]
-    reason: FailureReason | None = None
-    error: str = ""
-    attempts: NonNegativeInt = 1
-    seconds: NonNegativeFloat = 0.0
-    peak_memory_mb: NonNegativeFloat = 0.0
+    reason: FailureReason | None = None  # why it failed: an error that mocapfix explains, a limit, or a crash of the process
+    error: str = ""  # one sentence; "" if done
+    attempts: NonNegativeInt = 1  # how often the cleaning was begun with this input, these options and this version
+    seconds: NonNegativeFloat = 0.0  # time of the last attempt
+    peak_memory_mb: NonNegativeFloat = 0.0  # greatest resident memory of the process that cleaned, MB of 10^6 bytes
+    # paths of the outputs by suffix, relative to the batch's folder, with "/"
     outputs: dict[str, str] = Field(default_factory=dict)
     subjects: tuple[SubjectFigures, ...] = ()
+    # paths of the subject files with which the take was cleaned, by subject, relative to the batch's folder
     subject_files: dict[str, str] = Field(default_factory=dict)
-    started: str = ""
+    started: str = ""  # time in ISO 8601 with time zone
     finished: str = ""
 
 

@@ -30,25 +30,18 @@ THIS_MACHINE = ClusterOptions()
 class BatchSettings:
     """How a batch is run.
 
-    output_folder   folder for outputs, records and the page
-    options         of cleaning, for all takes
-    limits          of each take
-    cluster         where it is computed
-    resume          whether to skip takes whose record is current
-    repeat_failed   whether takes that failed are cleaned again although nothing has changed
-    clean_function  "module:name" of what the children run, which tests replace
     each_take_alone whether each take is calibrated alone, not with the other takes of the person
-    people          by name of a person, the ids of the takes that show the person, from a session file
     """
 
-    output_folder: Path
-    options: CleanOptions
-    limits: JobLimits = DEFAULT_LIMITS
-    cluster: ClusterOptions = THIS_MACHINE
-    resume: bool = True
-    repeat_failed: bool = False
-    clean_function: str = CLEAN_FUNCTION
+    output_folder: Path  # folder for outputs, records and the page
+    options: CleanOptions  # of cleaning, for all takes
+    limits: JobLimits = DEFAULT_LIMITS  # of each take
+    cluster: ClusterOptions = THIS_MACHINE  # where it is computed
+    resume: bool = True  # whether to skip takes whose record is current
+    repeat_failed: bool = False  # whether takes that failed are cleaned again although nothing has changed
+    clean_function: str = CLEAN_FUNCTION  # "module:name" of what the children run, which tests replace
     each_take_alone: bool = True
+    # by name of a person, the ids of the takes that show the person, from a session file
     people: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
 

@@ -34,22 +34,16 @@ PEOPLE_FILE_NAME = "people.yaml"
 
 
 class PersonEntry(StrictModel):
-    """One person of a session. Paths are relative to the folder of the batch.
-
-    basis          from what it is known which takes are this person's, in words such as "subject prefix" or "body"
-    takes          by id of a take, the name of the subject in it; "" if it has only one
-    subject_file   calibrated from all takes
-    take_files     by id of a take, the subject file with which it was cleaned, where marker places differ
-    moved_markers  a sentence for each marker that moved between takes
-    rejected       by id of a take, why it is not this person's although the names agree
-    """
+    """One person of a session. Paths are relative to the folder of the batch."""
 
     name: str
-    basis: str = ""
-    takes: dict[str, str] = Field(default_factory=dict)
-    subject_file: str = ""
+    basis: str = ""  # from what it is known which takes are this person's, in words such as "subject prefix" or "body"
+    takes: dict[str, str] = Field(default_factory=dict)  # by id of a take, the name of the subject in it; "" if it has only one
+    subject_file: str = ""  # calibrated from all takes
+    # by id of a take, the subject file with which it was cleaned, where marker places differ
     take_files: dict[str, str] = Field(default_factory=dict)
-    moved_markers: tuple[str, ...] = ()
+    moved_markers: tuple[str, ...] = ()  # a sentence for each marker that moved between takes
+    # by id of a take, why it is not this person's although the names agree
     rejected: dict[str, str] = Field(default_factory=dict)
 
 

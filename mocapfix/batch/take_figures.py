@@ -31,38 +31,28 @@ AXIS_COUNT = 3  # axes of a position, whose errors are alike: the predicted dist
 
 
 class SubjectFigures(StrictModel):
-    """What a cleaning found and did on one subject of a take.
+    """What a cleaning found and did on one subject of a take."""
 
-    subject                   name of the subject; "" if the file has only one
-    marker_set                name of the marker set; None without a body
-    sample_count              samples of all markers in all frames
-    fault_counts              number of faults by kind
-    worst_predicted_error_mm  greatest predicted distance error of a filled or replaced sample; None without any
-    worst_frame               frame of that sample, else the one with the most empty or corrected ones; the file's frame number
-    residual_mm               mean distance of the markers from the body; None without a body
-    picture_svg               small drawing of that frame for the session page
-    laboratory                what suggests that the take is that of a laboratory; "" if nothing does
-    notes                     sentences of the report on what else needs attention
-    """
-
-    subject: str = ""
-    marker_set: str | None = None
+    subject: str = ""  # name of the subject; "" if the file has only one
+    marker_set: str | None = None  # name of the marker set; None without a body
     frame_count: NonNegativeInt = 0
     rate_hz: NonNegativeFloat = 0.0
     duration_s: NonNegativeFloat = 0.0
-    sample_count: NonNegativeInt = 0
+    sample_count: NonNegativeInt = 0  # samples of all markers in all frames
     missing_before: NonNegativeInt = 0
     filled: NonNegativeInt = 0
     left_empty: NonNegativeInt = 0
     replaced: NonNegativeInt = 0
     relabelled: NonNegativeInt = 0
-    fault_counts: dict[str, NonNegativeInt] = Field(default_factory=dict)
+    fault_counts: dict[str, NonNegativeInt] = Field(default_factory=dict)  # number of faults by kind
+    # greatest predicted distance error of a filled or replaced sample; None without any
     worst_predicted_error_mm: NonNegativeFloat | None = None
+    # frame of that sample, else the one with the most empty or corrected ones; the file's frame number
     worst_frame: int | None = None
-    residual_mm: NonNegativeFloat | None = None
-    picture_svg: str = ""
-    laboratory: str = ""
-    notes: tuple[str, ...] = ()
+    residual_mm: NonNegativeFloat | None = None  # mean distance of the markers from the body; None without a body
+    picture_svg: str = ""  # small drawing of that frame for the session page
+    laboratory: str = ""  # what suggests that the take is that of a laboratory; "" if nothing does
+    notes: tuple[str, ...] = ()  # sentences of the report on what else needs attention
 
 
 def measure_result(result: "CleaningResult") -> list[SubjectFigures]:

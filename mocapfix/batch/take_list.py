@@ -33,15 +33,11 @@ class BatchTake:
 
 @dataclass(frozen=True)
 class FoundTakes:
-    """The takes of a batch.
-
-    skipped     files beside them that are no takes of their own
-    unreadable  folders that cannot be read
-    """
+    """The takes of a batch."""
 
     takes: tuple[BatchTake, ...]
-    skipped: tuple[Path, ...] = ()
-    unreadable: tuple[Path, ...] = ()
+    skipped: tuple[Path, ...] = ()  # files beside them that are no takes of their own
+    unreadable: tuple[Path, ...] = ()  # folders that cannot be read
 
 
 def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
@@ -179,16 +175,12 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
 
 
 class SessionHeader(StrictModel):
-    """The keys of a session file that are not options. Paths are relative to its folder and may have wildcards.
-
-    title   one line
-    takes   the takes
-    people  by name of a person, the takes that show them; other takes are grouped by their subjects and names
-    """
+    """The keys of a session file that are not options. Paths are relative to its folder and may have wildcards."""
 
     kind: Literal["session"]
-    title: str = ""
+    title: str = ""  # one line
     takes: tuple[str, ...] = Field(min_length=1)
+    # by name of a person, the takes that show them; other takes are grouped by their subjects and names
     people: dict[str, tuple[str, ...]] = Field(default_factory=dict)
 
 

@@ -36,21 +36,14 @@ DEFAULT_PALM = 0.13  # the same as a share of the arm's length, for a hand witho
 
 @dataclass(frozen=True)
 class BodyFrame:
-    """The segments of a character in its rest pose and its measures.
-
-    character           the character
-    segment_bones       segment to the bone that has the segment's rotation
-    standard_rotations  bone to C (3, 3)
-    rest_position, rest_rotation  (J, 3) m and (J, 3, 3): the rest pose in the world
-    facing              (3, 3): from axes that face +Z to those of the rest pose in the world, a rotation about Y
-    """
+    """The segments of a character in its rest pose and its measures."""
 
     character: Character
-    segment_bones: dict[str, int]
-    standard_rotations: dict[int, Float[np.ndarray, "3 3"]]
-    rest_position: Float[np.ndarray, "J 3"]
+    segment_bones: dict[str, int]  # segment to the bone that has the segment's rotation
+    standard_rotations: dict[int, Float[np.ndarray, "3 3"]]  # bone to C (3, 3)
+    rest_position: Float[np.ndarray, "J 3"]  # rest_position, rest_rotation: (J, 3) m and (J, 3, 3): the rest pose in the world
     rest_rotation: Float[np.ndarray, "J 3 3"]
-    facing: Float[np.ndarray, "3 3"]
+    facing: Float[np.ndarray, "3 3"]  # (3, 3): from axes that face +Z to those of the rest pose in the world, a rotation about Y
 
     def find_head(self, segment: str) -> Float[np.ndarray, " 3"]:
         """Return where a segment begins in the rest pose: the head of its first bone, in metres."""
@@ -211,18 +204,13 @@ MIN_LENGTH_M = 1e-9
 
 @dataclass(frozen=True)
 class SegmentMotion:
-    """The segments of a body in every frame.
+    """The segments of a body in every frame."""
 
-    position   segment to (T, 3) m: where it begins
-    rotation   segment to S (T, 3, 3), from the segment's axes to the world's. "chest" is the outermost bone of the spine
-    spine      (T, n + 1, 3, 3): of the pelvis and the spine's n bones
-    neck       (T, n + 2, 3, 3): of the chest, the neck's n bones and the head
-    """
-
-    position: Mapping[str, Float[np.ndarray, "T 3"]]
+    position: Mapping[str, Float[np.ndarray, "T 3"]]  # segment to (T, 3) m: where it begins
+    # segment to S (T, 3, 3), from the segment's axes to the world's. "chest" is the outermost bone of the spine
     rotation: Mapping[str, Float[np.ndarray, "T 3 3"]]
-    spine: Float[np.ndarray, "T n 3 3"]
-    neck: Float[np.ndarray, "T n 3 3"]
+    spine: Float[np.ndarray, "T n 3 3"]  # (T, n + 1, 3, 3): of the pelvis and the spine's n bones
+    neck: Float[np.ndarray, "T n 3 3"]  # (T, n + 2, 3, 3): of the chest, the neck's n bones and the head
 
 
 def compute_segment_motion(frame: BodyFrame, motion: CharacterMotion) -> SegmentMotion:

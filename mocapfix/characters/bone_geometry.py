@@ -42,20 +42,14 @@ SAME_PLACE_SHARE = 0.005
 
 @dataclass(frozen=True)
 class LimbPlaces:
-    """The places of joints on a path of bones.
+    """The places of joints on a path of bones."""
 
-    first, middle, last   hip, knee and ankle, or shoulder, elbow and wrist
-    end                   ball of the foot; None without one, and for arms
-    before                clavicle; None without one, and for legs
-    cost                  deviation from what is expected, in units of the logarithm of the ratio of two lengths
-    """
-
-    first: int
+    first: int  # first, middle, last: hip, knee and ankle, or shoulder, elbow and wrist
     middle: int
     last: int
-    end: int | None
-    before: int | None
-    cost: float
+    end: int | None  # ball of the foot; None without one, and for arms
+    before: int | None  # clavicle; None without one, and for legs
+    cost: float  # deviation from what is expected, in units of the logarithm of the ratio of two lengths
 
 
 def find_leg_places(points: Float[np.ndarray, "2 n 3"]) -> LimbPlaces | None:
@@ -274,14 +268,10 @@ HANGING_CHAIN_COST, SIDEWAYS_COST = 0.5, 0.4
 
 @dataclass(frozen=True)
 class LimbPair:
-    """Two legs or two arms.
+    """Two legs or two arms."""
 
-    paths   the bones of each from the trunk outwards
-    places  of the joints on both paths
-    """
-
-    paths: PairedPaths
-    places: LimbPlaces
+    paths: PairedPaths  # the bones of each from the trunk outwards
+    places: LimbPlaces  # of the joints on both paths
 
     @property
     def first(self) -> list[int]:
@@ -467,14 +457,10 @@ MIN_FORWARD_SHARE = 1e-3  # horizontal length of the feet, as a share of the ske
 
 @dataclass(frozen=True)
 class ShapeSegments:
-    """The segments that the shape of a skeleton gives.
+    """The segments that the shape of a skeleton gives."""
 
-    bones          segment to its bones
-    faces_forward  whether the feet show where the front is; otherwise the front is taken to be +Z
-    """
-
-    bones: dict[str, tuple[int, ...]]
-    faces_forward: bool
+    bones: dict[str, tuple[int, ...]]  # segment to its bones
+    faces_forward: bool  # whether the feet show where the front is; otherwise the front is taken to be +Z
 
 
 def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"]) -> ShapeSegments:

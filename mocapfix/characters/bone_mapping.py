@@ -47,16 +47,11 @@ NameKey = tuple[str, str]
 
 @dataclass(frozen=True)
 class NameTable:
-    """The names that one program or convention gives to the segments.
+    """The names that one program or convention gives to the segments."""
 
-    title      for people
-    entries    segment and the names of one of its bones, the most likely first
-    all_names  names of all bones, those without a segment too
-    """
-
-    title: str
-    entries: tuple[tuple[str, tuple[NameKey, ...]], ...]
-    all_names: frozenset[NameKey]
+    title: str  # for people
+    entries: tuple[tuple[str, tuple[NameKey, ...]], ...]  # segment and the names of one of its bones, the most likely first
+    all_names: frozenset[NameKey]  # names of all bones, those without a segment too
 
 
 @dataclass(frozen=True)

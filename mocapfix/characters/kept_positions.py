@@ -183,13 +183,10 @@ UPWARD = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class FlatFoot:
-    """A foot that lies flat.
+    """A foot that lies flat."""
 
-    ball_height_m  height of the ball above the floor
-    inclination    (3, 3): S of the foot when it lies flat, without its heading; the identity for a foot without inclination
-    """
-
-    ball_height_m: float
+    ball_height_m: float  # height of the ball above the floor
+    # (3, 3): S of the foot when it lies flat, without its heading; the identity for a foot without inclination
     inclination: Float[np.ndarray, "3 3"]
 
     def compute_ankle_height(self, ball: Float[np.ndarray, " 3"]) -> float:
@@ -236,16 +233,11 @@ def level_feet(motion: SegmentMotion, feet: Mapping[str, FlatFoot]) -> SegmentMo
 
 @dataclass(frozen=True)
 class KeptPositions:
-    """Targets of a character's joints in every frame, in metres.
+    """Targets of a character's joints in every frame, in metres."""
 
-    pelvis  (T, 3): the head of the pelvis bone
-    ankles  side to (T, 3)
-    scale   metres of the character per metre of the source
-    """
-
-    pelvis: Points
-    ankles: dict[str, Points]
-    scale: float
+    pelvis: Points  # (T, 3): the head of the pelvis bone
+    ankles: dict[str, Points]  # side to (T, 3)
+    scale: float  # metres of the character per metre of the source
 
 
 def compute_kept_positions(

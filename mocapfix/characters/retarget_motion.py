@@ -66,18 +66,12 @@ FIXED_SEGMENTS = ("neck", "toe")  # segments that keep their rotation relative t
 
 @dataclass(frozen=True)
 class SolveTree:
-    """N joints of a character, parents before children, the pelvis first.
+    """N joints of a character, parents before children, the pelvis first."""
 
-    tree      for the kernels; offsets in metres in the bones' axes
-    bones     (N,) the bone that has each joint's rotation
-    segments  the segment of each joint, of spine and neck with the number of the bone: spine.0
-    standard_rotations  (N, 3, 3): C of `BodyFrame`
-    """
-
-    tree: KinematicTree
-    bones: Int[np.ndarray, " N"]
-    segments: tuple[str, ...]
-    standard_rotations: Float[np.ndarray, "N 3 3"]
+    tree: KinematicTree  # for the kernels; offsets in metres in the bones' axes
+    bones: Int[np.ndarray, " N"]  # (N,) the bone that has each joint's rotation
+    segments: tuple[str, ...]  # the segment of each joint, of spine and neck with the number of the bone: spine.0
+    standard_rotations: Float[np.ndarray, "N 3 3"]  # (N, 3, 3): C of `BodyFrame`
 
     @property
     def free(self) -> Bool[np.ndarray, " N"]:
@@ -141,16 +135,12 @@ SIDEWAYS = np.array([1.0, 0.0, 0.0])  # axis of a segment about which a knee ben
 
 
 class SegmentTargets(NamedTuple):
-    """What is kept, over T frames.
+    """What is kept, over T frames."""
 
-    rotation  (T, N, 3, 3): of the joints of a `SolveTree`, in the world; also the start of the solve
-    pelvis    (T, 3) m
-    points    segment (feet and hands) to (T, 3) m: where it shall begin
-    """
-
+    # (T, N, 3, 3): of the joints of a `SolveTree`, in the world; also the start of the solve
     rotation: Float[np.ndarray, "T N 3 3"]
-    pelvis: Float[np.ndarray, "T 3"]
-    points: dict[str, Float[np.ndarray, "T 3"]]
+    pelvis: Float[np.ndarray, "T 3"]  # (T, 3) m
+    points: dict[str, Float[np.ndarray, "T 3"]]  # segment (feet and hands) to (T, 3) m: where it shall begin
 
     def replace_points(self, points: dict[str, Float[np.ndarray, "T 3"]]) -> "SegmentTargets":
         """Return the targets with some points in place of those of the same segments."""
@@ -317,19 +307,13 @@ MIN_SEPARATION_M = 5e-4  # movement of a hand's target below which a frame is no
 
 @dataclass(frozen=True)
 class RetargetProblem:
-    """What is kept of a source's motion on a target character, and what is needed to solve it.
+    """What is kept of a source's motion on a target character, and what is needed to solve it."""
 
-    source, target  the two bodies
-    segments        the source's segments in every frame
-    tree            the target's joints
-    targets         for `solve_segments`
-    """
-
-    source: BodyFrame
+    source: BodyFrame  # source, target: the two bodies
     target: BodyFrame
-    segments: SegmentMotion
-    tree: SolveTree
-    targets: SegmentTargets
+    segments: SegmentMotion  # the source's segments in every frame
+    tree: SolveTree  # the target's joints
+    targets: SegmentTargets  # for `solve_segments`
 
     @property
     def wrists(self) -> dict[str, Float[np.ndarray, "T 3"]]:

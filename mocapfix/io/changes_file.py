@@ -36,11 +36,7 @@ class _IntervalStateModel(StrictModel):
 
 
 class ChangeModel(StrictModel):
-    """A change in a changes file; see mocapfix.model.changes.Change.
-
-    reviewed  whether a person has decided
-    note      what the reviewer wrote about it
-    """
+    """A change in a changes file; see mocapfix.model.changes.Change."""
 
     id: str
     kind: FaultKind
@@ -54,25 +50,21 @@ class ChangeModel(StrictModel):
     after: _IntervalStateModel
     predicted_mm: float | None
     decision: Decision
-    reviewed: bool = False
-    note: NoteText = ""
+    reviewed: bool = False  # whether a person has decided
+    note: NoteText = ""  # what the reviewer wrote about it
 
 
 class CorrectionModel(StrictModel):
-    """A correction by the reviewer, over frames in the file's own numbers, inclusive.
+    """A correction by the reviewer, over frames in the file's own numbers, inclusive."""
 
-    kind     wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled.
-             swap: the labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the
-             marker, which is named first. fill: the missing or wrong samples are filled by `method`
-    markers  labels
-    method   how to fill; null unless the kind is fill
-    """
-
+    # wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled. swap: the
+    # labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the marker, which is
+    # named first. fill: the missing or wrong samples are filled by `method`
     kind: CorrectionKind
-    markers: list[str]
+    markers: list[str]  # labels
     first: int
     last: int
-    method: RequestedFill | None = None
+    method: RequestedFill | None = None  # how to fill; null unless the kind is fill
     note: NoteText = ""
 
     @model_validator(mode="after")
@@ -88,16 +80,12 @@ class CorrectionModel(StrictModel):
 
 
 class ChangesFileModel(StrictModel):
-    """A changes file.
+    """A changes file."""
 
-    take         name of the take
-    frames       its first and last frame
-    corrections  those of the reviewer, in the order in which they are applied
-    """
-
-    take: str
-    frames: tuple[int, int]
+    take: str  # name of the take
+    frames: tuple[int, int]  # its first and last frame
     changes: list[ChangeModel]
+    # those of the reviewer, in the order in which they are applied
     corrections: list[CorrectionModel] = Field(default_factory=list)
 
 
@@ -108,16 +96,11 @@ ASSIGNMENT_REASON = "A reviewer assigned the trajectory to the marker."
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction of a take.
+    """A correction of a take."""
 
-    entry        the correction as in the file
-    markers      indices of its markers and of an unlabelled trajectory in the take
-    first, last  frame indices, inclusive
-    """
-
-    entry: CorrectionModel
-    markers: tuple[int, ...]
-    first: int
+    entry: CorrectionModel  # the correction as in the file
+    markers: tuple[int, ...]  # indices of its markers and of an unlabelled trajectory in the take
+    first: int  # first, last: frame indices, inclusive
     last: int
 
     @property
@@ -193,16 +176,11 @@ def build_corrected_label_mask(corrections: Sequence[Correction], shape: tuple[i
 
 @dataclass(frozen=True)
 class ReviewedChange:
-    """A change that a review declined.
+    """A change that a review declined."""
 
-    entry        the change as in the file
-    markers      indices of its markers and unlabelled trajectories in the take
-    first, last  frame indices, inclusive
-    """
-
-    entry: ChangeModel
-    markers: tuple[int, ...]
-    first: int
+    entry: ChangeModel  # the change as in the file
+    markers: tuple[int, ...]  # indices of its markers and unlabelled trajectories in the take
+    first: int  # first, last: frame indices, inclusive
     last: int
 
     @property
@@ -277,18 +255,12 @@ CHANGES_FILE_LINE_LENGTH = 120  # characters
 
 @dataclass(frozen=True)
 class Review:
-    """What a reviewer decided about a take.
+    """What a reviewer decided about a take."""
 
-    declined      changes that are not made
-    corrections   the reviewer's own, in the order in which they are applied
-    reviewed_ids  ids of the changes on which a person has decided
-    notes         the reviewer's notes by id of the change
-    """
-
-    declined: tuple[ReviewedChange, ...] = ()
-    corrections: tuple[Correction, ...] = ()
-    reviewed_ids: frozenset[str] = frozenset()
-    notes: Mapping[str, str] = field(default_factory=dict[str, str])
+    declined: tuple[ReviewedChange, ...] = ()  # changes that are not made
+    corrections: tuple[Correction, ...] = ()  # the reviewer's own, in the order in which they are applied
+    reviewed_ids: frozenset[str] = frozenset()  # ids of the changes on which a person has decided
+    notes: Mapping[str, str] = field(default_factory=dict[str, str])  # the reviewer's notes by id of the change
 
 
 NO_REVIEW = Review()

@@ -103,21 +103,16 @@ MIN_KEYPOINT_CONFIDENCE = 0.1  # keypoints of less confidence are ignored
 
 @dataclass(frozen=True)
 class ReprojectionProblem:
-    """T frames of keypoints, each solved independently.
-
-    rotation          world to camera
-    prior_scale       factor on the prior's standard deviations
-    weight            1/m^2; 0 for a missing keypoint
-    robust_scales_sd  in standard deviations, wide to narrow; the solve runs through them
-    """
+    """T frames of keypoints, each solved independently."""
 
     skeleton: Skeleton
     detector: KeypointDetector
     model: PoseModel
-    prior_scale: float
-    rotation: Float[np.ndarray, "3 3"]
+    prior_scale: float  # factor on the prior's standard deviations
+    rotation: Float[np.ndarray, "3 3"]  # world to camera
     position_px: Float[np.ndarray, "T V 2"]
-    weight: Float[np.ndarray, "T V"]
+    weight: Float[np.ndarray, "T V"]  # 1/m^2; 0 for a missing keypoint
+    # in standard deviations, wide to narrow; the solve runs through them
     robust_scales_sd: tuple[float, ...] = (WIDE_ROBUST_SCALE_SD, NARROW_ROBUST_SCALE_SD)
 
     def select_frames(self, frames: Int[np.ndarray, " N"]) -> "ReprojectionProblem":

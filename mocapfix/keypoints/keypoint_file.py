@@ -25,20 +25,14 @@ from mocapfix.model.skeleton import Skeleton
 
 @dataclass(frozen=True)
 class KeypointDetector:
-    """The V keypoints of a detector.
-
-    json_key  the key of a person's points in its JSON
-    labels    V names
-    joints    the joint that carries each
-    offsets   metres, in the joint's axes
-    sd_m      standard deviation per axis of a point detected with confidence 1, people's differences included
-    """
+    """The V keypoints of a detector."""
 
     name: str
-    json_key: str
-    labels: tuple[str, ...]
-    joints: Int[np.ndarray, " V"]
-    offsets: Float[np.ndarray, "V 3"]
+    json_key: str  # the key of a person's points in its JSON
+    labels: tuple[str, ...]  # V names
+    joints: Int[np.ndarray, " V"]  # the joint that carries each
+    offsets: Float[np.ndarray, "V 3"]  # metres, in the joint's axes
+    # standard deviation per axis of a point detected with confidence 1, people's differences included
     sd_m: Float[np.ndarray, " V"]
 
     def compute_point_positions(
@@ -87,19 +81,13 @@ MIN_SHARED_CONFIDENCE = 1e-9  # sum of two people's confidences, by which a dist
 
 @dataclass(frozen=True)
 class Keypoints:
-    """One person's keypoints over T frames.
-
-    position_px    to the right and down; anything where the confidence is 0
-    confidence     0 to 1; 0 where a point was not found
-    rate_hz        None if the file does not contain it
-    image_size_px  width and height; None if the file does not contain them
-    """
+    """One person's keypoints over T frames."""
 
     detector: KeypointDetector
-    position_px: Float[np.ndarray, "T V 2"]
-    confidence: Float[np.ndarray, "T V"]
-    rate_hz: float | None
-    image_size_px: tuple[float, float] | None
+    position_px: Float[np.ndarray, "T V 2"]  # to the right and down; anything where the confidence is 0
+    confidence: Float[np.ndarray, "T V"]  # 0 to 1; 0 where a point was not found
+    rate_hz: float | None  # None if the file does not contain it
+    image_size_px: tuple[float, float] | None  # width and height; None if the file does not contain them
 
     @property
     def frame_count(self) -> int:

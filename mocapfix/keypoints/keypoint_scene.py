@@ -45,25 +45,18 @@ STILL_IMAGE_RATE_HZ = 30.0  # rate of the BVH of a single image
 
 
 class KeypointSceneSettings(StrictModel):
-    """The keys of the scene file; paths are relative to its folder.
-
-    title        one line, for the page
-    keypoints    a file, or the folder that OpenPose wrote; see `keypoint_file`
-    rate         Hz, if the keypoints' file does not contain it
-    looks_down   degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
-    subject      a subject file with this person's bone lengths; null for the average body, for which the scale is then estimated
-    prior        a trained model of poses, or "none"
-    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
-    """
+    """The keys of the scene file; paths are relative to its folder."""
 
     kind: Literal["keypoints-2d"]
-    title: str
-    keypoints: Path
-    rate: PositiveFloat | None = None
+    title: str  # one line, for the page
+    keypoints: Path  # a file, or the folder that OpenPose wrote; see `keypoint_file`
+    rate: PositiveFloat | None = None  # Hz, if the keypoints' file does not contain it
+    # degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
     looks_down: float = Field(default=0.0, gt=-90, lt=90)
+    # a subject file with this person's bone lengths; null for the average body, for which the scale is then estimated
     subject: Path | None = None
-    prior: str
-    prior_scale: PositiveFloat = 1.0
+    prior: str  # a trained model of poses, or "none"
+    prior_scale: PositiveFloat = 1.0  # factor on the prior's standard deviations (2 = weaker prior)
 
 
 def read_keypoint_scene(path: Path) -> KeypointSceneSettings:
@@ -95,42 +88,31 @@ class ReprojectionSummary(TypedDict):
 
 
 class KeypointReport(TypedDict):
-    """The JSON report of a motion fitted to keypoints.
-
-    order   keypoint order of the detector
-    status  number of frames by final status of the solver
-    """
+    """The JSON report of a motion fitted to keypoints."""
 
     scene: str
     frames: int
     rate_hz: float
-    order: str
+    order: str  # keypoint order of the detector
     prior: str
     camera: CameraEntry
     reprojection_px: ReprojectionSummary
-    status: dict[str, int]
+    status: dict[str, int]  # number of frames by final status of the solver
     seconds: dict[str, float]
 
 
 @dataclass(frozen=True)
 class KeypointFilm:
-    """Keypoints of a film and the body fitted to them.
-
-    image_size_px         width and height in pixels; None if unknown
-    keypoint_px           (T, V, 2) detected keypoints
-    confidence            (T, V), 0 for missing keypoints
-    joint_position_world  (T, J, 3) m
-    joint_px              (T, J, 2) projections of the joints
-    """
+    """Keypoints of a film and the body fitted to them."""
 
     title: str
     rate_hz: float
-    image_size_px: tuple[float, float] | None
-    keypoint_px: Float[np.ndarray, "T V 2"]
-    confidence: Float[np.ndarray, "T V"]
+    image_size_px: tuple[float, float] | None  # width and height in pixels; None if unknown
+    keypoint_px: Float[np.ndarray, "T V 2"]  # (T, V, 2) detected keypoints
+    confidence: Float[np.ndarray, "T V"]  # (T, V), 0 for missing keypoints
     skeleton: Skeleton
-    joint_position_world: Float[np.ndarray, "T J 3"]
-    joint_px: Float[np.ndarray, "T J 2"]
+    joint_position_world: Float[np.ndarray, "T J 3"]  # (T, J, 3) m
+    joint_px: Float[np.ndarray, "T J 2"]  # (T, J, 2) projections of the joints
 
     @property
     def bones(self) -> Int[np.ndarray, "B 2"]:

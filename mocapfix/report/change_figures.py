@@ -39,34 +39,22 @@ MIN_SCATTER_MM = 1e-9  # avoids a division by zero for distances without scatter
 
 @dataclass(frozen=True)
 class MarkerCurve:
-    """One marker over the frames of a figure.
+    """One marker over the frames of a figure."""
 
-    kind       "was": before the change; "now": after it; "kept": unchanged
-    values_mm  (N, S) one column per axis, NaN where the curve is interrupted
-    rank       0 for the marker of the fault, 1 and 2 for other affected markers
-    """
-
-    kind: Literal["kept", "was", "now"]
-    values_mm: Float[np.ndarray, "N S"]
-    rank: int = 0
+    kind: Literal["kept", "was", "now"]  # "was": before the change; "now": after it; "kept": unchanged
+    values_mm: Float[np.ndarray, "N S"]  # (N, S) one column per axis, NaN where the curve is interrupted
+    rank: int = 0  # 0 for the marker of the fault, 1 and 2 for other affected markers
 
 
 @dataclass(frozen=True)
 class ChangeCurves:
-    """All curves of a figure.
+    """All curves of a figure."""
 
-    frames            (N,) frame indices of the values
-    axis_names        S names: the coordinates, or the markers to which distances are measured
-    reference_labels  markers whose mean is the origin; empty if positions are in the world
-    curves            one or more curves per marker
-    band_mm           (N, S, 2) lower and upper edge of the uncertainty band, NaN where nothing was estimated
-    """
-
-    frames: Int[np.ndarray, " N"]
-    axis_names: tuple[str, ...]
-    reference_labels: tuple[str, ...]
-    curves: tuple[MarkerCurve, ...]
-    band_mm: Float[np.ndarray, "N S 2"]
+    frames: Int[np.ndarray, " N"]  # (N,) frame indices of the values
+    axis_names: tuple[str, ...]  # S names: the coordinates, or the markers to which distances are measured
+    reference_labels: tuple[str, ...]  # markers whose mean is the origin; empty if positions are in the world
+    curves: tuple[MarkerCurve, ...]  # one or more curves per marker
+    band_mm: Float[np.ndarray, "N S 2"]  # (N, S, 2) lower and upper edge of the uncertainty band, NaN where nothing was estimated
 
 
 def build_change_curves(comparison: CleaningComparison, fault: Fault) -> ChangeCurves:

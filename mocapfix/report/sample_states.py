@@ -108,31 +108,20 @@ def classify_input_samples(visible: Bool[np.ndarray, "*shape"], outcome: Int[np.
 
 @dataclass(frozen=True)
 class CleaningComparison:
-    """A take before and after cleaning.
+    """A take before and after cleaning."""
 
-    input_take       the take as read
-    relabelled_take  the same with corrected labels
-    cleaned_take     the cleaned take
-    faults           detected faults, indexing the markers of `relabelled_take`
-    changes          changes to the take, in the order of the faults
-    skeleton         skeleton of the solved body; None without a body
-    joint_position_world  (T, J, 3) m; None without a body
-    residual_m       (T, M) distance of each inlier marker from the body in metres, NaN if unknown; None without a body
-    terms            words for the points: markers, or joints of an animation
-    contacts         contacts of the body with the floor; None without a body
-    contact_position_world  (T, C, 3) m, their joints if `skeleton` is not the body's, as in an animation
-    """
-
-    input_take: Take
-    relabelled_take: Take
+    input_take: Take  # the take as read
+    relabelled_take: Take  # the same with corrected labels
     cleaned_take: Take
-    faults: Faults
-    changes: tuple[Change, ...] = ()
-    skeleton: Skeleton | None = None
-    joint_position_world: Float[np.ndarray, "T J 3"] | None = None
+    faults: Faults  # detected faults, indexing the markers of `relabelled_take`
+    changes: tuple[Change, ...] = ()  # changes to the take, in the order of the faults
+    skeleton: Skeleton | None = None  # skeleton of the solved body; None without a body
+    joint_position_world: Float[np.ndarray, "T J 3"] | None = None  # (T, J, 3) m; None without a body
+    # (T, M) distance of each inlier marker from the body in metres, NaN if unknown; None without a body
     residual_m: Float[np.ndarray, "T M"] | None = None
-    terms: PointTerms = MARKER_TERMS
-    contacts: BodyContacts | None = None
+    terms: PointTerms = MARKER_TERMS  # words for the points: markers, or joints of an animation
+    contacts: BodyContacts | None = None  # contacts of the body with the floor; None without a body
+    # (T, C, 3) m, their joints if `skeleton` is not the body's, as in an animation
     contact_position_world: Float[np.ndarray, "T C 3"] | None = None
 
     def locate_contacts(self) -> Float[np.ndarray, "T C 3"] | None:

@@ -25,14 +25,11 @@ def omit_stage_times() -> Generator[None]:
 
 @dataclass
 class StageTimer:
-    """Seconds spent in each stage.
+    """Seconds spent in each stage."""
 
-    stage_seconds    seconds by stage, rounded to milliseconds, and their sum as "total"; a stage that runs again adds to its time
-    report_progress  called with the name of each stage when it starts; None makes no calls
-    """
-
+    # seconds by stage, rounded to milliseconds, and their sum as "total"; a stage that runs again adds to its time
     stage_seconds: dict[str, float] = field(default_factory=dict)
-    report_progress: ProgressCallback | None = None
+    report_progress: ProgressCallback | None = None  # called with the name of each stage when it starts; None makes no calls
 
     @contextmanager
     def __call__(self, stage: str) -> Generator[None]:

@@ -78,16 +78,11 @@ def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: 
 
 @dataclass(frozen=True)
 class FigureView:
-    """Orthographic view of one frame, in centimetres with y down.
+    """Orthographic view of one frame, in centimetres with y down."""
 
-    rotation_view_world    (3, 3) rows: right, up and towards the viewer
-    ground_position_world  (3,) m: point on the floor below the body
-    box_cm                 left, top, width and height
-    """
-
-    rotation_view_world: Float[np.ndarray, "3 3"]
-    ground_position_world: Float[np.ndarray, " 3"]
-    box_cm: tuple[float, float, float, float]
+    rotation_view_world: Float[np.ndarray, "3 3"]  # (3, 3) rows: right, up and towards the viewer
+    ground_position_world: Float[np.ndarray, " 3"]  # (3,) m: point on the floor below the body
+    box_cm: tuple[float, float, float, float]  # left, top, width and height
 
     def project_points(self, position_world: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Project points in metres to centimetres: right, down and towards the viewer."""

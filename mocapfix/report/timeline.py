@@ -28,16 +28,12 @@ TIMELINE_RESOLUTION = 300  # bars closer than the take's length divided by this 
 
 @dataclass(frozen=True)
 class TimelineBar:
-    """A bar over the frame indices first..last.
+    """A bar over the frame indices first..last."""
 
-    css_class  group of the fault, with "left" if the samples were not changed
-    title      text shown on hovering
-    """
-
-    css_class: str
+    css_class: str  # group of the fault, with "left" if the samples were not changed
     first: int
     last: int
-    title: str
+    title: str  # text shown on hovering
 
 
 @dataclass(frozen=True)
@@ -59,12 +55,9 @@ class TimeTick:
 
 @dataclass(frozen=True)
 class ResidualPlot:
-    """Median and 95th percentile of the residuals over time, as SVG paths in the unit square.
+    """Median and 95th percentile of the residuals over time, as SVG paths in the unit square."""
 
-    limit_mm  value at the upper edge
-    """
-
-    limit_mm: float
+    limit_mm: float  # value at the upper edge
     median_path: str
     percentile_path: str
 

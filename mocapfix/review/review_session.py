@@ -43,15 +43,11 @@ END_LIMIT_S = 5.0
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How far a cleaning is.
-
-    stage    that it is in, while it runs
-    message  the sentence of its error
-    """
+    """How far a cleaning is."""
 
     state: Literal["idle", "running", "done", "failed"] = "idle"
-    stage: str = ""
-    message: str = ""
+    stage: str = ""  # that it is in, while it runs
+    message: str = ""  # the sentence of its error
 
 
 class CleaningRun:

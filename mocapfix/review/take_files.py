@@ -34,18 +34,12 @@ KEPT_REPORT_KEYS = ("take", "arguments", "notes")
 
 @dataclass(frozen=True)
 class CleanedTake:
-    """A cleaned take, or one subject of it, and its files.
+    """A cleaned take, or one subject of it, and its files."""
 
-    id         path of its outputs without their suffixes, relative to the folder that is reviewed, with "/"
-    folder     of its outputs
-    stem       of the names of its outputs
-    report     the parts of the JSON report that a review needs: a session may have thousands
-    """
-
-    id: str
-    folder: Path
-    stem: str
-    report: dict[str, Any]
+    id: str  # path of its outputs without their suffixes, relative to the folder that is reviewed, with "/"
+    folder: Path  # of its outputs
+    stem: str  # of the names of its outputs
+    report: dict[str, Any]  # the parts of the JSON report that a review needs: a session may have thousands
 
     @property
     def name(self) -> str:
@@ -132,16 +126,11 @@ ReviewState = Literal["untouched", "in review", "approved"]
 
 
 class Approval(StrictModel):
-    """An approval, as in its file.
+    """An approval, as in its file."""
 
-    name            who approved
-    date            when, in ISO 8601 with time zone
-    changes_sha256  hash of the changes file that was approved: the approval ends with any further decision or cleaning
-    """
-
-    name: str = Field(min_length=1, max_length=MAX_NAME_LENGTH)
-    date: str
-    changes_sha256: str
+    name: str = Field(min_length=1, max_length=MAX_NAME_LENGTH)  # who approved
+    date: str  # when, in ISO 8601 with time zone
+    changes_sha256: str  # hash of the changes file that was approved: the approval ends with any further decision or cleaning
 
 
 def read_approval(take: CleanedTake) -> Approval | None:

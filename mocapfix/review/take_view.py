@@ -33,15 +33,7 @@ LABELLED_NOTE = "The input file has no labels, so the markers before cleaning ar
 
 @dataclass(frozen=True)
 class TakeView:
-    """A take as the page shows it, T frames of M markers, U unlabelled trajectories and J joints, in metres, Y up.
-
-    before, after  positions, NaN where missing
-    unlabelled     positions of the unlabelled trajectories of the input
-    joints         positions of the joints of the body, and `bones` the indices of parent and child of each bone
-    sd             standard deviation per axis of the estimated samples, NaN for all others
-    states         SampleOutcome of each sample
-    notes          sentences on what is not shown
-    """
+    """A take as the page shows it, T frames of M markers, U unlabelled trajectories and J joints, in metres, Y up."""
 
     rate: float
     first_frame: int
@@ -49,13 +41,14 @@ class TakeView:
     unlabelled_labels: tuple[str, ...]
     joint_names: tuple[str, ...]
     bones: tuple[tuple[int, int], ...]
-    before: Float32[np.ndarray, "T M 3"]
+    before: Float32[np.ndarray, "T M 3"]  # before, after: positions, NaN where missing
     after: Float32[np.ndarray, "T M 3"]
-    unlabelled: Float32[np.ndarray, "T U 3"]
+    unlabelled: Float32[np.ndarray, "T U 3"]  # positions of the unlabelled trajectories of the input
+    # positions of the joints of the body, and `bones` the indices of parent and child of each bone
     joints: Float32[np.ndarray, "T J 3"]
-    sd: Float32[np.ndarray, "T M"]
-    states: UInt8[np.ndarray, "T M"]
-    notes: tuple[str, ...] = ()
+    sd: Float32[np.ndarray, "T M"]  # standard deviation per axis of the estimated samples, NaN for all others
+    states: UInt8[np.ndarray, "T M"]  # SampleOutcome of each sample
+    notes: tuple[str, ...] = ()  # sentences on what is not shown
 
     @property
     def frame_count(self) -> int:

@@ -67,19 +67,13 @@ STEP_SCHEDULE = (
 
 @dataclass(frozen=True)
 class FootMotion:
-    """Both feet over T frames.
+    """Both feet over T frames."""
 
-    floor_position  metres: the point on the floor under the ankle of the flat foot
-    yaw_rad         heading, to the left of +Z
-    ankle_position  metres
-    foot_rotation   in the world, the identity for a flat foot heading along +Z
-    """
-
-    floor_position: Float[np.ndarray, "T 2 3"]
-    yaw_rad: Float[np.ndarray, "T 2"]
+    floor_position: Float[np.ndarray, "T 2 3"]  # metres: the point on the floor under the ankle of the flat foot
+    yaw_rad: Float[np.ndarray, "T 2"]  # heading, to the left of +Z
     is_swinging: Bool[np.ndarray, "T 2"]
-    ankle_position: Float[np.ndarray, "T 2 3"]
-    foot_rotation: Float[np.ndarray, "T 2 3 3"]
+    ankle_position: Float[np.ndarray, "T 2 3"]  # metres
+    foot_rotation: Float[np.ndarray, "T 2 3 3"]  # in the world, the identity for a flat foot heading along +Z
 
 
 def compute_ramp(time_s: Curve, first_s: float, last_s: float) -> Curve:
@@ -370,28 +364,17 @@ MIN_SPIKE_M = 0.03  # a spike's displacement is up to ten times this
 
 @dataclass(frozen=True)
 class SyntheticTake:
-    """A synthetic take: the truth, and what the cameras measured.
+    """A synthetic take: the truth, and what the cameras measured."""
 
-    motion             (T frames) of the subject's skeleton
-    subject            the person's true bones and marker offsets
-    joint_positions    metres, in the world
-    marker_positions   metres, without damage
-    damaged_positions  metres, with spikes, NaN where missing
-    missing_mask       samples in gaps
-    spike_mask         samples displaced by a spike
-    labels             M marker labels
-    rate               Hz
-    """
-
-    motion: Motion
-    subject: Subject
-    joint_positions: Float[np.ndarray, "T J 3"]
-    marker_positions: Float[np.ndarray, "T M 3"]
-    damaged_positions: Float[np.ndarray, "T M 3"]
-    missing_mask: Bool[np.ndarray, "T M"]
-    spike_mask: Bool[np.ndarray, "T M"]
-    labels: tuple[str, ...]
-    rate: float
+    motion: Motion  # (T frames) of the subject's skeleton
+    subject: Subject  # the person's true bones and marker offsets
+    joint_positions: Float[np.ndarray, "T J 3"]  # metres, in the world
+    marker_positions: Float[np.ndarray, "T M 3"]  # metres, without damage
+    damaged_positions: Float[np.ndarray, "T M 3"]  # metres, with spikes, NaN where missing
+    missing_mask: Bool[np.ndarray, "T M"]  # samples in gaps
+    spike_mask: Bool[np.ndarray, "T M"]  # samples displaced by a spike
+    labels: tuple[str, ...]  # M marker labels
+    rate: float  # Hz
 
 
 def compose_take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, asymmetric: bool = False) -> SyntheticTake:
