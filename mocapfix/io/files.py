@@ -1,12 +1,7 @@
-"""Writing output files safely: atomic replacement, overwrite checks and output folders.
+"""Writing output files safely: atomic replacement, overwrite checks, output folders and locks.
 
-Temporary files and folders beside outputs, which the next run removes if their owner was killed.
-
-The owner holds a lock on each for as long as it needs it. The system releases the locks of a process that ends, however it ends.
-
-Locks that end with the process that holds them, however it ends.
-
-Returning freed memory to the system.
+New files are written into a temporary folder beside the outputs. Its owner holds a lock in it for as long as it needs it. The
+system releases the locks of a process that ends, however it ends, and the next run removes the folders of killed owners.
 """
 
 import ctypes
@@ -21,7 +16,7 @@ import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import gettempdir, mkdtemp, mkstemp
+from tempfile import gettempdir, mkdtemp
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -37,29 +32,12 @@ if TYPE_CHECKING:
 
 HOST_DIGEST_LENGTH = 8
 TEMPORARY_PREFIX = ".mocapfix-" + hashlib.sha256(socket.gethostname().encode()).hexdigest()[:HOST_DIGEST_LENGTH] + "-"
-"""of the names of temporary files and folders: with a digest of the machine's name"""
+"""of the names of temporary folders: with a digest of the machine's name"""
 TEMPORARY_PATTERN = ".mocapfix-" + "?" * HOST_DIGEST_LENGTH + "-*"
 LOCK_NAME = ".lock"
 """the file in a temporary folder that its owner has locked"""
 FOREIGN_AGE_S = 24 * 3600.0
 """age from which what another machine left is removed too: not every network file system knows the locks of other machines"""
-
-
-@contextmanager
-def open_temporary_file(folder: Path) -> Generator[Path]:
-    """Yield a new empty file in a folder, which is locked, and removed at the end if it is still there. Raises OSError."""
-    while True:
-        handle, name = mkstemp(dir=folder, prefix=TEMPORARY_PREFIX, suffix=".part")
-        _lock(handle)
-        if os.fstat(handle).st_nlink:  # another process has not removed it before it was locked
-            break
-        os.close(handle)
-    try:
-        yield Path(name)
-    finally:
-        with suppress(OSError):
-            Path(name).unlink(missing_ok=True)
-        os.close(handle)
 
 
 @contextmanager
@@ -79,7 +57,9 @@ def open_temporary_folder(folder: Path) -> Generator[Path]:
         except OSError:
             path.rmdir()
             raise
-        _lock(handle)
+        if fcntl is not None:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(handle, fcntl.LOCK_EX)
         if os.fstat(handle).st_nlink:
             break
         os.close(handle)
@@ -91,7 +71,7 @@ def open_temporary_folder(folder: Path) -> Generator[Path]:
 
 
 def remove_abandoned_files(folder: Path) -> None:
-    """Remove the temporary files and folders in a folder whose owners have ended. What cannot be removed is left."""
+    """Remove the temporary folders in a folder whose owners have ended. What cannot be removed is left."""
     with suppress(OSError):
         for path in folder.glob(TEMPORARY_PATTERN):
             with suppress(OSError):
@@ -103,18 +83,13 @@ def _remove_if_abandoned(path: Path) -> None:
         return
     if not path.name.startswith(TEMPORARY_PREFIX) and time.time() - path.stat().st_mtime < FOREIGN_AGE_S:
         return
-    is_folder = path.is_dir()
-    lock_path = path / LOCK_NAME if is_folder else path
-    if is_folder and not lock_path.exists():
+    if not (path / LOCK_NAME).exists():
         path.rmdir()  # it is empty
         return
-    handle = os.open(lock_path, os.O_RDWR)
+    handle = os.open(path / LOCK_NAME, os.O_RDWR)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
-        if is_folder:
-            _remove_folder(path)
-        else:
-            path.unlink(missing_ok=True)
+        _remove_folder(path)
     finally:
         os.close(handle)
 
@@ -132,13 +107,6 @@ def _remove_folder(path: Path) -> None:
         path.rmdir()
 
 
-def _lock(handle: int) -> None:
-    """Lock an open file, where its file system has locks."""
-    if fcntl is not None:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-
-
 OUTPUT_FOLDER_SUFFIX = ".mocapfix"
 """suffix of the folder beside a take into which its outputs are written; captures in such a folder are outputs"""
 JSON_REPORT_SUFFIX = ".report.json"
@@ -147,29 +115,25 @@ JSON_REPORT_SUFFIX = ".report.json"
 
 @contextmanager
 def replace_atomically(target: Path) -> Generator[Path]:
-    """Yield a temporary file beside `target` to write into.
+    """Yield a path in a temporary folder beside `target` to write a file to.
 
-    The temporary file replaces `target` if the block ends without an exception, and is deleted otherwise. Those that killed
-    processes left in the folder are deleted too.
+    The new file replaces `target` if the block ends without an exception, and is deleted otherwise. What killed processes left in
+    the folder is deleted too.
 
     Raises:
         WriteError: If the folder of `target` is not writable. The message names the target.
     """
-    target = Path(target)
+    target, part = Path(target), None
     remove_abandoned_files(target.parent)
-    opened = open_temporary_file(target.parent)
     try:
-        part = opened.__enter__()
+        with open_temporary_folder(target.parent) as temporary:
+            part = temporary / target.name
+            yield part
+            part.replace(target)
     except OSError as error:
-        raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder.") from error
-    try:
-        yield part
-        part.chmod(0o666 & ~_get_umask())
-        part.replace(target)
-    except OSError as error:
+        if part is None:
+            raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder.") from error
         raise WriteError(f"{target}: could not be written ({error.strerror or error}).") from error
-    finally:
-        opened.__exit__(None, None, None)
 
 
 @contextmanager
@@ -251,12 +215,6 @@ def make_output_folder(folder: Path) -> None:
     except OSError as error:
         raise WriteError(f"{folder}: the folder cannot be created ({error.strerror}); choose another with --out.") from error
     remove_abandoned_files(folder)
-
-
-def _get_umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from mocapfix.errors import ReadError
 from mocapfix.io.file_content import parse_number
@@ -65,7 +65,7 @@ class FileFrames(NamedTuple):
         """Number of frames, those without a row included."""
         return int(self.row_frames[-1]) + 1
 
-    def spread_rows(self, rows: Float[np.ndarray, "*rows"], fill: float = np.nan) -> Float[np.ndarray, "*frames"]:
+    def spread_rows(self, rows: Shaped[np.ndarray, "*rows"], fill: float = np.nan) -> Shaped[np.ndarray, "*frames"]:
         """Return the rows of an array as frames, with `fill` in frames without a row."""
         if len(rows) == self.frame_count:
             return rows

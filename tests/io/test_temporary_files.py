@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 from mocapfix.io import files
-from mocapfix.io.files import open_temporary_file, open_temporary_folder, remove_abandoned_files
+from mocapfix.io.files import open_temporary_folder, remove_abandoned_files, replace_atomically
 
 OWNER = """
 import sys, time
 from pathlib import Path
-from mocapfix.io.files import open_temporary_file, open_temporary_folder
-with open_temporary_file(Path(sys.argv[1])) as file, open_temporary_folder(Path(sys.argv[1])) as folder:
+from mocapfix.io.files import open_temporary_folder, replace_atomically
+with replace_atomically(Path(sys.argv[1]) / "a.npz") as part, open_temporary_folder(Path(sys.argv[1])) as folder:
+    part.write_text("half")
     (folder / "part").write_text("half")
     print("ready", flush=True)
     time.sleep(60)
@@ -29,13 +30,14 @@ def list_names(folder: Path) -> list[str]:
 
 
 def test_both_are_removed_at_the_end(tmp_path: Path) -> None:
-    with open_temporary_file(tmp_path) as file, open_temporary_folder(tmp_path) as folder:
+    with replace_atomically(tmp_path / "walk.npz") as part, open_temporary_folder(tmp_path) as folder:
         (folder / "a").write_text("x")
-        assert file.parent == folder.parent == tmp_path
+        part.write_text("new")
+        assert part.parent.parent == folder.parent == tmp_path
         remove_abandoned_files(tmp_path)
-        assert file.exists()
+        assert part.exists()
         assert (folder / "a").exists()
-    assert list_names(tmp_path) == []
+    assert list_names(tmp_path) == ["walk.npz"]
 
 
 def test_only_those_of_dead_owners_are_removed(tmp_path: Path) -> None:
@@ -53,8 +55,8 @@ def test_only_those_of_dead_owners_are_removed(tmp_path: Path) -> None:
 
 
 def test_those_of_other_machines_are_left_for_a_day(tmp_path: Path) -> None:
-    foreign = tmp_path / ".mocapfix-00000000-abc.part"
-    foreign.touch()
+    foreign = tmp_path / ".mocapfix-00000000-abc"
+    foreign.mkdir()
     remove_abandoned_files(tmp_path)
     assert foreign.exists()
     old = time.time() - 2 * files.FOREIGN_AGE_S
