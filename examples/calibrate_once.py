@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import mocapfix
-from mocapfix.subject.subject_file import write_subject
+from mocapfix.subject.library import write_subject
 from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
 
 range_of_motion, walk = Path("rom.c3d"), Path("walk.c3d")

@@ -52,8 +52,8 @@ from mocapfix.subject.library import (
     SubjectChoice,
     choose_marker_set,
     describe_marker_set_match,
+    withdraw_marker_set,
 )
-from mocapfix.subject.own_set import withdraw_marker_set
 from mocapfix.surveys import DEFAULT_OPTIONS, calibrate_takes, identify_subject, limit_blas_threads
 
 

@@ -115,7 +115,7 @@ def identify_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     """Return the subject and the marker set of one subject's take. Raises TakeError if the given marker set does not fit it."""
     choice = resolve_subject(take, choose_subject(take, options))
     if choice.marker_set is None and not options.known_sets_only:
-        from mocapfix.subject.own_set import find_own_marker_set  # few takes need it
+        from mocapfix.subject.learning import find_own_marker_set
 
         choice = find_own_marker_set(take, choice)
     return choice

@@ -33,7 +33,7 @@ from mocapfix import pipeline, synthetic
 from mocapfix.cli import app
 from mocapfix.io.patches import patch_c3d
 from mocapfix.pipeline import CleaningResult
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 from mocapfix.synthetic import SyntheticTake
 from tests import faulty_take
 from tests.c3d_files import c3d_bytes
@@ -114,7 +114,7 @@ def brief(cleaned, tmp_path_factory) -> BriefTake:
     markers[20, labels.index("STRN")] += [0.2, 0.0, 0.0]
     path = folder / "brief.c3d"
     path.write_bytes(build_c3d(markers, labels, first=FIRST_FRAME))
-    subject_file.write_subject(folder / "known.yaml", cleaned.result.subject)
+    library.write_subject(folder / "known.yaml", cleaned.result.subject)
     return BriefTake(path, folder / "known.yaml", markers, labels)
 
 

@@ -18,7 +18,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic.demo_errors import compute_fill_errors
 from tests.conftest import FIRST_FRAME, build_c3d
@@ -58,7 +58,7 @@ def find_changed_samples(before, after):
 @pytest.fixture(scope="module")
 def subject(brief):
     """Return the calibrated subject of the brief take."""
-    return subject_file.read_subject(brief.subject)
+    return library.read_subject(brief.subject)
 
 
 # accuracy

@@ -117,7 +117,7 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
     is surveyed at once, since that is most of the work.
     """
     from mocapfix import surveys
-    from mocapfix.subject.body_size import measure_body
+    from mocapfix.subject.people import measure_body
 
     def measure(key: str) -> dict[str, Any]:
         try:
@@ -247,8 +247,7 @@ def assign_subjects(
 
     Takes that cannot be surveyed, and people with one take, keep their options.
     """
-    from mocapfix.subject.body_size import BodyMeasurements
-    from mocapfix.subject.people import group_people
+    from mocapfix.subject.people import BodyMeasurements, group_people
 
     by_id = {request.take: request for request in requests}
     measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)

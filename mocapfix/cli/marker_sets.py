@@ -90,8 +90,8 @@ def run_marker_set_learn(
     least one frame must show the person standing.
     """
     from mocapfix.io.files import check_outputs_absent
+    from mocapfix.subject.learning import learn_marker_set
     from mocapfix.subject.library import write_marker_set
-    from mocapfix.subject.own_set import learn_marker_set
 
     check_outputs_absent([output_path], overwrite)
     with show_progress(take.name) as progress:

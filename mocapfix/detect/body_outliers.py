@@ -34,22 +34,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.detect.shared_motion import find_shared_deviations
+from mocapfix.detect.noise import find_shared_deviations
 from mocapfix.kernels.label_evidence import MAX_SMOOTH_LEAP, compute_own_leaps
 from mocapfix.model.faults import Fault, MarkerShift
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
+from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories
 from mocapfix.stats.rigid_alignment import compute_lengths
 
-# Smallest standard deviation of a residual per axis, even for a marker whose errors the body follows.
-MIN_RESIDUAL_SD_M = 0.003
-# Median of a chi-squared distribution with three degrees of freedom.
-CHI_SQUARED_3_MEDIAN = 2.366
-# Number of frames whose residuals are computed at once: so many fit into the processor's cache.
-RESIDUAL_BLOCK_FRAMES = 256
+MIN_RESIDUAL_SD_M = 0.003  # smallest standard deviation of a residual per axis, even for a marker whose errors the body follows
+RESIDUAL_BLOCK_FRAMES = 256  # number of frames whose residuals are computed at once: so many fit into the processor's cache
 
 
 @dataclass(frozen=True)
@@ -83,8 +80,6 @@ def compute_body_residuals(
     Args:
         subject_take: The take's markers in the subject's order.
         solver_mask: The samples that the solve used.
-        subject: The subject.
-        motion: The solved motion.
     """
     position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
     joints, markers = subject.joints, subject_take.markers
@@ -99,7 +94,7 @@ def compute_body_residuals(
         bias[k] = np.median(used, axis=1)
         x, y, z = used - bias[k, :, None]
         square = x * x + y * y + z * z
-        sd_m[k] = max(MIN_RESIDUAL_SD_M, np.sqrt(np.median(square) / CHI_SQUARED_3_MEDIAN))
+        sd_m[k] = max(MIN_RESIDUAL_SD_M, np.sqrt(np.median(square) / CHI2_MEDIAN_3_DOF))
     usual_offsets = subject.marker_offsets + bias
     for frames in blocks:
         offset_world = np.einsum("tkab,kb->tka", rotation[frames, joints], usual_offsets)
@@ -118,18 +113,15 @@ STEP_TOLERANCE_M_PER_S2 = 100.0
 # Smallest score of an outlier, and of one that leaps there and back.
 MIN_OUTLIER_SCORE_SD = 6.0
 MIN_EXCURSION_SCORE_SD = 2.5
-# Frames at an end of an outlier, and beside it, over whose median its position is taken there.
-END_FRAMES = 5
+END_FRAMES = 5  # frames at an end of an outlier, and beside it, over whose median its position is taken there
 # Smallest distance from the usual position at an end of an outlier, and of the leap to it, relative to the median distance.
 MIN_END_SHARE = 0.5
 # Smallest distance of an outlier that begins or ends in a gap. Skin, shoes and rare poses reach 25 to 31 mm in captures.
 MIN_UNSEEN_DISTANCE_M = 0.035
-# With a larger fraction of outliers among a marker's samples, its usual position is unknown.
-MAX_OUTLIER_FRACTION = 0.4
+MAX_OUTLIER_FRACTION = 0.4  # with a larger fraction of outliers among a marker's samples, its usual position is unknown
 # With a larger fraction of outlying markers in a frame, the body itself is wrong there, and no marker is judged.
 MAX_OUTLYING_MARKER_FRACTION = 0.4
-# An outlier with a smaller score, relative to a simultaneous one, may be caused by it.
-MIN_RELATIVE_OUTLIER_SCORE = 0.5
+MIN_RELATIVE_OUTLIER_SCORE = 0.5  # an outlier with a smaller score, relative to a simultaneous one, may be caused by it
 # Shortest stay of a marker that has moved, and the largest deviation from its new position, in standard deviations.
 MIN_SHIFTED_DURATION_S = 1.0
 MAX_SHIFTED_SWAY_SD = 2.5
@@ -137,21 +129,13 @@ MAX_SHIFTED_SWAY_SD = 2.5
 
 @dataclass(frozen=True)
 class BodyOutlier:
-    """An unbroken part of a marker's path on its segment that lies off the body.
+    """An unbroken part of a marker's path on its segment that lies off the body."""
 
-    Attributes:
-        marker: Index of the marker.
-        frames: Frame indices (N,).
-        distance_m: Median distance in metres from the marker's usual position, or the length of the leap there and back.
-        score_sd: Median distance in standard deviations.
-        is_persistent: Whether the marker keeps the position to its last frame, or from its first.
-    """
-
-    marker: int
-    frames: np.ndarray
-    distance_m: float
-    score_sd: float
-    is_persistent: bool = False
+    marker: int  # index of the marker
+    frames: np.ndarray  # frame indices (N,)
+    distance_m: float  # median distance in metres from the marker's usual position, or the length of the leap there and back
+    score_sd: float  # median distance in standard deviations
+    is_persistent: bool = False  # whether the marker keeps the position to its last frame, or from its first
 
     @property
     def first(self) -> int:
@@ -316,14 +300,12 @@ def _measure_excursion(residual: np.ndarray, is_leap: np.ndarray, first: int, st
     return float(min(leaps_m))
 
 
-# Number of neighbours that determine a rigid motion.
-MIN_RIGID_NEIGHBOURS = 3
+MIN_RIGID_NEIGHBOURS = 3  # number of neighbours that determine a rigid motion
 # Smallest extent of the neighbours along their second longest axis (standard deviation): a line shows no turn about it.
 MIN_NEIGHBOUR_WIDTH_M = 0.015
 # Largest leap relative to the neighbours at an end of an outlier that they carry, relative to its distance from the body.
 MAX_CARRIED_LEAP_RATIO = 0.5
-# Smallest fraction of an outlier's frames in which other markers lie off the body alike.
-MIN_SHARED_FRACTION = 0.5
+MIN_SHARED_FRACTION = 0.5  # smallest fraction of an outlier's frames in which other markers lie off the body alike
 
 
 def is_body_wrong(outlier: BodyOutlier, residuals: BodyResiduals, distances: MarkerDistances) -> bool:
@@ -357,7 +339,6 @@ def measure_leaps_from_neighbours(
     Args:
         markers: World positions in metres, NaN where missing.
         distances: The usual distances between the markers.
-        marker: Index of the marker.
         ends: Pairs of frame indices, in both of which the marker is visible.
 
     Returns:
@@ -397,30 +378,20 @@ def carry_rigidly(
     return (point - centre_before) @ rotation + centre_after
 
 
-# A marker within this distance, in standard deviations, is at its position.
-MAX_HOME_DISTANCE_SD = 4.5
+MAX_HOME_DISTANCE_SD = 4.5  # a marker within this distance, in standard deviations, is at its position
 # Largest distance from the other marker's position, relative to that from the label's own marker's position.
 MAX_RELATIVE_DISTANCE = 0.4
-# Largest fraction of the time in which the other marker is visible at its position.
-MAX_HOME_FRACTION = 0.2
-# Smallest overlap of two outliers that are exchanged, as a fraction of the longer one.
-MIN_OVERLAP_FRACTION = 0.5
-# A shorter outlier may lie at the position of a missing marker by chance.
-MIN_OCCUPIED_DURATION_S = 0.1
+MAX_HOME_FRACTION = 0.2  # largest fraction of the time in which the other marker is visible at its position
+MIN_OVERLAP_FRACTION = 0.5  # smallest overlap of two outliers that are exchanged, as a fraction of the longer one
+MIN_OCCUPIED_DURATION_S = 0.1  # a shorter outlier may lie at the position of a missing marker by chance
 
 
 class CarriedMarker(NamedTuple):
-    """An outlier that lies where the body has another marker.
+    """An outlier that lies where the body has another marker."""
 
-    Attributes:
-        outlier: The outlier.
-        marker: Index of the other marker.
-        distance_sd: Median distance from the other marker's position, in standard deviations.
-    """
-
-    outlier: BodyOutlier
-    marker: int
-    distance_sd: float
+    outlier: BodyOutlier  # the outlier
+    marker: int  # index of the other marker
+    distance_sd: float  # median distance from the other marker's position, in standard deviations
 
     @property
     def relative_distance(self) -> float:

@@ -27,19 +27,12 @@ MAX_MEDIAN_SPEED_M_PER_S = 15.0  # faster than a sprinter, whose markers move at
 
 @dataclass(frozen=True)
 class WholeTakeFigures:
-    """What shows whether a take fits its body.
+    """What shows whether a take fits its body."""
 
-    Attributes:
-        faulty_share: Share of the measured samples that are judged faulty.
-        median_residual_m: Median distance of the measured samples from their places on the body; 0 without a body.
-        leg_m: Mean length of the legs that have markers; None if none has.
-        median_speed_m_per_s: Median speed of the measured samples.
-    """
-
-    faulty_share: float
-    median_residual_m: float
-    leg_m: float | None
-    median_speed_m_per_s: float
+    faulty_share: float  # share of the measured samples that are judged faulty
+    median_residual_m: float  # median distance of the measured samples from their places on the body; 0 without a body
+    leg_m: float | None  # mean length of the legs that have markers; None if none has
+    median_speed_m_per_s: float  # median speed of the measured samples
 
 
 def measure_whole_take(detected: Detected, body: BodyFit | None) -> WholeTakeFigures:
@@ -100,23 +93,16 @@ def _find_cause(figures: WholeTakeFigures, options: CleanOptions) -> str:
 
 
 MAX_CONTRADICTED_SAMPLE_SHARE = 2e-4
-"""Share of the samples of the set's markers that a body with a correct set may reject or relabel."""
-MIN_CONTRADICTED_SAMPLES = 6
-"""Number of samples that it may reject or relabel in a take of any length."""
-MAX_LEFT_OUT_SHARE = 0.1
-"""Share of the set's markers that are left out after the trial because most contradictions concern them."""
+MIN_CONTRADICTED_SAMPLES = 6  # number of samples that it may reject or relabel in a take of any length
+MAX_LEFT_OUT_SHARE = 0.1  # share of the set's markers that are left out after the trial because most contradictions concern them
 
 
 @dataclass(frozen=True)
 class SetTrial:
-    """What a body contradicts in a take that is consistent without it.
+    """What a body contradicts in a take that is consistent without it."""
 
-    contradicted_counts  (K,) samples of each marker that are rejected or relabelled
-    sample_count         visible samples of the markers
-    """
-
-    contradicted_counts: Int[np.ndarray, " K"]
-    sample_count: int
+    contradicted_counts: Int[np.ndarray, " K"]  # samples of each marker that are rejected or relabelled
+    sample_count: int  # visible samples of the markers
 
     @property
     def is_passed(self) -> bool:

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mocapfix.detect.round_memory import RoundMemory
+from mocapfix.detect.noise import RoundMemory
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.stats.sequences import compute_float_resolution, estimate_resolution, find_runs
@@ -104,10 +104,8 @@ def trim_measured_ends(visible: Bool[np.ndarray, " T"], first: int, last: int) -
 
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
-# Number of samples beyond those that every polynomial of the degree fits.
-MIN_EXTRA_SAMPLES = 4
-# Multiples of the shortest stretch that are tried until measured samples can be told apart.
-STRETCH_LENGTH_FACTORS = (1, 2, 4)
+MIN_EXTRA_SAMPLES = 4  # number of samples beyond those that every polynomial of the degree fits
+STRETCH_LENGTH_FACTORS = (1, 2, 4)  # multiples of the shortest stretch that are tried until measured samples can be told apart
 # Number of stretches of a marker, evenly spread, at which the length is tested, and the quantile of their misfits that is used.
 MAX_SAMPLED_STRETCHES = 50
 SMALL_MISFIT_QUANTILE = 0.1
@@ -116,10 +114,8 @@ MIN_MEASURED_MISFIT_RESOLUTIONS = 4.0
 # Time before and after a stretch with which it is compared, and the quantile of the misfits there that is used.
 COMPARISON_WINDOW_S = 1.0
 COMPARISON_QUANTILE = 0.25
-# Smallest misfit of the samples around a stretch, in multiples of the file's resolution.
-MIN_NEARBY_MISFIT_RESOLUTIONS = 8.0
-# A marker that travels less over a stretch, in multiples of the file's resolution, is at rest.
-MIN_TRAVEL_RESOLUTIONS = 100.0
+MIN_NEARBY_MISFIT_RESOLUTIONS = 8.0  # smallest misfit of the samples around a stretch, in multiples of the file's resolution
+MIN_TRAVEL_RESOLUTIONS = 100.0  # a marker that travels less over a stretch, in multiples of the file's resolution, is at rest
 
 
 def detect_virtual_samples(take: Take) -> list[Fault]:
@@ -230,19 +226,14 @@ def _remove_overlapping_fills(faults: list[Fault]) -> list[Fault]:
     return sorted(kept, key=lambda fault: (fault.marker, fault.first))
 
 
-# Number of pairs of frames, evenly spread, from which the changes of distances are learned.
-MAX_FRAME_PAIRS = 300
-# Number of these pairs in which both markers must be visible.
-MIN_VISIBLE_FRAME_PAIRS = 20
-# Time between the frames of a pair, or half the take if that is shorter.
-DISTANCE_CHANGE_INTERVAL_S = 1.0
+MAX_FRAME_PAIRS = 300  # number of pairs of frames, evenly spread, from which the changes of distances are learned
+MIN_VISIBLE_FRAME_PAIRS = 20  # number of these pairs in which both markers must be visible
+DISTANCE_CHANGE_INTERVAL_S = 1.0  # time between the frames of a pair, or half the take if that is shorter
 # Quantile of the changes that is returned: about one standard deviation of a normal distribution.
 DISTANCE_CHANGE_QUANTILE = 0.84
 MAX_COMPARED_NEIGHBOURS = 3
-# Number of samples of the shortest stretch.
-MIN_FROZEN_SAMPLES = 4
-# Travel of the neighbours of a marker at rest, in multiples of the file's resolution.
-MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS = 50.0
+MIN_FROZEN_SAMPLES = 4  # number of samples of the shortest stretch
+MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS = 50.0  # travel of the neighbours of a marker at rest, in multiples of the file's resolution
 
 
 def detect_frozen(

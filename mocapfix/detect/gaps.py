@@ -15,12 +15,9 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
 
-# Longest flicker. A gap of one frame is always one.
-MAX_FLICKER_DURATION_S = 0.02
-# Shorter losses of a body part are interpolated from the paths of its markers.
-MIN_LOST_SEGMENT_DURATION_S = 0.1
-# A body part with a single marker is described by that marker's gap.
-MIN_MARKERS_PER_BODY_PART = 2
+MAX_FLICKER_DURATION_S = 0.02  # longest flicker. A gap of one frame is always one.
+MIN_LOST_SEGMENT_DURATION_S = 0.1  # shorter losses of a body part are interpolated from the paths of its markers
+MIN_MARKERS_PER_BODY_PART = 2  # a body part with a single marker is described by that marker's gap
 
 
 def detect_gaps(take: Take) -> list[Fault]:

@@ -29,18 +29,13 @@ from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 # Fraction of the take in which a marker is assumed to be in place. It is larger than for swaps: a rare pose is no ghost.
 GHOST_CORRECT_FRACTION = 0.8
-# Cost of a change of state, in leaps.
-GHOST_CHANGE_COST = 0.5
-# Contradiction for which a label pays while it is elsewhere, whatever its partners show.
-ELSEWHERE_CONTRADICTION = 0.5
-# Smallest cost, in leaps, that a ghost saves.
-MIN_GHOST_GAIN = 1.0
+GHOST_CHANGE_COST = 0.5  # cost of a change of state, in leaps
+ELSEWHERE_CONTRADICTION = 0.5  # contradiction for which a label pays while it is elsewhere, whatever its partners show
+MIN_GHOST_GAIN = 1.0  # smallest cost, in leaps, that a ghost saves
 # Smallest displacement of a ghost that begins and ends in gaps: rare poses between two gaps reach 35 mm in captures.
 MIN_UNSEEN_GHOST_M = 0.045
-# Number of steadiest partners by which the displacement is measured.
-MAX_GHOST_PARTNERS = 3
-# Number of frames, evenly spread, from which the usual distance between two partners is computed.
-MAX_DISTANCE_SAMPLES = 300
+MAX_GHOST_PARTNERS = 3  # number of steadiest partners by which the displacement is measured
+MAX_DISTANCE_SAMPLES = 300  # number of frames, evenly spread, from which the usual distance between two partners is computed
 # Smallest change of the deviation of a distance at an end of a ghost, relative to the deviation within it.
 MIN_END_CHANGE_RATIO = 0.5
 # Largest deviation of the distances to the two steadiest partners that a marker has not left, relative to the largest deviation.
@@ -109,17 +104,11 @@ def _compute_ghost_costs(
 
 
 class _Displacement(NamedTuple):
-    """The deviation of a marker's distances to its partners in metres, and whether it begins and ends abruptly.
+    """The deviation of a marker's distances to its partners in metres, and whether it begins and ends abruptly."""
 
-    Attributes:
-        distance_m: Size of the deviation, NaN if unknown.
-        sd_m: Standard deviation over time.
-        is_abrupt: Whether the deviation changes abruptly at both ends, or may do so.
-    """
-
-    distance_m: float
-    sd_m: float
-    is_abrupt: bool
+    distance_m: float  # size of the deviation, NaN if unknown
+    sd_m: float  # standard deviation over time
+    is_abrupt: bool  # whether the deviation changes abruptly at both ends, or may do so
 
 
 def _measure_displacement(
@@ -130,7 +119,6 @@ def _measure_displacement(
     Args:
         markers: World positions (T, M, 3) in metres.
         distances: The usual distances.
-        marker: Index of the marker.
         visible: The frames (N,) in which the marker is visible.
         interval: Indices into these, of the first and the last sample of the displacement.
     """

@@ -37,19 +37,14 @@ from mocapfix.options import CleanOptions
 from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_cheapest_states, find_runs, smooth_path
 
-# Variance of the third difference of white noise, relative to that of the noise.
-THIRD_DIFFERENCE_VARIANCE = 20.0
-# Median of the square of a standard normal variable.
-CHI_SQUARED_1_MEDIAN = 0.455
-# Smallest noise that is estimated: positions in files are rounded.
-MIN_NOISE_SD_M = 1e-4
+THIRD_DIFFERENCE_VARIANCE = 20.0  # variance of the third difference of white noise, relative to that of the noise
+CHI_SQUARED_1_MEDIAN = 0.455  # median of the square of a standard normal variable
+MIN_NOISE_SD_M = 1e-4  # smallest noise that is estimated: positions in files are rounded
 # Steps of the second difference from which the acceleration is estimated, and the window of its mean.
 KEYPOINT_ACCELERATION_STEP_S = 0.1
 KEYPOINT_POWER_WINDOW_S = 1.0
-# Fewer measured samples are not smoothed.
-MIN_SMOOTHED_SAMPLES = 20
-# A gap in which the trajectory is smoothed separately on both sides.
-MAX_JOINED_GAP_S = 1.0
+MIN_SMOOTHED_SAMPLES = 20  # fewer measured samples are not smoothed
+MAX_JOINED_GAP_S = 1.0  # a gap in which the trajectory is smoothed separately on both sides
 # Distance from the trajectory, in standard deviations per axis, beyond which a sample has less weight, and is an outlier.
 MIN_DOWNWEIGHTED_DISTANCE_SD = 3.0
 MIN_KEYPOINT_OUTLIER_SD = 5.0
@@ -59,17 +54,11 @@ SMOOTHING_ROUNDS = 5
 
 
 class SmoothedPoint(NamedTuple):
-    """A keypoint's trajectory without noise.
+    """A keypoint's trajectory without noise."""
 
-    Attributes:
-        path: Positions (T, 3) in metres, NaN where the point was not measured.
-        is_outlier: Samples (T,) at a large distance from the trajectory.
-        noise_sd_m: Standard deviation of the noise per axis.
-    """
-
-    path: np.ndarray
-    is_outlier: np.ndarray
-    noise_sd_m: float
+    path: np.ndarray  # positions (T, 3) in metres, NaN where the point was not measured
+    is_outlier: np.ndarray  # samples (T,) at a large distance from the trajectory
+    noise_sd_m: float  # standard deviation of the noise per axis
 
 
 def estimate_noise_sd(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, " M"]:
@@ -159,23 +148,17 @@ def _estimate_power(
     return np.maximum(np.interp(np.arange(len(path)), usable + h, power), smallest)
 
 
-# Standard deviation per axis of the speed of a keypoint between frames.
-KEYPOINT_SPEED_SD_M_PER_S = 1.5
-# Largest cost of a step: an outlier says nothing about the sides.
-MAX_STEP_COST = 40.0
-# Cost of being exchanged for a second: without evidence, labels are assumed to be correct.
-EXCHANGED_COST_PER_S = 10.0
-# Cost of a change between straight and exchanged.
-STATE_CHANGE_COST = 4.0
+KEYPOINT_SPEED_SD_M_PER_S = 1.5  # standard deviation per axis of the speed of a keypoint between frames
+MAX_STEP_COST = 40.0  # largest cost of a step: an outlier says nothing about the sides
+EXCHANGED_COST_PER_S = 10.0  # cost of being exchanged for a second: without evidence, labels are assumed to be correct
+STATE_CHANGE_COST = 4.0  # cost of a change between straight and exchanged
 # Smallest distance between the points of a pair, median over the take, in standard deviations of the noise: nearer ones, as the
 # eyes, change places within their noise.
 MIN_SEPARATION_SD = 6.0
 # Largest deviation of the distance between two joints of a side, median over the take, at which they are ends of one segment.
 MAX_SEGMENT_DEVIATION_M = 0.03
-# Standard deviation of the length of a segment between keypoints, besides their noise.
-SEGMENT_LENGTH_SD_M = 0.02
-# Largest cost of the length of a segment in a frame.
-MAX_LENGTH_COST = 8.0
+SEGMENT_LENGTH_SD_M = 0.02  # standard deviation of the length of a segment between keypoints, besides their noise
+MAX_LENGTH_COST = 8.0  # largest cost of the length of a segment in a frame
 MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored place
 
 
@@ -183,7 +166,6 @@ def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[n
     """Detect exchanged left and right keypoints.
 
     Args:
-        take: The take.
         marker_set: Its set.
         noise_sd_m: Standard deviation per axis of the noise of each point of the take.
     """

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix.detect import body_outliers, external_fills, gaps, ghosts, jitter, marker_shifts, spikes
+from mocapfix.detect import body_outliers, external_fills, gaps, ghosts, marker_shifts, noise
 from mocapfix.detect.body_outliers import is_body_wrong
 from mocapfix.detect.keypoints import detect_on_keypoints
-from mocapfix.detect.round_memory import RoundMemory
+from mocapfix.detect.noise import RoundMemory
 from mocapfix.errors import TakeError
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
 from mocapfix.labels.label_swaps import detect_label_swaps, undo_label_exchanges
@@ -63,8 +63,6 @@ def detect_body_faults(
     Args:
         subject_take: the inliers in the order of the subject's K markers, NaN elsewhere.
         solver_mask: (T, K) bool, the samples that the solver used.
-        subject: the subject.
-        motion: its solved motion.
         min_distance_m: smaller distances from the body are not faults.
         max_spike_duration_s: longer outliers are ghosts, shorter ones spikes.
 
@@ -159,25 +157,23 @@ def detect_sample_faults(
     Samples that a program filled are not judged. A spike within a burst of jitter is part of the burst.
 
     Args:
-        take: The take.
-        marker_set: Its marker set.
         options: The limits of the detectors.
         memory: What earlier rounds on the same positions found. Only the samples that are set aside may differ.
     """
     memory, shape = memory or RoundMemory(), take.visible.shape
     virtual = external_fills.detect_virtual_samples(take)
     measured = take.masked(take.measured & ~build_fault_mask(virtual, shape))
-    all_spikes = spikes.detect_spikes(measured, options.min_spike_m, options.max_spike_duration_s, memory)
+    all_spikes = noise.detect_spikes(measured, options.min_spike_m, options.max_spike_duration_s, memory)
     exact = external_fills.detect_frozen(measured, memory=memory) + external_fills.detect_polynomial_fills(
         measured, memory=memory
     )
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
-    bursts = jitter.detect_jitter(
+    bursts = noise.detect_jitter(
         measured, is_usable, options.min_jitter_m, options.min_jitter_ratio, options.min_jitter_duration_s, memory
     )
     has_jitter = build_fault_mask(bursts, shape)
     # a marker with bursts of jitter is not reported as noisy as well
-    noisy = [fault for fault in jitter.detect_noise(measured, memory) if not has_jitter[:, fault.marker].any()]
+    noisy = [fault for fault in noise.detect_noise(measured, memory) if not has_jitter[:, fault.marker].any()]
     isolated_spikes = [spike for spike in all_spikes if not has_jitter[spike.frame_slice, spike.marker].all()]
     lost = gaps.detect_lost_segments(take, marker_set) if marker_set else []
     faults = Faults((*gaps.detect_gaps(take), *virtual, *lost, *noisy, *isolated_spikes, *exact, *bursts))
@@ -185,8 +181,7 @@ def detect_sample_faults(
     return faults.add_faults(ghosts.detect_ghosts(measured.masked(is_sound)))
 
 
-MIN_VISIBLE_MARKERS = 3
-"""Inliers in at least one frame: fewer do not determine the position of anything."""
+MIN_VISIBLE_MARKERS = 3  # inliers in at least one frame: fewer do not determine the position of anything
 
 
 def check_visible_markers(detected: Detected) -> None:
@@ -226,7 +221,7 @@ def detect_on_trajectories(
             for fault in review.select(detect_label_swaps(joined.masked(joined.measured)))
             if fault.confidence >= MIN_LABEL_CONFIDENCE
         ]
-        # A fragment that was not joined is detected again in each round.
+        # a fragment that was not joined is detected again in each round.
         label_faults = [*(fault for fault in label_faults if not _is_unused_fragment(fault)), *fragments, *swaps]
         take = undo_label_exchanges(joined, swaps)
         if not swaps:

@@ -32,17 +32,11 @@ from mocapfix.model.take import Take
 
 
 class RegressedPath(NamedTuple):
-    """A marker's path over the N frames in which it is visible, after the regression.
+    """A marker's path over the N frames in which it is visible, after the regression."""
 
-    Attributes:
-        basis: Columns (N, 1 + F) of the regression, a constant first, orthonormal but for the ridge.
-        residual: Residual (N, 3) of the position in metres.
-        frames: Frame indices (N,).
-    """
-
-    basis: np.ndarray
-    residual: np.ndarray
-    frames: np.ndarray
+    basis: np.ndarray  # columns (N, 1 + F) of the regression, a constant first, orthonormal but for the ridge
+    residual: np.ndarray  # residual (N, 3) of the position in metres
+    frames: np.ndarray  # frame indices (N,)
 
 
 def regress_out(
@@ -64,19 +58,12 @@ def regress_out(
 
 
 class Ramp(NamedTuple):
-    """A change of position.
+    """A change of position."""
 
-    Attributes:
-        start: Index of the last sample at the old position.
-        end: Index of the first sample at the new position.
-        displacement: Displacement (3,) in metres in the segment's axes.
-        gain_m2: Reduction of the sum of squared residuals, in square metres.
-    """
-
-    start: int
-    end: int
-    displacement: np.ndarray
-    gain_m2: float
+    start: int  # index of the last sample at the old position
+    end: int  # index of the first sample at the new position
+    displacement: np.ndarray  # displacement (3,) in metres in the segment's axes
+    gain_m2: float  # reduction of the sum of squared residuals, in square metres
 
     @property
     def size_m(self) -> float:
@@ -137,18 +124,12 @@ def compute_residual_rms(path: RegressedPath, ramp: Ramp, block_length: int) -> 
     return float(np.sqrt(np.mean((residual**2).sum(1))))
 
 
-# Rate to which the paths are reduced.
-SHIFT_SAMPLE_RATE_HZ = 10.0
-# A marker that is visible for a shorter time is not judged.
-MIN_OBSERVED_DURATION_S = 4.0
-# Insignificant variation of a joint rotation.
-ROTATION_RIDGE_RAD = 0.1
-# Smallest displacement that the body does not follow.
-MIN_SHIFT_M = 0.008
-# Visible time before and after a change.
-MIN_SHIFT_MARGIN_S = 1.0
-# Smallest displacement of a knock, relative to the remaining residual.
-MIN_KNOCK_RATIO = 1.8
+SHIFT_SAMPLE_RATE_HZ = 10.0  # rate to which the paths are reduced
+MIN_OBSERVED_DURATION_S = 4.0  # a marker that is visible for a shorter time is not judged
+ROTATION_RIDGE_RAD = 0.1  # insignificant variation of a joint rotation
+MIN_SHIFT_M = 0.008  # smallest displacement that the body does not follow
+MIN_SHIFT_MARGIN_S = 1.0  # visible time before and after a change
+MIN_KNOCK_RATIO = 1.8  # smallest displacement of a knock, relative to the remaining residual
 # Time around a knock in which its frame is searched, and over which the position before and after the frame is averaged.
 KNOCK_SEARCH_WINDOW_S = 1.0
 KNOCK_AVERAGE_WINDOW_S = 0.03
@@ -158,46 +139,28 @@ MIN_BACKGROUND_JUMP_RATIO = 8.0
 # Shortest slide, and the blocks over which its residual is averaged.
 MIN_SLIDE_DURATION_S = 4.0
 SLIDE_AVERAGE_WINDOW_S = 1.0
-# Smallest displacement of a slide, relative to the remaining residual.
-MIN_SLIDE_RATIO = 3.5
+MIN_SLIDE_RATIO = 3.5  # smallest displacement of a slide, relative to the remaining residual
 
 
 class ShiftEstimate(NamedTuple):
-    """A marker that moves on its segment.
+    """A marker that moves on its segment."""
 
-    Attributes:
-        marker: Index of the marker.
-        first: Index of the first frame off the old position.
-        settled_frame: Index of the first frame at the new position.
-        size_m: Displacement in metres that the body does not follow.
-        gain_m2: Reduction of the sum of squared residuals of its path, in square metres.
-        relative_ratio: Displacement relative to the remaining residual, divided by the smallest ratio that is accepted.
-    """
-
-    marker: int
-    first: int
-    settled_frame: int
-    size_m: float
-    gain_m2: float
-    relative_ratio: float
+    marker: int  # index of the marker
+    first: int  # index of the first frame off the old position
+    settled_frame: int  # index of the first frame at the new position
+    size_m: float  # displacement in metres that the body does not follow
+    gain_m2: float  # reduction of the sum of squared residuals of its path, in square metres
+    relative_ratio: float  # displacement relative to the remaining residual, divided by the smallest ratio that is accepted
 
 
 class _MarkerPath(NamedTuple):
-    """The path of a marker on its segment.
+    """The path of a marker on its segment."""
 
-    Attributes:
-        marker: Index of the marker.
-        residual: Position (T, 3) in metres, NaN where missing.
-        regressed: Every `step`-th position, after the regression.
-        rate: Frame rate in Hz.
-        step: Number of frames from one reduced sample to the next.
-    """
-
-    marker: int
-    residual: np.ndarray
-    regressed: RegressedPath
-    rate: float
-    step: int
+    marker: int  # index of the marker
+    residual: np.ndarray  # position (T, 3) in metres, NaN where missing
+    regressed: RegressedPath  # every `step`-th position, after the regression
+    rate: float  # frame rate in Hz
+    step: int  # number of frames from one reduced sample to the next
 
     @property
     def reduced_rate(self) -> float:
@@ -210,8 +173,6 @@ def detect_marker_shifts(residuals: BodyResiduals, subject: Subject, motion: Mot
 
     Args:
         residuals: Residuals of the subject's markers from the solved body.
-        subject: The subject.
-        motion: The solved motion.
         rate: Frame rate in Hz.
     """
     step = max(1, round(rate / SHIFT_SAMPLE_RATE_HZ))

@@ -38,7 +38,7 @@ from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import OutputOptions
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
 
@@ -253,7 +253,7 @@ BVH_FORMAT = OutputFormat("bvh", lambda target, content: write_bvh(target, *cont
 DEFAULT_FORMATS = (
     OutputFormat(
         "subject.yaml",
-        lambda target, content: subject_file.write_subject(target, content.motion.subject),
+        lambda target, content: library.write_subject(target, content.motion.subject),
         needs_body=True,
         needs_markers=True,
     ),

@@ -36,7 +36,7 @@ from mocapfix.report.recording import check_recording_complete
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.single_pose import Camera, resolve_pose_model
-from mocapfix.subject.subject_file import read_subject
+from mocapfix.subject.library import read_subject
 
 KEYPOINT_OUTPUT_KINDS = ("bvh", "report.html", "report.json", "rrd")
 

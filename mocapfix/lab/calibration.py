@@ -143,11 +143,11 @@ def compute_irreducible_joint_sd(
     parameters = build_calibration_parameters(nominal, body, prior)
     candidates = select_candidate_frames(take.markers)
     frames = candidates[select_varied_poses(motion.local_rotations[candidates], np.random.default_rng(0))]
-    root, local = motion.root_position[frames], motion.local_rotations[frames]
+    poses = motion.root_position[frames], motion.local_rotations[frames]
     unknowns, mean_pose_vectors = np.zeros(len(parameters.information)), np.zeros_like(subject.skeleton.offsets)
     true_body = CalibratedBody(subject.skeleton.offsets, subject.marker_offsets, mean_pose_vectors)
     problem = build_calibration_problem(subject, body, prior, take.markers[frames], true_body)
-    state = linearise_frames(parameters, problem, unknowns, root, local)
+    state = linearise_frames(parameters, problem, unknowns, poses)
     return compute_calibration_sd(state, compute_curvature(state))[0]
 
 

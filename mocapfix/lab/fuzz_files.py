@@ -25,7 +25,7 @@ from mocapfix.model.changes import Change, SampleState
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.subject.subject_file import write_subject
+from mocapfix.subject.library import write_subject
 from mocapfix.synthetic import compose_take
 
 SEED_FRAME_COUNT = 4

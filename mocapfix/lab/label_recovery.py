@@ -27,8 +27,7 @@ from mocapfix import synthetic
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.capture import read_capture
 from mocapfix.labels.labeller import label_people, label_points, separate_people
-from mocapfix.labels.points import PointLabels, UnlabelledPoints
-from mocapfix.labels.tracklets import find_tracklets
+from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, find_tracklets
 from mocapfix.model.animation import Animation
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.stats.sequences import find_runs

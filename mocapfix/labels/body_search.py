@@ -22,49 +22,109 @@ Tracklets that begin or end in such frames get their labels, by which the body c
 changes. The offsets of the markers are adapted to the take on the way.
 """
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
-from mocapfix.labels.points import SampledPoints
-from mocapfix.labels.posed_body import (
-    FINAL_OFFSET_WEIGHT,
-    POSING_ITERATIONS,
-    POSING_MARKER_SD_M,
-    POSING_SCALES_M,
-    ExtendedBody,
-    PosedBody,
-    PropagatedLabels,
-    adapt_offsets,
-    build_average_body,
-    scale_subject,
+from mocapfix.labels.tracklets import (
+    SampledPoints,
+    TrackletDistances,
+    assign_points,
+    assign_tracklets,
+    compute_max_distances,
+    measure_tracklets,
 )
-from mocapfix.labels.tracklets import TrackletDistances, assign_points, assign_tracklets, compute_max_distances, measure_tracklets
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import BODY_SECTIONS
+from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
+from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.subject.body_size import estimate_body_size_ratio
+from mocapfix.subject.average_body import (
+    PosedBody,
+    build_average_subject,
+    build_posed_body,
+    estimate_body_size_ratio,
+    scale_subject,
+)
+from mocapfix.subject.marker_set_fit import measure_marker_offsets
 
-TRIED_HEADING_COUNT = 12
-"""Headings in which a body is placed."""
-ARM_RAISES = (0.0, 0.5, 1.0)
-"""Arm positions in which a body is placed: 0 hanging, 1 as in a T-pose."""
-SEARCH_GATES_M = (0.4, 0.1)
-"""Distance at which a marker counts as not found, in the first and in the last round."""
-SEARCH_ROUNDS = 12
-"""Rounds of assignment and solve."""
-PRUNING_ROUND = 5
-"""Round after which only the best poses are continued."""
-MAX_CONTINUED_POSES = 12
-"""Poses that are continued."""
-SEARCH_ITERATIONS = 4
-"""Solver iterations in a round."""
-SEARCH_MARKER_SD_M = 0.04
-"""Standard deviation of a person's markers about those of the average body."""
+FINAL_OFFSET_WEIGHT = 0.8  # weight of the measured offset of a marker; that of the offset of the set is the rest
+POSING_SCALES_M = (0.2, 0.1)  # robust scales of the poses
+POSING_ITERATIONS = 8  # solver iterations at each scale
+POSING_MARKER_SD_M = 0.02  # standard deviation of a marker about the body per axis
+
+
+def build_set_body(marker_set: MarkerSet) -> PosedBody:
+    """Return the average body with the markers of a set, as far as they show it."""
+    body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
+    return build_posed_body(build_average_subject(marker_set), body)
+
+
+def pose_body(body: PosedBody, markers: Float[np.ndarray, "S K 3"]) -> Poses:
+    """Return the poses of a body in frames with some of its markers, in metres, NaN where missing."""
+    return body.fit(markers, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
+
+
+@dataclass(frozen=True)
+class ExtendedBody:
+    """A body with the labels of those tracklets that it was extended to."""
+
+    body: PosedBody  # the body with its marker offsets
+    markers: Int[np.ndarray, " N"]  # the marker of each of the N tracklets, -1 for none
+    cost: float  # its cost per frame: half the sum of squares in standard deviations
+    frames: Int[np.ndarray, " E"]  # indices of the sampled frames
+
+
+@dataclass(frozen=True)
+class PropagatedLabels:
+    """The labels of all tracklets."""
+
+    body: PosedBody  # the body with the offsets of this take
+    markers: Int[np.ndarray, " N"]  # the marker of each of the N tracklets, -1 for none
+    distances: TrackletDistances  # the distances of the tracklets from the markers
+    is_posed: Bool[np.ndarray, " S"]  # the sampled frames in which the body has a pose
+    poses: Poses  # root positions (S, 3) in metres and local rotations of the frames
+
+
+def adapt_offsets(
+    nominal: Subject, poses: Poses, positions: Float[np.ndarray, "S K 3"], weight: float = FINAL_OFFSET_WEIGHT
+) -> Subject:
+    """Return the subject with its marker offsets moved towards where the posed body has the markers, all the way by weight 1."""
+    joint_positions, joint_rotations = kinematics.compute_tree_poses(kinematics.build_kinematic_tree(nominal.skeleton), *poses)
+    offsets = nominal.marker_offsets.copy()
+    for k, joint in enumerate(nominal.joints):
+        own = slice(k, k + 1)
+        measured = measure_marker_offsets(positions[:, own], joint_positions[:, [joint]], joint_rotations[:, [joint]])[0][0, 0]
+        if not np.isnan(measured[0]):
+            offsets[k] += weight * (measured - offsets[k])
+    return replace(nominal, marker_offsets=offsets)
+
+
+def predict_in_posed_frames(labels: PropagatedLabels, subject: Subject) -> Float[np.ndarray, "S K 3"]:
+    """Return where the body carries the markers of a subject, in metres; NaN in frames without a pose."""
+    predicted = np.full((len(labels.is_posed), len(subject.labels), 3), np.nan)
+    frames = np.flatnonzero(labels.is_posed)
+    poses = labels.poses[0][frames], labels.poses[1][frames]
+    predicted[frames] = labels.body.change_subject(subject).predict(poses)
+    return predicted
+
+
+def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
+    """Return a subject of the size of another one with the marker offsets of the set."""
+    average = build_set_body(marker_set).subject
+    return scale_subject(average, subject.skeleton.total_length_m / average.skeleton.total_length_m)
+
+
+TRIED_HEADING_COUNT = 12  # headings in which a body is placed
+SEARCH_GATES_M = (0.4, 0.1)  # distance at which a marker counts as not found, in the first and in the last round
+SEARCH_ROUNDS = 12  # rounds of assignment and solve
+PRUNING_ROUND = 5  # round after which only the best poses are continued
+MAX_CONTINUED_POSES = 12  # poses that are continued
+SEARCH_ITERATIONS = 4  # solver iterations in a round
+SEARCH_MARKER_SD_M = 0.04  # standard deviation of a person's markers about those of the average body
 
 
 class FoundBody(NamedTuple):
@@ -87,7 +147,7 @@ def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[Fo
             kept = np.argsort([each.cost for each in found], kind="stable")[:MAX_CONTINUED_POSES]
             poses, found = (poses[0][kept], poses[1][kept]), [found[h] for h in kept]
         markers = _arrange_found(positions, found, predicted.shape[1])
-        body.solve(poses, markers, SEARCH_MARKER_SD_M, (float(gate),), SEARCH_ITERATIONS)
+        poses = body.solve(poses, markers, SEARCH_MARKER_SD_M, (float(gate),), SEARCH_ITERATIONS)
     markers = _arrange_found(positions, found, len(body.subject.joints))
     costs = body.compute_costs(poses, markers, SEARCH_MARKER_SD_M, SEARCH_GATES_M[1])
     missing_cost = 0.5 * (SEARCH_GATES_M[1] / SEARCH_MARKER_SD_M) ** 2
@@ -103,29 +163,10 @@ def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[Fo
 
 def place_bodies(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> Poses:
     """Return poses (H) of a body that stands where the points are, in all headings and arm positions."""
-    headings = Rotation.from_euler("y", np.linspace(0, 2 * np.pi, TRIED_HEADING_COUNT, endpoint=False)[:, None]).as_matrix()
-    raised = [raise_arms_to(body, share) for share in ARM_RAISES]
-    local_rotations = np.concatenate([np.tile(pose, (TRIED_HEADING_COUNT, 1, 1, 1)) for pose in raised])
-    local_rotations[:, 0] = np.tile(headings, (len(raised), 1, 1)) @ local_rotations[:, 0]
+    local_rotations = body.turn_around(TRIED_HEADING_COUNT)
     predicted = body.predict((np.zeros((len(local_rotations), 3)), local_rotations))
     root_position = np.median(positions, axis=0) - np.median(predicted, axis=1)
     return root_position, local_rotations
-
-
-def raise_arms_to(body: PosedBody, share: float) -> Float[np.ndarray, "J 3 3"]:
-    """Return the mean pose with the arms between hanging (share 0) and a T-pose (share 1)."""
-    raised, skeleton = body.prior.mean_rotations.copy(), body.subject.skeleton
-    for side in ("Left", "Right"):
-        for bone in ("Shoulder", "Arm", "ForeArm"):
-            j = skeleton.find_joint(side + bone)
-            raised[j] = Rotation.from_rotvec((1 - share) * Rotation.from_matrix(raised[j]).as_rotvec()).as_matrix()
-    return raised
-
-
-def fit_height(body: PosedBody, height_m: float) -> PosedBody:
-    """Return a body whose markers in the mean pose have this height, in metres."""
-    mean_pose = np.zeros((1, 3)), body.prior.mean_rotations[None].copy()
-    return body.change_subject(scale_subject(body.subject, height_m / float(np.ptp(body.predict(mean_pose)[0, :, 1]))))
 
 
 def _arrange_found(positions: Float[np.ndarray, "V 3"], found: list[FoundBody], marker_count: int) -> Float[np.ndarray, "H K 3"]:
@@ -136,20 +177,15 @@ def _arrange_found(positions: Float[np.ndarray, "V 3"], found: list[FoundBody], 
     return markers
 
 
-MAX_EXTENSION_FRAMES = 40
-"""Frames to which a body is extended."""
+MAX_EXTENSION_FRAMES = 40  # frames to which a body is extended
+# Markers that such a frame must show, as a share of those of the frame in which the body was found.
 MIN_EXTENSION_MARKER_SHARE = 0.75
-"""Markers that such a frame must show, as a share of those of the frame in which the body was found."""
-EXTENSION_GATE_M = 0.2
-"""Distance above which all distances of a point from a marker are equal."""
-MAX_EXTENSION_DISTANCES_M = (0.1, 0.1, 0.1, 0.15, 0.15)
-"""Distance in each round at which no label is as likely as a label."""
+EXTENSION_GATE_M = 0.2  # distance above which all distances of a point from a marker are equal
+MAX_EXTENSION_DISTANCES_M = (0.1, 0.1, 0.1, 0.15, 0.15)  # distance in each round at which no label is as likely as a label
+# Cost of a marker without a point in a frame that has points without a marker, in half squares of standard deviations.
 MISSING_MARKER_COST = 120.0
-"""Cost of a marker without a point in a frame that has points without a marker, in half squares of standard deviations."""
-OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, FINAL_OFFSET_WEIGHT)
-"""Weight of the measured offset of a marker after each round."""
-MIN_OFFSET_SPREAD_M = 0.015
-"""Smallest standard deviation per axis of the offset of a person's marker from that of the set."""
+OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, FINAL_OFFSET_WEIGHT)  # weight of the measured offset of a marker after each round
+MIN_OFFSET_SPREAD_M = 0.015  # smallest standard deviation per axis of the offset of a person's marker from that of the set
 
 
 def extend_body(
@@ -158,7 +194,6 @@ def extend_body(
     """Return a body with the labels that hold in several frames.
 
     Args:
-        sampled: The points.
         markers: The marker of each tracklet that was found in one frame, -1 for all others.
         body: The body with which they were found.
         marker_set: The set, from which size and offsets of the body are estimated; None if those of `body` are known.
@@ -167,14 +202,13 @@ def extend_body(
     frames = select_extension_frames(sampled, markers)
     part = sampled.select_frames(frames)
     if marker_set is not None:
-        average = build_average_body(marker_set)
+        average = build_set_body(marker_set)
         size = estimate_body_size_ratio(average.subject.skeleton, marker_set, part.arrange_markers(markers, count))
         body = body.change_subject(scale_subject(average.subject, size))
     nominal = body.subject
     for offset_weight, max_distance in zip(OFFSET_WEIGHTS, MAX_EXTENSION_DISTANCES_M, strict=True):
         positions = part.arrange_markers(markers, count)
-        poses = body.register(positions)
-        body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
+        poses = pose_body(body, positions)
         if marker_set is not None:
             body = body.change_subject(adapt_offsets(nominal, poses, positions, offset_weight))
         distances = measure_tracklets(part, body.predict(poses), EXTENSION_GATE_M)
@@ -193,8 +227,7 @@ def compute_body_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"], bo
     """
     count = len(body.subject.joints)
     positions = sampled.arrange_markers(markers, count)
-    poses = body.register(positions)
-    body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
+    poses = pose_body(body, positions)
     costs = body.compute_costs(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M[-1])
     spread = np.maximum(nominal.marker_spread, MIN_OFFSET_SPREAD_M)[:, None]
     offset_cost = 0.5 * float((((body.subject.marker_offsets - nominal.marker_offsets) / spread) ** 2).sum())
@@ -210,14 +243,10 @@ def select_extension_frames(sampled: SampledPoints, markers: Int[np.ndarray, " N
     return enough[sample_evenly(len(enough), MAX_EXTENSION_FRAMES)]
 
 
-MIN_LOST_MARKERS = 2
-"""Markers without a trajectory, and unlabelled trajectories, with which a limb is searched for."""
-MAX_LIMB_POSES = 24
-"""Poses of other frames that are tried."""
-LIMB_GATES_M = (0.35, 0.08)
-"""Distance at which a marker counts as not found, in the first and in the last round."""
-LIMB_SEARCH_ROUNDS = 8
-"""Rounds of assignment and solve."""
+MIN_LOST_MARKERS = 2  # markers without a trajectory, and unlabelled trajectories, with which a limb is searched for
+MAX_LIMB_POSES = 24  # poses of other frames that are tried
+LIMB_GATES_M = (0.35, 0.08)  # distance at which a marker counts as not found, in the first and in the last round
+LIMB_SEARCH_ROUNDS = 8  # rounds of assignment and solve
 
 
 def find_limb_frame(sampled: SampledPoints, labels: PropagatedLabels, is_lost: Bool[np.ndarray, " N"]) -> int:
@@ -250,7 +279,7 @@ def search_limb(
             assigned[h] = assign_points(squared, float(gate))[0]
             is_found = assigned[h] >= 0
             markers[h, missing[assigned[h, is_found]]] = sampled.positions[frame, free[is_found]]
-        body.solve(poses, markers, POSING_MARKER_SD_M, (float(gate),), POSING_ITERATIONS)
+        poses = body.solve(poses, markers, POSING_MARKER_SD_M, (float(gate),), POSING_ITERATIONS)
     costs = body.compute_costs(poses, markers, POSING_MARKER_SD_M, LIMB_GATES_M[1])
     missing_cost = 0.5 * (LIMB_GATES_M[1] / POSING_MARKER_SD_M) ** 2
     best = int(np.argmin(costs - missing_cost * (assigned >= 0).sum(1)))
@@ -274,14 +303,10 @@ def place_limbs(sampled: SampledPoints, labels: PropagatedLabels, frame: int, mi
     return root, local
 
 
-KEY_FRAME_COUNT = 8
-"""Frames in which a body is searched for."""
-KEY_FRAME_POINT_SHARE = 0.9
-"""Points that such a frame shows, as a share of the 90th percentile over all frames."""
-KEY_FRAME_HEIGHT_QUANTILES = (0.2, 1.0)
-"""Range of the heights of these frames: the lowest show people who crouch or lie."""
-STANDING_HEIGHT_QUANTILE = 0.7
-"""Quantile of the heights that a standing person has; the highest are those of raised arms."""
+KEY_FRAME_COUNT = 8  # frames in which a body is searched for
+KEY_FRAME_POINT_SHARE = 0.9  # points that such a frame shows, as a share of the 90th percentile over all frames
+KEY_FRAME_HEIGHT_QUANTILES = (0.2, 1.0)  # range of the heights of these frames: the lowest show people who crouch or lie
+STANDING_HEIGHT_QUANTILE = 0.7  # quantile of the heights that a standing person has; the highest are those of raised arms
 
 
 def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], float]:
@@ -295,23 +320,18 @@ def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], fl
     return np.unique(order[places.astype(int)]), float(np.quantile(height, STANDING_HEIGHT_QUANTILE))
 
 
+# Labelled markers with which a frame is posed, as a share of the markers that the body has in most frames.
 MIN_POSED_MARKER_SHARE = 0.6
-"""Labelled markers with which a frame is posed, as a share of the markers that the body has in most frames."""
-MAX_PROPAGATION_ROUNDS = 200
-"""Rounds of posing and assignment; a round extends the labels by about the duration of a tracklet."""
-MAX_OFFSET_FRAMES = 120
-"""Frames from which the offsets of the markers are estimated."""
-MAX_OFFSET_ROUNDS = 6
-"""Rounds in which the offsets are adapted."""
-PROPAGATION_GATE_M = 0.2
-"""Distance above which all distances of a point from a marker are equal."""
+MAX_PROPAGATION_ROUNDS = 200  # rounds of posing and assignment; a round extends the labels by about the duration of a tracklet
+MAX_OFFSET_FRAMES = 120  # frames from which the offsets of the markers are estimated
+MAX_OFFSET_ROUNDS = 6  # rounds in which the offsets are adapted
+PROPAGATION_GATE_M = 0.2  # distance above which all distances of a point from a marker are equal
 
 
 def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subject | None) -> PropagatedLabels:
     """Return the labels of all tracklets that can be reached from those of `start`.
 
     Args:
-        sampled: The points.
         start: A body and its labels in some frames.
         nominal: The subject whose offsets are adapted to the take; None if those of `start` are known.
     """
@@ -337,9 +357,7 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
             break
         frames = np.flatnonzero(is_changed)
         if len(frames):
-            poses = body.register(positions[frames])
-            body.solve(poses, positions[frames], POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
-            root[frames], local[frames] = poses
+            root[frames], local[frames] = pose_body(body, positions[frames])
             posed_positions[frames] = positions[frames]
             is_posed |= is_changed
         if adapts and nominal is not None:
@@ -347,9 +365,9 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
             chosen = known[sample_evenly(len(known), MAX_OFFSET_FRAMES)]
             body = body.change_subject(adapt_offsets(nominal, (root[chosen], local[chosen]), posed_positions[chosen]))
             frames = known
-            poses = root[frames], local[frames]
-            body.solve(poses, posed_positions[frames], POSING_MARKER_SD_M, POSING_SCALES_M[-1:], 3)
-            root[frames], local[frames] = poses
+            root[frames], local[frames] = body.solve(
+                (root[frames], local[frames]), posed_positions[frames], POSING_MARKER_SD_M, POSING_SCALES_M[-1:], 3
+            )
         predicted[frames] = body.predict((root[frames], local[frames]))
         distances = measure_tracklets(sampled, predicted, PROPAGATION_GATE_M)
         markers = assign_tracklets(sampled, distances.squared_m2, max_distance)

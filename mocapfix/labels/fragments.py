@@ -29,31 +29,21 @@ from mocapfix.labels.trajectory_segments import (
 from mocapfix.model.faults import JOINED_RELATIONS, Fault, Fragment, FragmentRelation, overlap_in_time
 from mocapfix.model.take import Take
 
-# A point with a smaller extent in each axis is stationary.
-MAX_STATIC_EXTENT_M = 0.005
-# Standard deviation of the distances of a point on the body to its nearest markers.
-MAX_RIGID_DISTANCE_SD_M = 0.015
+MAX_STATIC_EXTENT_M = 0.005  # a point with a smaller extent in each axis is stationary
+MAX_RIGID_DISTANCE_SD_M = 0.015  # standard deviation of the distances of a point on the body to its nearest markers
 # Number of markers whose distances are compared in all samples: those with the steadiest distances in a few.
 MAX_RIGID_CANDIDATES = 100
-# The motion of a shorter segment is not described.
-MIN_DESCRIBED_DURATION_S = 0.25
+MIN_DESCRIBED_DURATION_S = 0.25  # the motion of a shorter segment is not described
 
 
 @dataclass(frozen=True)
 class MarkerMatch:
-    """How well a segment matches a marker.
+    """How well a segment matches a marker."""
 
-    Attributes:
-        marker: Index of the marker.
-        cost: Cost of the match, infinite if it is ruled out.
-        distance_error_m: Deviation in metres of the distances to the partners.
-        partners: Indices of the markers whose distances were compared. Empty if only the path was.
-    """
-
-    marker: int
-    cost: float
-    distance_error_m: float
-    partners: tuple[int, ...]
+    marker: int  # index of the marker
+    cost: float  # cost of the match, infinite if it is ruled out
+    distance_error_m: float  # deviation in metres of the distances to the partners
+    partners: tuple[int, ...]  # indices of the markers whose distances were compared. Empty if only the path was.
 
 
 def classify_continuation(
@@ -181,20 +171,14 @@ def _format_duration(segment: TrajectorySegment, take: Take) -> str:
     return f"{count} frame{'s' if count > 1 else ''}"
 
 
-# Cost of a segment that belongs to none of the markers.
-UNASSIGNED_COST = 20.0
+UNASSIGNED_COST = 20.0  # cost of a segment that belongs to none of the markers
 # With a larger deviation of the distances or of the side, in standard deviations, a marker is ruled out.
 MAX_SIGNATURE_DEVIATION_SD = 4.5
-# Factor of the deviations from the marker whose label the segment has.
-NAMESAKE_SCALE = 0.5
-# Cost of unknown distances.
-UNKNOWN_SIGNATURE_COST = 3.0
-# Cost of an unknown path.
-UNKNOWN_JOIN_COST = 1.0
-# Smallest probability with which a segment is joined.
-MIN_JOIN_PROBABILITY = 0.9
-# A shorter segment is not classified.
-MIN_SEGMENT_DURATION_S = 0.015
+NAMESAKE_SCALE = 0.5  # factor of the deviations from the marker whose label the segment has
+UNKNOWN_SIGNATURE_COST = 3.0  # cost of unknown distances
+UNKNOWN_JOIN_COST = 1.0  # cost of an unknown path
+MIN_JOIN_PROBABILITY = 0.9  # smallest probability with which a segment is joined
+MIN_SEGMENT_DURATION_S = 0.015  # a shorter segment is not classified
 # Longest gap across which a path is compared, with and without matching distances.
 MAX_JOIN_GAP_S = 0.3
 MAX_UNSUPPORTED_JOIN_GAP_S = 0.05
@@ -272,7 +256,6 @@ def find_matches(
     """Evaluate a segment as each of the receivers that are missing at that time.
 
     Args:
-        segment: The segment.
         markers: World positions in metres, NaN where missing.
         is_missing: Whether the positions are NaN.
         rate: Frame rate in Hz.

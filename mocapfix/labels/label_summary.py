@@ -9,8 +9,7 @@ from mocapfix.errors import format_name_list
 from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
 
-CERTAIN_LABEL_CONFIDENCE = 0.95
-"""Confidence from which a label is certain."""
+CERTAIN_LABEL_CONFIDENCE = 0.95  # confidence from which a label is certain
 
 
 class LabelledMarkerEntry(TypedDict):

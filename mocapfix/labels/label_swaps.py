@@ -35,33 +35,22 @@ from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, MarkerTrajectories, build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
-# Shortest exchange with a label that is missing at that time: a shorter one may be a spike.
-MIN_PARTIAL_SWAP_DURATION_S = 0.1
-# Cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct.
-SWAPPED_COST_PER_S = 0.1
-# Smallest cost, in leaps, that an exchange saves.
-MIN_SWAP_GAIN = 0.7
+MIN_PARTIAL_SWAP_DURATION_S = 0.1  # shortest exchange with a label that is missing at that time: a shorter one may be a spike
+SWAPPED_COST_PER_S = 0.1  # cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct
+MIN_SWAP_GAIN = 0.7  # smallest cost, in leaps, that an exchange saves
 # Largest contradiction of exchanged samples, relative to that of the labels as they are, if no leap shows the exchange. In a rare
 # pose of several seconds neither fits: 0.76 to 0.96 were measured there for the two markers of a wrist.
 MAX_EXCHANGED_MISFIT = 0.6
 
 
 class LabelExchange(NamedTuple):
-    """An exchange of labels over the frames first..last.
+    """An exchange of labels over the frames first..last."""
 
-    Attributes:
-        cycle: Marker indices. The samples of each marker are under the next one's label.
-        first: Index of the first frame.
-        last: Index of the last frame.
-        gain: Cost in leaps that undoing the exchange saves.
-        counter_evidence: Cost in leaps, by the distances, if these frames were correct and all others exchanged.
-    """
-
-    cycle: tuple[int, ...]
-    first: int
-    last: int
-    gain: float
-    counter_evidence: float
+    cycle: tuple[int, ...]  # marker indices. The samples of each marker are under the next one's label.
+    first: int  # index of the first frame
+    last: int  # index of the last frame
+    gain: float  # cost in leaps that undoing the exchange saves
+    counter_evidence: float  # cost in leaps, by the distances, if these frames were correct and all others exchanged
 
 
 def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[LabelExchange]:
@@ -114,8 +103,7 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
 
 
 MAX_SWAP_PASSES = 5
-# A label that is visible in a smaller fraction of the take is a fragment, not a marker.
-MIN_LABEL_VISIBLE_FRACTION = 0.5
+MIN_LABEL_VISIBLE_FRACTION = 0.5  # a label that is visible in a smaller fraction of the take is a fragment, not a marker
 # Number of triples above which only pairs are compared: then labels are not exchanged here and there, but arbitrary.
 MAX_SWAP_TRIPLES = 1000
 

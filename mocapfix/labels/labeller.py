@@ -1,13 +1,12 @@
 """The labeller: the marker of each of a take's unlabelled points.
 
-Several people in the points of one take: each person is found among all points, and labelled again among their own.
-
 The labeller finds one person among any number of other points. The points that it leaves without a label are searched for the
 next person, as long as there are enough of them. Then every tracklet belongs to one person, those without a label to the nearest,
 and each person is labelled once more as if alone: points of others no longer mislead the search.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -15,57 +14,47 @@ from jaxtyping import Bool, Int
 from mocapfix.labels.body_search import (
     MIN_LOST_MARKERS,
     PROPAGATION_GATE_M,
+    ExtendedBody,
+    PropagatedLabels,
+    build_set_body,
     compute_body_cost,
     extend_body,
     find_limb_frame,
-    fit_height,
+    predict_in_posed_frames,
     propagate_labels,
+    scale_nominal_subject,
     search_body,
     search_limb,
     select_extension_frames,
     select_key_frames,
 )
-from mocapfix.labels.label_overlaps import (
-    CONTINUED_LABEL_CONFIDENCE,
-    compute_label_confidence,
-    continue_labels,
-    label_single_points,
-)
-from mocapfix.labels.points import PointLabels, SampledPoints, UnlabelledPoints, assign_to_tracklets, sample_points
-from mocapfix.labels.posed_body import (
-    ExtendedBody,
-    PropagatedLabels,
-    build_average_body,
-    build_subject_body,
-    predict_in_posed_frames,
-    scale_nominal_subject,
-)
 from mocapfix.labels.set_comparison import add_optional_markers, measure_marker_evidence
 from mocapfix.labels.tracklets import (
-    are_points_unordered,
+    PointLabels,
+    SampledPoints,
+    UnlabelledPoints,
     assign_tracklets,
+    compute_label_confidence,
     compute_max_distances,
+    label_nothing,
+    label_points_of_tracklets,
     measure_durations,
     measure_tracklets,
+    sample_points,
     select_lasting_tracklets,
 )
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
+from mocapfix.subject.average_body import build_posed_body
 
-BODIES_PER_KEY_FRAME = 3
-"""Bodies of each frame that are kept."""
-MAX_EXTENDED_BODIES = 8
-"""Best bodies of all frames that are extended to other frames."""
+BODIES_PER_KEY_FRAME = 3  # bodies of each frame that are kept
+MAX_EXTENDED_BODIES = 8  # best bodies of all frames that are extended to other frames
 
-MIN_KEPT_CONFIDENCE = 0.5
-"""Confidence below which a tracklet stays without a label."""
+MIN_KEPT_CONFIDENCE = 0.5  # confidence below which a tracklet stays without a label
 
-MIN_RECONSIDERED_S = 0.5
-"""Total duration of tracklets with which other labels are tried."""
-MIN_LOST_TRACKLET_S = 0.4
-"""Duration of an unlabelled tracklet that may be a lost marker; shorter ones are often ghosts."""
-MAX_LIMB_SEARCHES = 6
-"""Frames in which limbs are searched for."""
+MIN_RECONSIDERED_S = 0.5  # total duration of tracklets with which other labels are tried
+MIN_LOST_TRACKLET_S = 0.4  # duration of an unlabelled tracklet that may be a lost marker; shorter ones are often ghosts
+MAX_LIMB_SEARCHES = 6  # frames in which limbs are searched for
 
 
 def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None) -> PointLabels:
@@ -82,7 +71,7 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     lasting = select_lasting_tracklets(sampled)
     start = find_labelled_body(lasting, searched, known)
     if start is None:
-        return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
+        return label_nothing(points)
     evidence = np.inf if subject else measure_marker_evidence(lasting, start, searched).per_marker
     nominal = None if subject else scale_nominal_subject(start.body.subject, searched)
     labels = recover_limbs(sampled, propagate_labels(sampled, start, nominal))
@@ -95,12 +84,8 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
         all_markers = subject or scale_nominal_subject(labels.body.subject, marker_set)
         markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
     predicted = predict_in_posed_frames(labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
-    marker_indices = label_single_points(points, sampled, predicted, markers)
-    point_confidence = assign_to_tracklets(points, confidence, 0.0)
-    if not are_points_unordered(points.positions):
-        before, marker_indices = marker_indices, continue_labels(points, marker_indices)
-        point_confidence[marker_indices != before] = CONTINUED_LABEL_CONFIDENCE
-    return PointLabels(marker_indices, point_confidence, evidence_per_marker=evidence)
+    labelled = label_points_of_tracklets(points, sampled, predicted, markers, confidence)
+    return replace(labelled, evidence_per_marker=evidence)
 
 
 def recover_limbs(sampled: SampledPoints, labels: PropagatedLabels) -> PropagatedLabels:
@@ -128,7 +113,6 @@ def reconsider_labels(sampled: SampledPoints, labels: PropagatedLabels, nominal:
     markers. So the tracklets are assigned once more to where the posed body has the markers of the set itself.
 
     Args:
-        sampled: The points.
         labels: The labels with a body that is adapted to the take.
         nominal: The subject with the marker offsets of the set.
     """
@@ -152,11 +136,11 @@ def reconsider_labels(sampled: SampledPoints, labels: PropagatedLabels, nominal:
 
 def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
     """Return the best body in a few frames of the take; None if the points show neither a body nor a part of one."""
-    body = build_subject_body(subject) if subject else build_average_body(marker_set)
+    body = build_posed_body(subject) if subject else build_set_body(marker_set)
     candidates: list[tuple[float, np.ndarray]] = []
     frames, height_m = select_key_frames(sampled)
     if not subject:
-        body = fit_height(body, height_m)
+        body = body.fit_height(height_m)
     for frame in frames:
         visible = np.flatnonzero(sampled.tracklets[frame] >= 0)
         for found in search_body(sampled.positions[frame, visible], body)[:BODIES_PER_KEY_FRAME]:
@@ -174,16 +158,11 @@ def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: S
 
 PersonLabeller = Callable[[UnlabelledPoints, MarkerSet], PointLabels]
 
-MIN_PERSON_SHARE = 0.6
-"""Share of the markers of the set that another person has at least."""
-POINT_COUNT_QUANTILE = 0.9
-"""Quantile over the frames of the number of points."""
-MAX_PEOPLE = 6
-"""Largest number of people."""
-MAX_PROXIMITY_FRAMES = 60
-"""Frames in which the distance of a tracklet from each person is measured."""
-NEAREST_POINT_COUNT = 3
-"""Labelled points of a person to which that distance is measured."""
+MIN_PERSON_SHARE = 0.6  # share of the markers of the set that another person has at least
+POINT_COUNT_QUANTILE = 0.9  # quantile over the frames of the number of points
+MAX_PEOPLE = 6  # largest number of people
+MAX_PROXIMITY_FRAMES = 60  # frames in which the distance of a tracklet from each person is measured
+NEAREST_POINT_COUNT = 3  # labelled points of a person to which that distance is measured
 
 
 def label_people(points: UnlabelledPoints, marker_set: MarkerSet, label_person: PersonLabeller) -> PointLabels:
@@ -227,7 +206,6 @@ def assign_to_people(points: UnlabelledPoints, masks: list[Bool[np.ndarray, "T C
     """Return the person of each point, -1 where there is no point.
 
     Args:
-        points: The points.
         masks: The labelled points of each person. A tracklet belongs to whom most of them are, or else to the nearest person.
     """
     tracklets = points.tracklet_indices

@@ -5,13 +5,11 @@ frames, with the labels as they are and with an exchange undone. The difference 
 is attached once, so all frames of a take are one observation of its position, and one typical frame is as informative as all
 of them.
 
-A coarse fit of a body to single frames: where the body would have the visible markers.
-
 The body is a known subject's, or the average one. Of the average body only the size is estimated from the take, so that a label
 that is wrong throughout cannot shift the expected position of its marker.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,86 +19,27 @@ from mocapfix.errors import format_name_list
 from mocapfix.labels.label_swaps import find_permutation_cycles
 from mocapfix.model.faults import Fault
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.solve import kinematics, mean_pose
-from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits
-from mocapfix.solve.pose_problem import build_marker_problem
-from mocapfix.solve.segment_registration import register_poses
-from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term, compute_robust_costs
+from mocapfix.solve.terms import compute_robust_costs
+from mocapfix.subject.average_body import (
+    PosedBody,
+    build_average_subject,
+    build_posed_body,
+    compute_rest_marker_positions,
+    estimate_body_size_ratio,
+)
 
 # Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
 BODY_MARKER_SD_M = 0.030
-# Scales of the robust loss (Geman & McClure 1987), from coarse to fine.
-ROBUST_SCALES_M = (0.4, 0.2, 0.1)
-# Number of iterations at each scale.
-MAX_BODY_FIT_ITERATIONS = 8
-# The distance of a nearer pair of markers depends more on their placement than on the subject's size.
-MIN_SIZE_DISTANCE_M = 0.12
+ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # scales of the robust loss (Geman & McClure 1987), from coarse to fine
+MAX_BODY_FIT_ITERATIONS = 8  # number of iterations at each scale
 
 
-@dataclass(frozen=True)
-class BodyFitter:
-    """A subject with K markers and the prior on its poses."""
-
-    body: BodyModel
-    subject: Subject
-    prior: MeanPosePrior
-    limits: JointLimits
-
-    def predict_markers(self, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
-        """Fit the body to each frame separately and return the world positions of all its markers in metres.
-
-        Args:
-            markers: Measured world positions in metres, NaN where missing.
-        """
-        poses = register_poses(self.subject, self.body.free_joints, self.prior, markers)
-        prior, limits = build_pose_prior_term(self.prior), build_joint_limit_term(self.limits)
-        problem = build_marker_problem(self.subject, self.body.free_joints, markers, BODY_MARKER_SD_M, prior, limits)
-        start = poses.root_position, poses.local_rotations
-        solution = problem.minimise(start, ROBUST_SCALES_M, max_iterations=MAX_BODY_FIT_ITERATIONS)
-        return kinematics.predict_markers(self.subject, solution.poses)
-
-
-def build_body_fitter(subject: Subject) -> BodyFitter:
-    """Build the fitter of a known subject."""
-    body = subject.body_model
-    return BodyFitter(body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))
-
-
-def build_average_body_fitter(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> BodyFitter:
-    """Build the fitter of the average body at the size of the measured markers.
-
-    Args:
-        marker_set: The set with K markers.
-        markers: Measured world positions in metres, NaN where missing.
-    """
-    skeleton, ratio = load_cmu31_body().skeleton, estimate_size_ratio(marker_set, markers)
-    scaled = replace(skeleton, offsets=skeleton.offsets * ratio, ends=skeleton.ends * ratio)
-    return build_body_fitter(build_nominal_subject(marker_set, scaled, marker_set.marker_offsets * ratio))
-
-
-def build_nominal_subject(marker_set: MarkerSet, skeleton: Skeleton, marker_offsets: Float[np.ndarray, "K 3"]) -> Subject:
-    """Build a subject with this skeleton and the set's markers at these offsets in metres in their joints' axes."""
-    return Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, marker_offsets, marker_set.marker_spread)
-
-
-def estimate_size_ratio(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> float:
-    """Estimate the subject's size relative to the average body.
-
-    This is the median ratio of the distances between markers of the same segment, 1 if none is visible.
-    """
-    first, second = np.triu_indices(len(marker_set.joints), 1)
-    nominal_m = np.linalg.norm(marker_set.marker_offsets[first] - marker_set.marker_offsets[second], axis=1)
-    is_same_segment = marker_set.joints[first] == marker_set.joints[second]
-    visible = ~np.isnan(markers[..., 0])
-    is_known = is_same_segment & (nominal_m > MIN_SIZE_DISTANCE_M) & (visible[:, first] & visible[:, second]).any(0)
-    if not is_known.any():
-        return 1.0
-    distance_m = np.linalg.norm(markers[:, first[is_known]] - markers[:, second[is_known]], axis=-1)
-    return float(np.median(np.nanmedian(distance_m, axis=0) / nominal_m[is_known]))
+def fit_markers(body: PosedBody, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
+    """Return where the body, fitted to each frame by itself, has all its markers, in metres; `markers` are NaN where missing."""
+    return body.predict(body.fit(markers, BODY_MARKER_SD_M, ROBUST_SCALES_M, MAX_BODY_FIT_ITERATIONS))
 
 
 def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
@@ -109,38 +48,21 @@ def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[
     return np.nan_to_num(compute_robust_costs(square, ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
 
 
-def compute_rest_markers(marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
-    """Compute the positions in metres of the set's markers on the average body in its rest pose."""
-    skeleton = load_cmu31_body().skeleton
-    identity = np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
-    empty = np.zeros((1, 0))
-    motion = Motion(np.zeros((1, 3)), identity, np.zeros(1, int), np.zeros(1, int), empty, empty)
-    subject = build_nominal_subject(marker_set, skeleton, marker_set.marker_offsets)
-    return kinematics.compute_joint_and_marker_positions(subject, motion)[1][0]
-
-
 # The body rests facing +Z, so left and right differ in the sign of x.
 # Distance of a marker from the mirrored place of another within which the two mirror each other.
 MAX_TWIN_DISTANCE_M = 0.15
 MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
-# Number of frames to which the body is fitted, evenly spread over the fullest ones.
-MAX_BODY_FIT_FRAMES = 16
-# Number of visible markers in these frames, relative to the fullest frame.
-MIN_RELATIVE_MARKER_COUNT = 0.9
-# No body is fitted to frames with fewer markers.
-MIN_FITTED_MARKERS = 12
-# Number of the frames in which a marker must be visible.
-MIN_MARKER_FRAMES = 5
-# Number of pairs of markers for whose exchange the body is fitted again.
-MAX_TESTED_PAIRS = 16
+MAX_BODY_FIT_FRAMES = 16  # number of frames to which the body is fitted, evenly spread over the fullest ones
+MIN_RELATIVE_MARKER_COUNT = 0.9  # number of visible markers in these frames, relative to the fullest frame
+MIN_FITTED_MARKERS = 12  # no body is fitted to frames with fewer markers
+MIN_MARKER_FRAMES = 5  # number of the frames in which a marker must be visible
+MAX_TESTED_PAIRS = 16  # number of pairs of markers for whose exchange the body is fitted again
 # Smallest gain in log likelihood of such an exchange with the body unchanged. A true exchange loses nothing.
 MIN_PRELIMINARY_GAIN = -2.0
-# Smallest gain in log likelihood of an exchange.
-MIN_EXCHANGE_GAIN = 0.5
+MIN_EXCHANGE_GAIN = 0.5  # smallest gain in log likelihood of an exchange
 # Log of the prior odds that the labels are correct. With it a gain of 2 is just sufficient to change labels.
 CORRECT_LABEL_LOG_ODDS = 1.6
-# Number of exchanges in a take.
-MAX_EXCHANGE_COUNT = 12
+MAX_EXCHANGE_COUNT = 12  # number of exchanges in a take
 # With a larger mean misfit of the markers, in log likelihood, these are not the set's markers, whatever their labels.
 MAX_MEAN_MISFIT = 2.0
 # Largest distance of the exchanged markers from the body after an exchange is undone, relative to that before.
@@ -149,15 +71,10 @@ MAX_REMAINING_MISPLACEMENT = 0.7
 
 @dataclass(frozen=True)
 class RelabelStep:
-    """One exchange that was undone.
+    """One exchange that was undone."""
 
-    Attributes:
-        permutation: For each of K markers (K,), the index of the marker whose label it has.
-        gain: Gain in log likelihood.
-    """
-
-    permutation: np.ndarray
-    gain: float
+    permutation: np.ndarray  # for each of K markers (K,), the index of the marker whose label it has
+    gain: float  # gain in log likelihood
 
     @property
     def is_exchanged(self) -> Bool[np.ndarray, " K"]:
@@ -179,7 +96,6 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     exchange that occurs equally on both sides is not a fault but a naming convention of the studio.
 
     Args:
-        take: The take.
         marker_set: The marker set of its labels.
         subject: The subject, if known; otherwise the average body is used.
 
@@ -191,14 +107,17 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     markers = select_fullest_frames(take.select(columns, take.visible).markers)
     if len(markers) == 0:
         return []
-    fitter = build_body_fitter(subject) if subject else build_average_body_fitter(marker_set, markers)
+    if subject is None:
+        size = estimate_body_size_ratio(load_cmu31_body().skeleton, marker_set, markers, min_frames=1)
+        subject = build_average_subject(marker_set, size)
+    body = build_posed_body(subject)
     own, is_in_take = np.arange(len(columns)), columns >= 0  # a marker that is not in the take has no label to exchange
     permutations = [np.where(is_in_take & is_in_take[each], each, own) for each in list_mirror_exchanges(marker_set)]
-    order, steps = find_correct_labels(markers, fitter, permutations)
+    order, steps = find_correct_labels(markers, body, permutations)
     if not steps:
         return []
     relabelled = np.ascontiguousarray(markers[:, order])
-    predicted_before, predicted_after = fitter.predict_markers(markers), fitter.predict_markers(relabelled)
+    predicted_before, predicted_after = fit_markers(body, markers), fit_markers(body, relabelled)
     misfit = compute_marker_misfit(relabelled, predicted_after)
     if misfit.sum() > MAX_MEAN_MISFIT * (~np.isnan(relabelled[..., 0])).sum():
         return []
@@ -219,13 +138,12 @@ def select_fullest_frames(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarr
 
 
 def find_correct_labels(
-    markers: Float[np.ndarray, "N K 3"], fitter: BodyFitter, permutations: list[Int[np.ndarray, " K"]]
+    markers: Float[np.ndarray, "N K 3"], body: PosedBody, permutations: list[Int[np.ndarray, " K"]]
 ) -> tuple[Int[np.ndarray, " K"], list[RelabelStep]]:
     """Search the correct labels by undoing one exchange after the other, each time the one with the largest gain.
 
     Args:
         markers: World positions in metres, NaN where missing.
-        fitter: The body.
         permutations: Exchanges that are tried in addition to those of two markers.
 
     Returns:
@@ -235,13 +153,13 @@ def find_correct_labels(
     is_testable = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MARKER_FRAMES
     while len(steps) < MAX_EXCHANGE_COUNT:
         current = np.ascontiguousarray(markers[:, order])
-        predicted = fitter.predict_markers(current)
+        predicted = fit_markers(body, current)
         misfit = compute_marker_misfit(current, predicted).sum(1)
         candidates = [*permutations, *find_pair_exchanges(current, predicted, is_testable[order])]
         if not candidates:
             break
         best = max(
-            (_evaluate_permutation(current, fitter, misfit, permutation) for permutation in candidates),
+            (_evaluate_permutation(current, body, misfit, permutation) for permutation in candidates),
             key=lambda step: step.gain,
         )
         if best.gain < MIN_EXCHANGE_GAIN:
@@ -252,12 +170,12 @@ def find_correct_labels(
 
 
 def _evaluate_permutation(
-    markers: np.ndarray, fitter: BodyFitter, current_misfit: np.ndarray, permutation: np.ndarray
+    markers: np.ndarray, body: PosedBody, current_misfit: np.ndarray, permutation: np.ndarray
 ) -> RelabelStep:
     permuted = np.ascontiguousarray(markers[:, permutation])
     is_exchanged = permutation != np.arange(len(permutation))
     is_visible = ~np.isnan(markers[:, is_exchanged, 0]).all(1)
-    gain = current_misfit - compute_marker_misfit(permuted, fitter.predict_markers(permuted)).sum(1)
+    gain = current_misfit - compute_marker_misfit(permuted, fit_markers(body, permuted)).sum(1)
     return RelabelStep(permutation, float(np.median(gain[is_visible])) if is_visible.sum() >= MIN_MARKER_FRAMES else 0.0)
 
 
@@ -280,7 +198,7 @@ def find_pair_exchanges(
 
 def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
     """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
-    rest = compute_rest_markers(marker_set)
+    rest = compute_rest_marker_positions(load_cmu31_body().skeleton, marker_set)
     distance_m = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1)
     nearest, own = distance_m.argmin(1), np.arange(len(rest))
     return np.where((nearest[nearest] == own) & (distance_m.min(1) <= MAX_TWIN_DISTANCE_M), nearest, own)

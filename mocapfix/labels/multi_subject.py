@@ -22,8 +22,7 @@ from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.result import CleaningResult
 from mocapfix.subject.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject, select_subject
 
-MIN_UNASSIGNED_MARKERS = 3
-"""the number of unassigned markers visible in one frame that is needed to fill them from each other"""
+MIN_UNASSIGNED_MARKERS = 3  # the number of unassigned markers visible in one frame that is needed to fill them from each other
 
 
 def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...]:
@@ -90,7 +89,6 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
     """Return the takes to clean one after the other: the take itself, unless it shows several bodies or parts of bodies.
 
     Args:
-        take: the take.
         marker_set: as for `find_bodies`.
         subject_prefix: the only subject to clean; all other markers are left out.
 

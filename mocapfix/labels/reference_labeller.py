@@ -34,45 +34,38 @@ from mocapfix.labels.body_search import (
     select_extension_frames,
     select_key_frames,
 )
-from mocapfix.labels.label_overlaps import (
-    CONTINUED_LABEL_CONFIDENCE,
-    compute_label_confidence,
-    continue_labels,
-    label_single_points,
-)
-from mocapfix.labels.points import PointLabels, SampledPoints, UnlabelledPoints, assign_to_tracklets, sample_points
 from mocapfix.labels.tracklets import (
     LABEL_DISTANCE_DURATIONS_S,
     MAX_LABEL_DISTANCES_M,
     MIN_SEARCHED_DURATION_S,
+    PointLabels,
+    SampledPoints,
     TrackletDistances,
-    are_points_unordered,
+    UnlabelledPoints,
     assign_points,
     assign_tracklets,
+    compute_label_confidence,
+    label_nothing,
+    label_points_of_tracklets,
     measure_durations,
     measure_tracklets,
+    sample_points,
     select_lasting_tracklets,
 )
 from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
 from mocapfix.stats.sequences import sample_evenly
 
-MAX_REFERENCE_CANDIDATES = 150
-"""Frames of the labelled take among which those with different poses are chosen."""
-MAX_POSES = 12
-"""Poses of the labelled take that are kept."""
-MAX_NEIGHBOURS = 8
-"""Neighbours from which a marker is predicted."""
-MIN_NEIGHBOURS = 3
-"""Neighbours that must be visible."""
-MIN_REFERENCE_DISTANCE_SD_M = 0.008
-"""Smallest standard deviation of a distance between markers."""
+MAX_REFERENCE_CANDIDATES = 150  # frames of the labelled take among which those with different poses are chosen
+MAX_POSES = 12  # poses of the labelled take that are kept
+MAX_NEIGHBOURS = 8  # neighbours from which a marker is predicted
+MIN_NEIGHBOURS = 3  # neighbours that must be visible
+MIN_REFERENCE_DISTANCE_SD_M = 0.008  # smallest standard deviation of a distance between markers
+# Standard deviation of a distance that did not vary in the take, as a share of it: the person may have moved little.
 RELATIVE_REFERENCE_SD = 0.03
-"""Standard deviation of a distance that did not vary in the take, as a share of it: the person may have moved little."""
+# Arm of the points that hold the neighbours' rotation at that of all markers, where they are nearly on a line.
 BODY_ROTATION_WEIGHT_M = 0.03
-"""Arm of the points that hold the neighbours' rotation at that of all markers, where they are nearly on a line."""
-MIN_POSE_RESIDUAL_M = 0.004
-"""Residual of the neighbours up to which poses fit equally."""
+MIN_POSE_RESIDUAL_M = 0.004  # residual of the neighbours up to which poses fit equally
 
 
 @dataclass(frozen=True)
@@ -190,42 +183,25 @@ def _measure_distances(positions: Float[np.ndarray, "S K 3"]) -> Float[np.ndarra
     return np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
 
 
-SEARCHED_POSES = 6
-"""Poses of the labelled take that are placed in a frame."""
-REFERENCE_GATES_M = (0.4, 0.3, 0.25, 0.2, 0.15, 0.12, 0.1, 0.08)
-"""Distance at which a marker counts as not found, in each round."""
-RIGID_ROUNDS = 4
-"""Rounds in which a pose is placed as a whole."""
-MAX_BENT_POSES = 10
-"""Placed poses that are continued with each marker moved by its neighbours."""
-PLACES_PER_FRAME = 2
-"""Best assignments of each frame."""
-MAX_EXTENDED_PLACES = 5
-"""Best assignments of all frames that are extended to other frames."""
-MAX_REFERENCE_EXTENSION_FRAMES = 20
-"""Frames to which they are extended."""
-REFERENCE_EXTENSION_ROUNDS = 3
-"""Rounds of prediction and assignment in these frames."""
-MAX_EXTENSION_DISTANCE_M = 0.1
-"""Distance in these frames at which no label is as likely as a label."""
-MIN_REFERENCE_CONFIDENCE = 0.8
-"""Confidence below which a tracklet stays without a label."""
-MIN_PART_MARKERS = 3
-"""Markers of a part that is searched for."""
-MAX_PART_SEARCHES = 6
-"""Frames in which parts are searched for."""
+SEARCHED_POSES = 6  # poses of the labelled take that are placed in a frame
+REFERENCE_GATES_M = (0.4, 0.3, 0.25, 0.2, 0.15, 0.12, 0.1, 0.08)  # distance at which a marker counts as not found, in each round
+RIGID_ROUNDS = 4  # rounds in which a pose is placed as a whole
+MAX_BENT_POSES = 10  # placed poses that are continued with each marker moved by its neighbours
+PLACES_PER_FRAME = 2  # best assignments of each frame
+MAX_EXTENDED_PLACES = 5  # best assignments of all frames that are extended to other frames
+MAX_REFERENCE_EXTENSION_FRAMES = 20  # frames to which they are extended
+REFERENCE_EXTENSION_ROUNDS = 3  # rounds of prediction and assignment in these frames
+MAX_EXTENSION_DISTANCE_M = 0.1  # distance in these frames at which no label is as likely as a label
+MIN_REFERENCE_CONFIDENCE = 0.8  # confidence below which a tracklet stays without a label
+MIN_PART_MARKERS = 3  # markers of a part that is searched for
+MAX_PART_SEARCHES = 6  # frames in which parts are searched for
+# Cost of another assignment of a part up to which it is nearly as good, as a multiple of the best one's.
 MAX_RIVAL_COST_RATIO = 2.0
-"""Cost of another assignment of a part up to which it is nearly as good, as a multiple of the best one's."""
-MAX_RIVAL_COST_M2 = 0.0002
-"""Added to this cost: a mean squared distance within the motion of skin."""
-PART_PITCHES_RAD = (-1.0, -0.5, 0.0, 0.5, 1.0)
-"""Inclinations in which a part is placed; a leg swings by about this much."""
-MAX_TRIED_EXCHANGES = 10
-"""Pairs of labels that are exchanged to see whether they fit better."""
-MAX_EXCHANGE_COST_M2 = 0.003
-"""Squared distances that such an exchange seems to add at most."""
-MAX_REFERENCE_ROUNDS = 40
-"""Rounds of prediction and assignment in all frames."""
+MAX_RIVAL_COST_M2 = 0.0002  # added to this cost: a mean squared distance within the motion of skin
+PART_PITCHES_RAD = (-1.0, -0.5, 0.0, 0.5, 1.0)  # inclinations in which a part is placed; a leg swings by about this much
+MAX_TRIED_EXCHANGES = 10  # pairs of labels that are exchanged to see whether they fit better
+MAX_EXCHANGE_COST_M2 = 0.003  # squared distances that such an exchange seems to add at most
+MAX_REFERENCE_ROUNDS = 40  # rounds of prediction and assignment in all frames
 
 
 class ExtendedLabels(NamedTuple):
@@ -257,17 +233,12 @@ def label_points_like(points: UnlabelledPoints, reference: ReferenceMarkers) -> 
     starts.sort(key=lambda each: each.cost)
     extended = [extend_labels(lasting, each.markers, reference) for each in starts[:MAX_EXTENDED_PLACES]]
     if not extended:
-        return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
+        return label_nothing(points)
     best = try_label_exchanges(lasting, min(extended, key=lambda each: each.cost), reference)
     labels = recover_parts(sampled, propagate_reference(sampled, best.markers, reference), reference)
     confidence = compute_label_confidence(sampled, labels.markers, labels.distances)
     markers = np.where(confidence >= MIN_REFERENCE_CONFIDENCE, labels.markers, -1)
-    marker_indices = label_single_points(points, sampled, labels.predicted, markers)
-    point_confidence = assign_to_tracklets(points, confidence, 0.0)
-    if not are_points_unordered(points.positions):
-        before, marker_indices = marker_indices, continue_labels(points, marker_indices)
-        point_confidence[marker_indices != before] = CONTINUED_LABEL_CONFIDENCE
-    return PointLabels(marker_indices, point_confidence)
+    return label_points_of_tracklets(points, sampled, labels.predicted, markers, confidence)
 
 
 def propagate_reference(sampled: SampledPoints, markers: Int[np.ndarray, " N"], reference: ReferenceMarkers) -> ReferenceLabels:
@@ -413,16 +384,11 @@ def compute_reference_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"
 
 LikeLabeller: TypeAlias = Callable[[UnlabelledPoints, ReferenceMarkers], PointLabels]
 """labels points by the markers of a labelled take"""
-MIN_FRAGMENT_S = 0.5
-"""Duration of a fragment below which it may be a ghost and names no marker."""
-MIN_LASTING_SHARE = 0.8
-"""Share of the fragments of the fullest frame that are still visible at the ends of its stretch."""
-MIN_JOINED_MARKERS = 5
-"""Markers that a take must show together to be joined."""
-MIN_MARKER_SHARE = 0.2
-"""Samples of a marker, relative to those of the median one, below which it is a ghost."""
-MAX_TRIED_FRAMES = 50
-"""Frames with the most fragments among which the one with the longest stretch is chosen."""
+MIN_FRAGMENT_S = 0.5  # duration of a fragment below which it may be a ghost and names no marker
+MIN_LASTING_SHARE = 0.8  # share of the fragments of the fullest frame that are still visible at the ends of its stretch
+MIN_JOINED_MARKERS = 5  # markers that a take must show together to be joined
+MIN_MARKER_SHARE = 0.2  # samples of a marker, relative to those of the median one, below which it is a ghost
+MAX_TRIED_FRAMES = 50  # frames with the most fragments among which the one with the longest stretch is chosen
 
 
 def join_trajectories(points: UnlabelledPoints, label_like: LikeLabeller) -> tuple[PointLabels, tuple[str, ...]]:
@@ -432,7 +398,7 @@ def join_trajectories(points: UnlabelledPoints, label_like: LikeLabeller) -> tup
     """
     fragments = select_marker_fragments(points)
     if len(fragments) < MIN_JOINED_MARKERS:
-        return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape)), ()
+        return label_nothing(points), ()
     marker_of_fragment = np.full(points.tracklet_count + 1, -1)
     marker_of_fragment[fragments] = np.arange(len(fragments))
     markers = arrange_points(points, marker_of_fragment[points.tracklet_indices], len(fragments))

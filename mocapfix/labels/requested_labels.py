@@ -30,10 +30,9 @@ from mocapfix.io.points import NUMBERED_POINT_NAME
 from mocapfix.io.source_file import read_source_bytes
 from mocapfix.labels.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
 from mocapfix.labels.labeller import find_labelled_body, label_people, label_points, separate_people
-from mocapfix.labels.points import PointLabels, UnlabelledPoints
 from mocapfix.labels.reference_labeller import build_reference_markers, join_trajectories, label_points_like
 from mocapfix.labels.set_comparison import assume_marker_set, describe_better_set
-from mocapfix.labels.tracklets import are_points_unordered, find_tracklets
+from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, are_points_unordered, find_tracklets
 from mocapfix.model.animation import Animation
 from mocapfix.model.marker_set import MarkerSet, fold_label
 from mocapfix.model.subject import Subject
@@ -48,10 +47,9 @@ from mocapfix.subject.library import (
     load_shipped_marker_sets,
 )
 
+# Share of labels with words for places on the body up to which labels have no meaning; some words are short.
 MAX_KNOWN_WORD_SHARE = 0.1
-"""Share of labels with words for places on the body up to which labels have no meaning; some words are short."""
-MAX_STEM_SHARE = 0.1
-"""Number of different labels without their digits up to which labels are numbers, as a share of the labels."""
+MAX_STEM_SHARE = 0.1  # number of different labels without their digits up to which labels are numbers, as a share of the labels
 
 
 def are_labels_arbitrary(labels: Sequence[str], marker_set: MarkerSet) -> bool:
@@ -75,17 +73,11 @@ NO_FILE = Path("labelled")  # in messages, in place of a file that is not yet wr
 
 @dataclass(frozen=True)
 class LabelledColumns:
-    """P columns of a labelled file.
+    """P columns of a labelled file."""
 
-    Attributes:
-        labels: Their labels.
-        source_points: Index of the file's point from which each sample comes, -1 for a missing sample.
-        moves_samples: Whether any sample gets another column; if not, the points are those of the file.
-    """
-
-    labels: tuple[str, ...]
-    source_points: Int[np.ndarray, "T P"]
-    moves_samples: bool
+    labels: tuple[str, ...]  # their labels
+    source_points: Int[np.ndarray, "T P"]  # index of the file's point from which each sample comes, -1 for a missing sample
+    moves_samples: bool  # whether any sample gets another column; if not, the points are those of the file
 
 
 def plan_columns(
@@ -170,17 +162,11 @@ def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labe
 
 @dataclass(frozen=True)
 class FilePoints:
-    """The points of a take that have no labels, or labels without a meaning.
+    """The points of a take that have no labels, or labels without a meaning."""
 
-    Attributes:
-        positions: Metres, Y up, NaN where missing.
-        columns: Their indices among the points of the file.
-        replaced_labels: The labels without a meaning; empty if the points have none.
-    """
-
-    positions: Float[np.ndarray, "T C 3"]
-    columns: Int[np.ndarray, " C"]
-    replaced_labels: tuple[str, ...] = ()
+    positions: Float[np.ndarray, "T C 3"]  # metres, Y up, NaN where missing
+    columns: Int[np.ndarray, " C"]  # their indices among the points of the file
+    replaced_labels: tuple[str, ...] = ()  # the labels without a meaning; empty if the points have none
 
 
 def collect_unlabelled_points(take: Take) -> FilePoints | None:
@@ -271,20 +257,14 @@ def _gather(points: Int[np.ndarray, " C"], values: Float[np.ndarray, "T C"], col
     return np.where(is_known, np.take_along_axis(values, np.maximum(sources, 0), axis=1), np.nan)
 
 
-MIN_CERTAIN_SHARE = 0.9
-"""Share of the points that must get certain labels of a set that the user did not name."""
+MIN_CERTAIN_SHARE = 0.9  # share of the points that must get certain labels of a set that the user did not name
+# Evidence per marker below which the points show no person with the markers of a named set; that of right sets is 1.8 to 3.7.
 MIN_NAMED_SET_EVIDENCE = 0.5
-"""Evidence per marker below which the points show no person with the markers of a named set; that of right sets is 1.8 to 3.7."""
-MAX_COMMON_LABEL_SHARE = 0.1
-"""Share of the labels of a take up to which labels that another take has as well are a coincidence."""
-MIN_REFERENCE_SHARE = 0.1
-"""Share of the frames in which a labelled take shows the markers that are looked for."""
-MIN_FOUND_MARKER_SHARE = 0.5
-"""Share of these markers that must be found."""
-MIN_JOINED_SHARE = 0.8
-"""Share of the points that must be joined to markers where no set is known."""
-MAX_LISTED_ARBITRARY_LABELS = 3
-"""Labels without a meaning that a sentence lists."""
+MAX_COMMON_LABEL_SHARE = 0.1  # share of the labels of a take up to which labels that another take has as well are a coincidence
+MIN_REFERENCE_SHARE = 0.1  # share of the frames in which a labelled take shows the markers that are looked for
+MIN_FOUND_MARKER_SHARE = 0.5  # share of these markers that must be found
+MIN_JOINED_SHARE = 0.8  # share of the points that must be joined to markers where no set is known
+MAX_LISTED_ARBITRARY_LABELS = 3  # labels without a meaning that a sentence lists
 
 
 def label_capture(
@@ -293,7 +273,6 @@ def label_capture(
     """Return the take with labels if it has none, and the options with the subject of the labelled take that they name.
 
     Args:
-        take: The take.
         options: `options.subject` names a marker set, a subject or a labelled take.
         calibrate: Returns the subject of labelled takes.
 

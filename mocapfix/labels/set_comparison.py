@@ -18,49 +18,45 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from mocapfix.errors import format_name_list
-from mocapfix.labels.points import PointLabels, SampledPoints, UnlabelledPoints, sample_points
-from mocapfix.labels.posed_body import (
+from mocapfix.labels.body_search import (
     FINAL_OFFSET_WEIGHT,
-    POSING_ITERATIONS,
     POSING_MARKER_SD_M,
     POSING_SCALES_M,
     ExtendedBody,
     PropagatedLabels,
+    pose_body,
     predict_in_posed_frames,
     scale_nominal_subject,
 )
 from mocapfix.labels.tracklets import (
+    PointLabels,
+    SampledPoints,
     TrackletDistances,
+    UnlabelledPoints,
     assign_tracklets,
     measure_durations,
     measure_tracklets,
+    sample_points,
     select_lasting_tracklets,
 )
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
 from mocapfix.solve.kinematics import Poses
 
+# Standard deviation per axis of a normal distribution as dense as points anywhere on the body: 1.9 m2 by 2 cm.
 BODY_SURFACE_SD_M = 0.136
-"""Standard deviation per axis of a normal distribution as dense as points anywhere on the body: 1.9 m2 by 2 cm."""
+# Standard deviation per axis of places on the average body of the right size about those on the person's own body.
 AVERAGE_BODY_SD_M = 0.02
-"""Standard deviation per axis of places on the average body of the right size about those on the person's own body."""
-RARE_MARKER_COST = 3.9
-"""Negative logarithm of the probability that a required marker has no point, or a point no marker: 2 %."""
+RARE_MARKER_COST = 3.9  # negative logarithm of the probability that a required marker has no point, or a point no marker: 2 %
 
 
 class MarkerEvidence(NamedTuple):
-    """The evidence of the labelled points of a body that was found in some frames.
+    """The evidence of the labelled points of a body that was found in some frames."""
 
-    sampled       the points in these frames
-    poses         the poses of the body
-    log_evidence  logarithm of how much more probable the points are at their markers than anywhere on the body
-    marker_count  number of markers that were found
-    """
-
-    sampled: SampledPoints
-    poses: Poses
-    log_evidence: float
-    marker_count: int
+    sampled: SampledPoints  # the points in these frames
+    poses: Poses  # the poses of the body
+    log_evidence: float  # logarithm of how much more probable the points are at their markers than anywhere on the body
+    marker_count: int  # number of markers that were found
 
     @property
     def per_marker(self) -> float:
@@ -72,8 +68,7 @@ def measure_marker_evidence(sampled: SampledPoints, found: ExtendedBody, require
     """Return the evidence for the required markers of a set, given a body with them that was found in the points."""
     part, count = sampled.select_frames(found.frames), len(required.labels)
     positions = part.arrange_markers(found.markers, count)
-    poses = found.body.register(positions)
-    found.body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
+    poses = pose_body(found.body, positions)
     pose_cost = float(found.body.compute_costs(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M[-1]).mean())
     missing = count - float((~np.isnan(positions[..., 0])).sum(1).mean())
     evidence = _compute_offset_evidence(found, required) - pose_cost - RARE_MARKER_COST * missing
@@ -89,10 +84,8 @@ def _compute_offset_evidence(found: ExtendedBody, required: MarkerSet) -> float:
     return float((np.log(BODY_SURFACE_SD_M / spread) * 3 - 0.5 * ((offsets / spread) ** 2).sum(1, keepdims=True)).sum())
 
 
-MAX_OPTIONAL_DISTANCE_M = 0.05
-"""Distance of a tracklet from an optional marker of the set up to which it has its label."""
-MIN_OPTIONAL_DURATION_S = 2.0
-"""Duration of such a tracklet; a shorter one may be a ghost."""
+MAX_OPTIONAL_DISTANCE_M = 0.05  # distance of a tracklet from an optional marker of the set up to which it has its label
+MIN_OPTIONAL_DURATION_S = 2.0  # duration of such a tracklet; a shorter one may be a ghost
 
 
 def add_optional_markers(
@@ -110,48 +103,34 @@ def add_optional_markers(
 
 BodyFinder = Callable[[SampledPoints, MarkerSet, Subject | None], ExtendedBody | None]
 
+# Quantile over the frames of the number of points, with which the numbers of markers of sets are compared.
 POINT_COUNT_QUANTILE_OF_TAKE = 0.9
-"""Quantile over the frames of the number of points, with which the numbers of markers of sets are compared."""
-MAX_COMPARED_SETS = 6
-"""Sets that are compared."""
+MAX_COMPARED_SETS = 6  # sets that are compared
+# Difference of the numbers of points and markers up to which a set is compared, as a share of the points.
 MAX_COUNT_DIFFERENCE_SHARE = 0.2
-"""Difference of the numbers of points and markers up to which a set is compared, as a share of the points."""
-OPTIONAL_COUNT_WEIGHT = 0.25
-"""Weight of a point above the number of required markers, where optional ones can explain it."""
+OPTIONAL_COUNT_WEIGHT = 0.25  # weight of a point above the number of required markers, where optional ones can explain it
 
+# Difference of the evidence from which one set is clearly better. It is large: the markers of a segment are off together.
 MIN_EVIDENCE_DIFFERENCE = 20.0
-"""Difference of the evidence from which one set is clearly better. It is large: the markers of a segment are off together."""
-MIN_EVIDENCE_DIFFERENCE_OF_SAME_PLACES = 50.0
-"""The same for sets with nearly all points at the same places."""
+MIN_EVIDENCE_DIFFERENCE_OF_SAME_PLACES = 50.0  # the same for sets with nearly all points at the same places
+# Distance between markers of two sets up to which they have the same place; sets state places of a segment this differently.
 MAX_SAME_PLACE_DISTANCE_M = 0.06
-"""Distance between markers of two sets up to which they have the same place; sets state places of a segment this differently."""
-EQUAL_LABELLED_SHARE = 0.01
-"""Difference of the shares of labelled points up to which they count as equal."""
-MIN_LABELLED_SHARE = 0.9
-"""Share of the points that must get labels of the set."""
-MIN_EVIDENCE_PER_POINT = 1.5
-"""Smallest evidence per point; that of the right set is 3 on average."""
-MIN_AGREEING_SHARE = 0.85
-"""Share of the points that must have the same place in two sets of which none is clearly better."""
-MIN_SHARE_OF_NAMED_SET = 0.95
-"""Share of the points with labels of a named set below which it is compared with the others."""
+EQUAL_LABELLED_SHARE = 0.01  # difference of the shares of labelled points up to which they count as equal
+MIN_LABELLED_SHARE = 0.9  # share of the points that must get labels of the set
+MIN_EVIDENCE_PER_POINT = 1.5  # smallest evidence per point; that of the right set is 3 on average
+MIN_AGREEING_SHARE = 0.85  # share of the points that must have the same place in two sets of which none is clearly better
+MIN_SHARE_OF_NAMED_SET = 0.95  # share of the points with labels of a named set below which it is compared with the others
+# Evidence per marker of a named set up to which it is compared with the others; wrong sets rarely reach it.
 MAX_COMPARED_EVIDENCE = 2.2
-"""Evidence per marker of a named set up to which it is compared with the others; wrong sets rarely reach it."""
 
 
 class SetComparison(NamedTuple):
-    """A candidate.
+    """A candidate."""
 
-    marker_set      the set
-    markers         (N,) the marker of each tracklet in the set, -1 for none
-    point_counts    (N,) number of sampled points of each tracklet, by which tracklets are weighted
-    log_evidence    logarithm of how much more probable the points are than points anywhere on the body
-    """
-
-    marker_set: MarkerSet
-    markers: Int[np.ndarray, " N"]
-    point_counts: Int[np.ndarray, " N"]
-    log_evidence: float
+    marker_set: MarkerSet  # the set
+    markers: Int[np.ndarray, " N"]  # the marker of each tracklet in the set, -1 for none
+    point_counts: Int[np.ndarray, " N"]  # number of sampled points of each tracklet, by which tracklets are weighted
+    log_evidence: float  # logarithm of how much more probable the points are than points anywhere on the body
 
     @property
     def labelled_share(self) -> float:

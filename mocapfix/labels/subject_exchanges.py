@@ -37,26 +37,19 @@ from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, estimate_distanc
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
 
-# Largest evidence of one pair of tracklets: the frames of a long one are not independent.
-MAX_PAIR_EVIDENCE = 20.0
+MAX_PAIR_EVIDENCE = 20.0  # largest evidence of one pair of tracklets: the frames of a long one are not independent
 # Weight of a second with a person's label, in the unit of the evidence.
 LABEL_WEIGHT_PER_S = 0.02
 MAX_ASSIGNMENT_PASSES = 20
-# Smallest agreement with the evidence that an exchange of sides must gain: less is rounding.
-MIN_AGREEMENT_GAIN = 1e-9
+MIN_AGREEMENT_GAIN = 1e-9  # smallest agreement with the evidence that an exchange of sides must gain: less is rounding
 
 
 @dataclass(frozen=True)
 class TrackletRelations:
-    """Evidence about R pairs of tracklets.
+    """Evidence about R pairs of tracklets."""
 
-    Attributes:
-        pairs: Indices (R, 2) of tracklets, the smaller first.
-        evidence: Positive for the same person, negative for two persons.
-    """
-
-    pairs: Int[np.ndarray, "R 2"]
-    evidence: Float[np.ndarray, " R"]
+    pairs: Int[np.ndarray, "R 2"]  # indices (R, 2) of tracklets, the smaller first
+    evidence: Float[np.ndarray, " R"]  # positive for the same person, negative for two persons
 
     @staticmethod
     def collect(parts: "Sequence[TrackletRelations]") -> "TrackletRelations":
@@ -199,10 +192,8 @@ def _list_neighbours(count: int, relations: TrackletRelations) -> list[tuple[np.
 
 # Fraction of the frames in which a distance is assumed to be correct: an exchange may last for the larger part of a take.
 MIN_OWN_DISTANCE_FRACTION = 0.3
-# Number of markers with which each is compared, those with the steadiest distances.
-MAX_COMPARED_PARTNERS = 6
-# A distance with a larger standard deviation is compared only where no other connects two segments.
-MAX_COMPARED_SD_M = 0.04
+MAX_COMPARED_PARTNERS = 6  # number of markers with which each is compared, those with the steadiest distances
+MAX_COMPARED_SD_M = 0.04  # a distance with a larger standard deviation is compared only where no other connects two segments
 # Deviation of a distance that is not broken in any case: a constant, and a fraction of the distance. Distances between two people
 # differ by more, and those on one person change by more in motion that is rare in a take.
 MIN_TOLERANCE_M = 0.02
@@ -210,8 +201,7 @@ RELATIVE_TOLERANCE = 0.1
 # Distances between the labels of two subjects are compared in place of those of one subject if they are shorter, and if the ratio
 # of their standard deviations is less than this.
 MAX_CROSSED_SD_RATIO = 0.5
-# Interval of the frames in which the distances are compared.
-COMPARISON_INTERVAL_S = 0.025
+COMPARISON_INTERVAL_S = 0.025  # interval of the frames in which the distances are compared
 # A sample at least this much nearer to where the other person's label was than to where its own was may be exchanged.
 MIN_PERSON_LEAP_M = 0.05
 # A sample whose distances are broken in more than this share of the comparisons, for some time, may be exchanged.
@@ -221,10 +211,8 @@ MIN_BROKEN_DURATION_S = 0.1
 POSITION_TOLERANCE_M = 0.1
 PERSON_SPEED_M_PER_S = 2.0
 MAX_HIDDEN_S = 2.0
-# Evidence of one position that is nearer by this much, in the unit of the evidence of distances.
-POSITION_EVIDENCE = 2.0
-# An exchange with a label that has no sample is reported if it is at least this long.
-MIN_ONE_SIDED_EXCHANGE_S = 0.1
+POSITION_EVIDENCE = 2.0  # evidence of one position that is nearer by this much, in the unit of the evidence of distances
+MIN_ONE_SIDED_EXCHANGE_S = 0.1  # an exchange with a label that has no sample is reported if it is at least this long
 # Evidence, in tenths of a second of broken distances, that a tracklet needs to be assigned to the other person.
 MIN_SUPPORT = 1.0
 EVIDENCE_UNIT_S = 0.1
@@ -232,19 +220,12 @@ EVIDENCE_UNIT_S = 0.1
 
 @dataclass(frozen=True)
 class MarkerPairs:
-    """K labels that two subjects have in common, and the distances between their markers.
+    """K labels that two subjects have in common, and the distances between their markers."""
 
-    Attributes:
-        columns: Index (2, K) of each subject's marker in the take.
-        partners: Pairs (E, 2) of labels whose distances are compared.
-        length_m: Distances (2, E) on each subject.
-        tolerance_m: Deviations (E,) from which they are broken.
-    """
-
-    columns: Int[np.ndarray, "2 K"]
-    partners: Int[np.ndarray, "E 2"]
-    length_m: Float[np.ndarray, "2 E"]
-    tolerance_m: Float[np.ndarray, " E"]
+    columns: Int[np.ndarray, "2 K"]  # index (2, K) of each subject's marker in the take
+    partners: Int[np.ndarray, "E 2"]  # pairs (E, 2) of labels whose distances are compared
+    length_m: Float[np.ndarray, "2 E"]  # distances (2, E) on each subject
+    tolerance_m: Float[np.ndarray, " E"]  # deviations (E,) from which they are broken
 
 
 def detect_subject_exchanges(take: Take, first_subject: str, second_subject: str) -> list[Fault]:
@@ -410,17 +391,11 @@ def _build_exchange_fault(take: Take, columns: np.ndarray, first: int, last: int
 
 @dataclass(frozen=True)
 class SubjectExchanges:
-    """The exchanges of labels between the subjects of a take.
+    """The exchanges of labels between the subjects of a take."""
 
-    Attributes:
-        original_take: The take as read.
-        take: The take with the labels exchanged back.
-        faults: The exchanges, as label swaps of markers of the take.
-    """
-
-    original_take: Take
-    take: Take
-    faults: tuple[Fault, ...] = ()
+    original_take: Take  # the take as read
+    take: Take  # the take with the labels exchanged back
+    faults: tuple[Fault, ...] = ()  # the exchanges, as label swaps of markers of the take
 
     def add_notes(self, part: Take) -> Take:
         """Return one subject's part of the take with notes on the labels that it exchanged."""

@@ -1,39 +1,144 @@
-"""The assignment of tracklets to markers, given where a body carries its markers in the sampled frames.
-
-A tracklet has one marker throughout, and two tracklets that are visible at once have different markers. In each frame the visible
-tracklets are assigned one-to-one by their mean squared distances over all frames (Kuhn 1955). A tracklet gets the marker that it
-has in most of its frames.
-
-Tracklets: points are linked from frame to frame where it is certain which one continues which.
+"""Tracklets: points without labels, linked where it is certain which one continues which, and the labels that they get.
 
 The points of a frame may be in no order at all, as cameras give them before a program has made trajectories of them. Then the
-links are found by motion alone (`link_points`). Where each column is a trajectory, a column is continued unless its points leap,
-or leap to where another one was going (`cut_columns`).
+links are found by motion alone (`link_points`). Where each column is a trajectory, a column is continued unless its points
+leap, or leap to where another one was going (`cut_columns`). Points are linked forwards and backwards in time. A link that one
+direction gives counts unless the other contradicts it. A tracklet ends where its continuation is ambiguous: a later step that
+knows the body joins tracklets, but divides none.
 
-Points are linked forwards and backwards in time. A link that one direction gives counts unless the other contradicts it. A
-tracklet ends where its continuation is ambiguous: a later step that knows the body joins tracklets, but divides none.
+A tracklet has one marker throughout, and two tracklets that are visible at once have different markers. In each frame the
+visible tracklets are assigned one-to-one by their mean squared distances over all frames (Kuhn 1955) from where a body carries
+its markers. A tracklet gets the marker that it has in most of its frames; its confidence is how much less likely every other
+label is.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.point_linking import combine_links, link_in_order, number_tracklets
-from mocapfix.labels.points import SampledPoints, UnlabelledPoints
+from mocapfix.stats.sequences import find_runs
 
-MAX_BLOCK_FRAMES_OF_DISTANCES = 512
-"""Frames whose distances between points and markers are held at a time."""
-MAX_OVERLAP_SHARE = 0.5
-"""Share of a tracklet's frames in which another tracklet may have its label."""
-FOUND_GATE_SHARE = 0.95
-"""Share of the gate below which a marker counts as found."""
+
+@dataclass(frozen=True)
+class UnlabelledPoints:
+    """T frames of at most C points.
+
+    Attributes:
+        positions: Metres, Y up, NaN where a frame has fewer points.
+        tracklet_indices: The tracklet of each point, 0 to N - 1 in the order of their first frames; -1 where there is no point.
+            A tracklet has at most one point in a frame, and may change its column and miss single frames.
+        rate: Frames per second.
+    """
+
+    positions: Float[np.ndarray, "T C 3"]
+    tracklet_indices: Int[np.ndarray, "T C"]
+    rate: float
+
+    @property
+    def tracklet_count(self) -> int:
+        """Number of tracklets."""
+        return int(self.tracklet_indices.max(initial=-1)) + 1
+
+    def select_points(self, mask: Bool[np.ndarray, "T C"]) -> "UnlabelledPoints":
+        """Return the points in `mask` only. The tracklets keep their indices."""
+        return UnlabelledPoints(
+            np.where(mask[..., None], self.positions, np.nan), np.where(mask, self.tracklet_indices, -1), self.rate
+        )
+
+
+@dataclass(frozen=True)
+class PointLabels:
+    """The marker to which each point belongs.
+
+    Attributes:
+        marker_indices: Index among the labels of the marker set, -1 for a point without a label.
+        confidence: Probability that the label, or that no label, is right; 0 where there is no point.
+        subject_indices: Of several persons, to whom each point belongs, -1 for none; empty if there is one person.
+        evidence_per_marker: Logarithm of how much more probable a labelled point is at its marker than anywhere on the body;
+            infinite for the markers of a known person.
+    """
+
+    marker_indices: Int[np.ndarray, "T C"]
+    confidence: Float[np.ndarray, "T C"]
+    subject_indices: Int[np.ndarray, "S C"] = field(default_factory=lambda: np.zeros((0, 0), int))
+    evidence_per_marker: float = np.inf
+
+
+def assign_to_tracklets(points: UnlabelledPoints, values: np.ndarray, missing: float) -> np.ndarray:
+    """Return for every point (T, C) the value of its tracklet, `missing` where there is no point."""
+    return np.append(values, missing)[points.tracklet_indices].astype(values.dtype)
+
+
+SAMPLE_STEP_S = 0.05  # step between the frames that are compared
+FRAMES_PER_TRACKLET = 4  # frames in which each tracklet is compared at least, if it has so many
+
+
+@dataclass(frozen=True)
+class SampledPoints:
+    """The points of S frames of a take, in V columns."""
+
+    frames: Int[np.ndarray, " S"]  # indices of the frames, rising
+    positions: Float[np.ndarray, "S V 3"]  # metres, NaN where a frame has fewer points
+    tracklets: Int[np.ndarray, "S V"]  # the tracklet of each point, -1 where there is none
+    tracklet_count: int  # number of tracklets of the take, N
+    times_s: Float[np.ndarray, " S"]  # times of the frames
+
+    def select_frames(self, indices: Int[np.ndarray, " N"]) -> "SampledPoints":
+        """Return some of the frames, given by their indices among the S."""
+        return SampledPoints(
+            self.frames[indices], self.positions[indices], self.tracklets[indices], self.tracklet_count, self.times_s[indices]
+        )
+
+    def select_tracklets(self, is_selected: Bool[np.ndarray, " N"]) -> "SampledPoints":
+        """Return the points of some of the tracklets, which keep their indices; empty places are among those of the others."""
+        is_kept = np.append(is_selected, False)[self.tracklets]
+        positions = np.where(is_kept[..., None], self.positions, np.nan)
+        return SampledPoints(self.frames, positions, np.where(is_kept, self.tracklets, -1), self.tracklet_count, self.times_s)
+
+    def arrange_markers(self, labels: Int[np.ndarray, " N"], marker_count: int) -> Float[np.ndarray, "S K 3"]:
+        """Return the positions of the markers, given the marker of each tracklet (-1 for none); NaN where not visible."""
+        markers = np.full((len(self.frames), marker_count, 3), np.nan)
+        point_labels = np.append(labels, -1)[self.tracklets]
+        rows, columns = np.nonzero(point_labels >= 0)
+        markers[rows, point_labels[rows, columns]] = self.positions[rows, columns]
+        return markers
+
+
+def sample_points(points: UnlabelledPoints) -> SampledPoints:
+    """Return the points at regular steps, and in a few more frames for short tracklets."""
+    frames = np.unique(np.r_[_select_regular_frames(points), _select_tracklet_frames(points)])
+    indices = points.tracklet_indices[frames]
+    order = np.argsort(indices < 0, axis=1, kind="stable")[:, : max(1, int((indices >= 0).sum(1).max(initial=0)))]
+    rows = np.arange(len(frames))[:, None]
+    return SampledPoints(
+        frames, points.positions[frames][rows, order], indices[rows, order], points.tracklet_count, frames / points.rate
+    )
+
+
+def _select_regular_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
+    return np.arange(0, len(points.positions), max(1, round(SAMPLE_STEP_S * points.rate)))
+
+
+def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
+    """Return a few frames of each tracklet."""
+    frames, columns = np.nonzero(points.tracklet_indices >= 0)
+    order = np.argsort(points.tracklet_indices[frames, columns], kind="stable")
+    counts = np.bincount(points.tracklet_indices[frames, columns], minlength=points.tracklet_count)
+    starts = np.cumsum(counts) - counts
+    shares = (np.arange(FRAMES_PER_TRACKLET) + 0.5) / FRAMES_PER_TRACKLET
+    return frames[order[(starts[:, None] + shares * counts[:, None]).astype(int).ravel()]] if len(frames) else frames
+
+
+MAX_BLOCK_FRAMES_OF_DISTANCES = 512  # frames whose distances between points and markers are held at a time
+MAX_OVERLAP_SHARE = 0.5  # share of a tracklet's frames in which another tracklet may have its label
+FOUND_GATE_SHARE = 0.95  # share of the gate below which a marker counts as found
+# Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short.
 MAX_LABEL_DISTANCES_M = (0.06, 0.15)
-"""Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
-LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
-"""Durations of these tracklets."""
-MIN_SEARCHED_DURATION_S = 0.15
-"""Duration of the tracklets among which a body is searched for: shorter ones are often ghosts."""
+LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)  # durations of these tracklets
+MIN_SEARCHED_DURATION_S = 0.15  # duration of the tracklets among which a body is searched for: shorter ones are often ghosts
 
 
 class TrackletDistances(NamedTuple):
@@ -127,7 +232,7 @@ def _resolve_conflicts(
 ) -> Int[np.ndarray, " N"]:
     """Take the label from tracklets that share it in most of their frames with another one that has it more often.
 
-    In a shorter overlap one of them shows something else at its end; `label_overlaps` decides which.
+    In a shorter overlap one of them shows something else at its end; `label_single_points` decides which.
     """
     lost = np.zeros(len(markers), int)
     for visible, count in visible_sets:
@@ -158,14 +263,11 @@ def select_lasting_tracklets(sampled: SampledPoints) -> SampledPoints:
     return sampled.select_tracklets(measure_durations(sampled) >= MIN_SEARCHED_DURATION_S)
 
 
-# Longest time for which a point may be missing within a tracklet.
-MAX_MISSING_S = 0.1
+MAX_MISSING_S = 0.1  # longest time for which a point may be missing within a tracklet
 # Smallest difference of cost, twice the logarithm of a ratio of probabilities, to every other way to link the points.
 LINK_MARGIN = 6.0
-# Evidence, in the same unit, for a point in the same column where columns are trajectories.
-COLUMN_GAIN = 10.0
-# Number of pairs of frames, evenly spread, from which it is decided whether points are in order.
-MAX_ORDER_FRAMES = 200
+COLUMN_GAIN = 10.0  # evidence, in the same unit, for a point in the same column where columns are trajectories
+MAX_ORDER_FRAMES = 200  # number of pairs of frames, evenly spread, from which it is decided whether points are in order
 # In points in no order, a larger share of the points is closer to another column's next point than to that of their own.
 MIN_UNORDERED_SHARE = 0.5
 
@@ -211,3 +313,142 @@ def are_points_unordered(positions: Float[np.ndarray, "T C 3"]) -> bool:
         distance = np.linalg.norm(positions[t, columns, None] - positions[t + 1, next_columns], axis=-1)
         is_nearer_to_another.append(next_columns[distance.argmin(1)] != columns)
     return bool(is_nearer_to_another) and float(np.concatenate(is_nearer_to_another).mean()) > MIN_UNORDERED_SHARE
+
+
+MAX_CONTINUED_GAP_S = 0.05  # time between a labelled tracklet and a piece without a label in the same column that continues it
+MAX_CONTINUED_STEP_M = 0.25  # distance between their ends; that of a fast hand between two frames at 50 Hz
+
+# Confidence of such a label: all of 59 measured ones were right in takes with whole trajectories, none of 57 single ghosts.
+CONTINUED_LABEL_CONFIDENCE = 0.5
+
+
+def label_single_points(
+    points: UnlabelledPoints, sampled: SampledPoints, predicted: Float[np.ndarray, "S K 3"], markers: Int[np.ndarray, " N"]
+) -> Int[np.ndarray, "T C"]:
+    """Return the marker of each point, no marker twice in a frame.
+
+    Args:
+        sampled: Those of the sampled frames.
+        predicted: Where the body carries its markers in these frames, in metres, NaN where unknown.
+        markers: The marker of each tracklet, -1 for none.
+    """
+    marker_indices = assign_to_tracklets(points, markers, -1)
+    for marker in np.unique(markers[markers >= 0]):
+        is_own = marker_indices == marker
+        for first, last in find_runs(is_own.sum(1) > 1):
+            _keep_nearest(points, sampled, predicted[:, marker], marker_indices[first : last + 1], (int(marker), first, last))
+    return marker_indices
+
+
+def _keep_nearest(
+    points: UnlabelledPoints,
+    sampled: SampledPoints,
+    path: Float[np.ndarray, "S 3"],
+    marker_indices: Int[np.ndarray, "F C"],
+    place: tuple[int, int, int],
+) -> None:
+    """Take a label, in the frames from first to last, from all tracklets that have it but the nearest to its marker."""
+    marker, first, last = place
+    tracklets = np.where(marker_indices == marker, points.tracklet_indices[first : last + 1], -1)
+    candidates = np.unique(tracklets[tracklets >= 0])
+    nearest = np.argsort(np.abs(sampled.frames - (first + last) / 2), kind="stable")[:1]
+    frames = np.union1d(np.flatnonzero((sampled.frames >= first) & (sampled.frames <= last)), nearest)
+    distances: list[float] = []
+    for candidate in candidates:
+        is_candidate = sampled.tracklets[frames] == candidate
+        distance = np.linalg.norm(sampled.positions[frames] - path[frames, None], axis=-1)[is_candidate]
+        distances.append(float(distance.mean()) if len(distance) and not np.isnan(distance).all() else np.inf)
+    kept = candidates[int(np.argmin(distances))]
+    marker_indices[(tracklets >= 0) & (tracklets != kept)] = -1
+
+
+def label_points_of_tracklets(
+    points: UnlabelledPoints,
+    sampled: SampledPoints,
+    predicted: Float[np.ndarray, "S K 3"],
+    markers: Int[np.ndarray, " N"],
+    confidence: Float[np.ndarray, " N"],
+) -> PointLabels:
+    """Return the labels of the points, given those of tracklets (see `label_single_points`) and their confidence."""
+    marker_indices, point_confidence = (
+        label_single_points(points, sampled, predicted, markers),
+        assign_to_tracklets(points, confidence, 0.0),
+    )
+    if not are_points_unordered(points.positions):
+        before, marker_indices = marker_indices, continue_labels(points, marker_indices)
+        point_confidence[marker_indices != before] = CONTINUED_LABEL_CONFIDENCE
+    return PointLabels(marker_indices, point_confidence)
+
+
+def label_nothing(points: UnlabelledPoints) -> PointLabels:
+    """Return no label for any point."""
+    return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
+
+
+def continue_labels(points: UnlabelledPoints, marker_indices: Int[np.ndarray, "T C"]) -> Int[np.ndarray, "T C"]:
+    """Return the labels with those of pieces in the same column before or after a labelled one, if the label is free there.
+
+    A column shows the same marker on both sides of a leap that is no larger than a fast hand makes.
+    """
+    continued, max_gap = marker_indices.copy(), max(1, round(MAX_CONTINUED_GAP_S * points.rate))
+    has_point = points.tracklet_indices >= 0
+    for column in np.flatnonzero(((marker_indices < 0) & has_point).any(0) & (marker_indices >= 0).any(0)):
+        for first, last in find_runs((marker_indices[:, column] < 0) & has_point[:, column]):
+            neighbours = (
+                next((t for t in range(first - 1, max(first - 1 - max_gap, -1), -1) if continued[t, column] >= 0), -1),
+                next((t for t in range(last + 1, min(last + 1 + max_gap, len(continued))) if continued[t, column] >= 0), -1),
+            )
+            sides = [(int(continued[t, column]), edge, t) for t, edge in zip(neighbours, (first, last), strict=True) if t >= 0]
+            for marker, edge, t in sides:
+                step = np.linalg.norm(points.positions[edge, column] - points.positions[t, column])
+                is_free = not (continued[first : last + 1] == marker).any()
+                if is_free and step < MAX_CONTINUED_STEP_M * abs(t - edge):
+                    continued[first : last + 1, column] = marker
+                    break
+    return continued
+
+
+LABEL_DISTANCE_SD_M = 0.02  # standard deviation of the distance of a tracklet from its marker, for the likelihood of a label
+INDEPENDENT_TIME_S = 0.5  # time after which the distance of a tracklet counts as measured again
+MAX_INDEPENDENT_DISTANCES = 5.0  # largest number of distances of one tracklet that count
+
+# How many times more often than its likelihood states a tracklet is no marker: a short and a long one. Most ghosts are short.
+GHOST_ODDS = (8.0, 1.0)
+GHOST_DURATIONS_S = (0.0, 0.1)  # durations of these tracklets
+
+
+def compute_label_confidence(
+    sampled: SampledPoints, markers: Int[np.ndarray, " N"], distances: TrackletDistances
+) -> Float[np.ndarray, " N"]:
+    """Return the probability that the label of each tracklet is right, or that it has none.
+
+    A tracklet could have no label, a label that is free, or exchange labels with another tracklet that is visible with it.
+    """
+    none_cost = compute_max_distances(sampled) ** 2
+    squared = np.where(np.isnan(distances.squared_m2), 2 * none_cost[:, None], distances.squared_m2)
+    each, has_label = np.arange(len(markers)), markers >= 0
+    own_cost = np.where(has_label, squared[each, markers], none_cost)
+    holders = _find_holders(sampled, markers, squared.shape[1])
+    change = squared - own_cost[:, None]
+    rows, columns = np.nonzero(holders >= 0)
+    others = holders[rows, columns]
+    given = np.where(has_label[rows], squared[others, markers[rows]], none_cost[others])
+    change[rows, columns] += given - own_cost[others]
+    change[each[has_label], markers[has_label]] = 0.0
+    alternatives = np.column_stack([change, np.where(has_label, none_cost - own_cost, 0.0)])
+    count = np.clip(1 + measure_durations(sampled) / INDEPENDENT_TIME_S, 1, MAX_INDEPENDENT_DISTANCES)
+    exponent = -0.5 * np.maximum(alternatives, 0.0) * count[:, None] / LABEL_DISTANCE_SD_M**2
+    likelihood = np.exp(exponent)
+    odds = np.interp(measure_durations(sampled), GHOST_DURATIONS_S, GHOST_ODDS)
+    likelihood[:, -1] *= np.where(has_label, odds, 1.0)  # that it is no marker
+    return np.where(distances.frame_count > 0, 1 / likelihood.sum(1), 0.0)
+
+
+def _find_holders(sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_count: int) -> Int[np.ndarray, "N K"]:
+    """Return for each tracklet and marker another tracklet that is visible at the same time and has this label, -1 for none."""
+    holders = np.full((len(markers), marker_count), -1)
+    for row in np.unique(np.sort(sampled.tracklets, axis=1), axis=0):
+        visible = row[row >= 0]
+        labelled = visible[markers[visible] >= 0]
+        holders[np.ix_(visible, markers[labelled])] = labelled
+    return holders

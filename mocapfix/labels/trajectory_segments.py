@@ -20,8 +20,7 @@ from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import estimate_distance_statistics, estimate_distances_from, sample_coordinates
 
 # A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
-# A longer pause ends a segment.
-MAX_PAUSE_S = 0.025
+MAX_PAUSE_S = 0.025  # a longer pause ends a segment
 # A step that deviates more from a straight path belongs to another point: a constant, and a term in the square of its time.
 SEGMENT_STEP_TOLERANCE_M = 0.015
 SEGMENT_STEP_TOLERANCE_M_PER_S2 = 200.0
@@ -29,19 +28,12 @@ SEGMENT_STEP_TOLERANCE_M_PER_S2 = 200.0
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """An unbroken part of one trajectory.
+    """An unbroken part of one trajectory."""
 
-    Attributes:
-        donor: Index into the take's labels or, from their number on, into its unlabelled trajectories.
-        namesake: Index of the marker whose label it has, -1 if none.
-        frames: Frame indices (N,).
-        points: World positions (N, 3) in metres.
-    """
-
-    donor: int
-    namesake: int
-    frames: np.ndarray
-    points: np.ndarray
+    donor: int  # index into the take's labels or, from their number on, into its unlabelled trajectories
+    namesake: int  # index of the marker whose label it has, -1 if none
+    frames: np.ndarray  # frame indices (N,)
+    points: np.ndarray  # world positions (N, 3) in metres
 
     @property
     def first(self) -> int:
@@ -90,10 +82,8 @@ def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3
 
 # Number of samples of a segment, evenly spread, by which the markers are chosen that are compared with all of them.
 MAX_SCREENED_SAMPLES = 60
-# Two trajectories of the same marker are at most this far apart.
-MAX_DUPLICATE_DISTANCE_M = 0.010
-# Part of a trajectory, next to its end, to which the velocity is fitted.
-VELOCITY_WINDOW_S = 0.03
+MAX_DUPLICATE_DISTANCE_M = 0.010  # two trajectories of the same marker are at most this far apart
+VELOCITY_WINDOW_S = 0.03  # part of a trajectory, next to its end, to which the velocity is fitted
 # Standard deviation of the join error: a constant, and a term that grows with the square of the time across the join.
 JOIN_TOLERANCE_M = 0.002
 JOIN_TOLERANCE_M_PER_S2 = 2.5
@@ -181,27 +171,22 @@ def is_smoother(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate
 MAX_SIGNATURE_FRAMES = 300
 # Number of these frames, or all of them if there are fewer, in which a plane's corners and the marker must be visible.
 MIN_CORNER_FRAMES = 20
-# Standard deviation of a distance even on a rigid segment.
-MIN_SIGNATURE_SD_M = 0.004
+MIN_SIGNATURE_SD_M = 0.004  # standard deviation of a distance even on a rigid segment
 # Standard deviation relative to the distance, for motion that the take rarely shows: near markers weigh more.
 RELATIVE_DISTANCE_SD = 0.04
-# A distance with a larger standard deviation does not identify a marker.
-MAX_SIGNATURE_SD_M = 0.04
+MAX_SIGNATURE_SD_M = 0.04  # a distance with a larger standard deviation does not identify a marker
 # Number of partners whose distances are compared, and of those from which three form a plane.
 MAX_SIGNATURE_PARTNERS = 4
 MAX_PLANE_CANDIDATES = 5
-# With a larger deviation of the distances, in standard deviations, the side is not computed.
-MAX_DISTANCE_FOR_SIDE_SD = 10.0
-# Fraction of the compared frames in which a partner must be visible.
-MIN_PARTNER_VISIBLE_FRACTION = 0.8
+MAX_DISTANCE_FOR_SIDE_SD = 10.0  # with a larger deviation of the distances, in standard deviations, the side is not computed
+MIN_PARTNER_VISIBLE_FRACTION = 0.8  # fraction of the compared frames in which a partner must be visible
 # Fraction of the frames from which the spread of a distance is estimated: limbs bend only in a part of a take.
 SIGNATURE_COVERAGE_FRACTION = 0.9
 # Quantiles of the heights, and the number of standard deviations between them.
 LOW_HEIGHT_QUANTILE = 0.05
 HIGH_HEIGHT_QUANTILE = 0.95
 HEIGHT_QUANTILE_WIDTH_SD = 3.29
-# Number of samples, evenly spread, that are compared with a signature.
-MAX_COMPARED_SAMPLES = 60
+MAX_COMPARED_SAMPLES = 60  # number of samples, evenly spread, that are compared with a signature
 
 
 @dataclass(frozen=True)
@@ -280,7 +265,6 @@ class RigidSignatures:
         Args:
             points: The samples (N, 3).
             others: The positions (N, K, 3) of the candidates in their frames, and maybe of more.
-            marker: Index of the marker.
             candidates: Indices of the markers that may be corners.
         """
         best_separation, side_sd = 0.0, 0.0

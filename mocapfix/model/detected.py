@@ -17,8 +17,7 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults, MarkerShift
 from mocapfix.model.take import Take
 
-# Visible time of a marker at a position that makes it a position of its own.
-MIN_EPOCH_DURATION_S = 0.5
+MIN_EPOCH_DURATION_S = 0.5  # visible time of a marker at a position that makes it a position of its own
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
+from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
 
 MIN_CONSISTENT_MARKERS = 3
 """the number of seen, mutually consistent markers that show where a part of the body is"""
@@ -41,8 +42,6 @@ not make a limb lost whose other markers lie on the body"""
 MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""
-MEDIAN_DEVIATIONS_PER_SD = 1.4826
-"""of a normal distribution: its standard deviation over the median absolute deviation"""
 
 BODY_PARTS: dict[str, tuple[str, ...]] = {
     "head": ("Neck", "Neck1", "Head"),

@@ -151,6 +151,7 @@ def fit_gaussian_process(
 
 MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
 ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness
+MEDIAN_DEVIATIONS_PER_SD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 CHI2_MEDIAN_3_DOF = 2.366  # median of the chi-squared distribution with three degrees of freedom
 NORMAL_MEDIAN_FACTOR = 2.2  # mean square over median square of a normal residual; the median ignores outliers
 

@@ -19,20 +19,13 @@ from scipy.special import ndtri
 
 from mocapfix.stats.sequences import sample_evenly
 
-# Number of partners of a marker.
-MAX_DISTANCE_PARTNERS = 8
-# A distance with a larger standard deviation does not identify a marker.
-MAX_PARTNER_SD_M = 0.03
-# Standard deviation of a distance even on a rigid segment.
-MIN_DISTANCE_SD_M = 0.003
-# A distance is fully broken from this many standard deviations.
-BROKEN_DISTANCE_SD = 3.0
-# Number of frames, evenly spread, from which the distances are learned.
-MAX_DISTANCE_FRAMES = 300
-# Number of these frames, or all of them if there are fewer, in which both markers must be visible.
-MIN_JOINT_FRAMES = 20
-# Fraction of the frames in which a distance is assumed to be correct.
-MIN_CORRECT_FRACTION = 0.55
+MAX_DISTANCE_PARTNERS = 8  # number of partners of a marker
+MAX_PARTNER_SD_M = 0.03  # a distance with a larger standard deviation does not identify a marker
+MIN_DISTANCE_SD_M = 0.003  # standard deviation of a distance even on a rigid segment
+BROKEN_DISTANCE_SD = 3.0  # a distance is fully broken from this many standard deviations
+MAX_DISTANCE_FRAMES = 300  # number of frames, evenly spread, from which the distances are learned
+MIN_JOINT_FRAMES = 20  # number of these frames, or all of them if there are fewer, in which both markers must be visible
+MIN_CORRECT_FRACTION = 0.55  # fraction of the frames in which a distance is assumed to be correct
 # No body has more markers. In takes of more, only the distances between markers are estimated that are ever nearer than this,
 # in every so many of the frames: a segment is smaller.
 MAX_BODY_MARKERS = 250
@@ -41,17 +34,11 @@ NEAR_FRAME_STEP = 10
 
 
 class MarkerDistances(NamedTuple):
-    """The distances of each of M markers to its K partners with the steadiest distances.
+    """The distances of each of M markers to its K partners with the steadiest distances."""
 
-    Attributes:
-        partner: Marker indices (M, K), steadiest first, -1 where there are fewer.
-        length_m: Distances (M, K) in metres.
-        tolerance_m: Deviations (M, K) in metres from which a distance is broken.
-    """
-
-    partner: np.ndarray
-    length_m: np.ndarray
-    tolerance_m: np.ndarray
+    partner: np.ndarray  # marker indices (M, K), steadiest first, -1 where there are fewer
+    length_m: np.ndarray  # distances (M, K) in metres
+    tolerance_m: np.ndarray  # deviations (M, K) in metres from which a distance is broken
 
 
 def estimate_distances(
@@ -131,7 +118,6 @@ def _find_shortest_intervals(
     Args:
         ordered: The values, which ascend in each row and end with its NaN.
         counts: The number (N,) of values of each row.
-        fraction: The fraction.
     """
     if not len(counts):
         return np.empty(0), np.empty(0)
@@ -145,17 +131,11 @@ def _find_shortest_intervals(
 
 
 class MarkerTrajectories(NamedTuple):
-    """The trajectories of M labels over T frames.
+    """The trajectories of M labels over T frames."""
 
-    Attributes:
-        markers: World positions (T, M, 3) in metres, NaN where missing.
-        previous_frame: Index (T, M) of the latest earlier frame in which the label is visible, -1 if there is none.
-        rate: Frame rate in Hz.
-    """
-
-    markers: np.ndarray
-    previous_frame: np.ndarray
-    rate: float
+    markers: np.ndarray  # world positions (T, M, 3) in metres, NaN where missing
+    previous_frame: np.ndarray  # index (T, M) of the latest earlier frame in which the label is visible, -1 if there is none
+    rate: float  # frame rate in Hz
 
 
 def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerTrajectories:
@@ -168,36 +148,25 @@ def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> Mark
     return MarkerTrajectories(markers, previous_frame, float(rate))
 
 
-MAX_GROUP_FRAMES = 200
-"""Frames, evenly spread, in which distances are compared."""
-MIN_SHARED_FRAMES = 20
-"""Frames in which two markers must be visible together, or a third of the compared frames of a short take."""
-DISTANCE_QUANTILES = (0.05, 0.95)
-"""Range of a distance over the take; swaps and spikes lie outside of it."""
-QUANTILE_RANGE_SD = 3.29
-"""Width of this range in standard deviations of a normal distribution."""
+MAX_GROUP_FRAMES = 200  # frames, evenly spread, in which distances are compared
+MIN_SHARED_FRAMES = 20  # frames in which two markers must be visible together, or a third of the compared frames of a short take
+DISTANCE_QUANTILES = (0.05, 0.95)  # range of a distance over the take; swaps and spikes lie outside of it
+QUANTILE_RANGE_SD = 3.29  # width of this range in standard deviations of a normal distribution
+# Variation of the distances within a rigid group, as a standard deviation; skin moves more between most markers of a segment.
 MAX_RIGID_SPREAD_M = 0.003
-"""Variation of the distances within a rigid group, as a standard deviation; skin moves more between most markers of a segment."""
-MIN_GROUP_MARKERS = 3
-"""Markers that define the pose of a group."""
+MIN_GROUP_MARKERS = 3  # markers that define the pose of a group
+# Variation of the distances from a group to other markers, which shows that it moves as one; at rest, everything is rigid.
 MIN_GROUP_MOTION_M = 0.02
-"""Variation of the distances from a group to other markers, which shows that it moves as one; at rest, everything is rigid."""
 
 
 @dataclass(frozen=True)
 class RigidGroup:
-    """Markers of a take that move as one rigid body.
+    """Markers of a take that move as one rigid body."""
 
-    markers   indices of the markers, rising
-    spread_m  largest variation of a distance within the group, as a standard deviation
-    motion_m  median variation of the distances from the group to the other markers; NaN if there are none
-    name      the name of the group in reports
-    """
-
-    markers: tuple[int, ...]
-    spread_m: float
-    motion_m: float
-    name: str = ""
+    markers: tuple[int, ...]  # indices of the markers, rising
+    spread_m: float  # largest variation of a distance within the group, as a standard deviation
+    motion_m: float  # median variation of the distances from the group to the other markers; NaN if there are none
+    name: str = ""  # the name of the group in reports
 
 
 def measure_distance_spread(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "M M"]:

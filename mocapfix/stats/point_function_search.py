@@ -32,16 +32,13 @@ MIN_COMMON_FRAMES = 10
 # Largest median distance of a point from its function, in multiples of the resolution, and the least such limit in metres.
 MAX_MISFIT_RESOLUTIONS = 3.0
 MIN_MISFIT_LIMIT_M = 2e-6
-# Largest such distance in the screening by functions of the right form, in multiples of that limit.
-EXACT_SCREENING_LIMITS = 5.0
+EXACT_SCREENING_LIMITS = 5.0  # largest such distance in the screening by functions of the right form, in multiples of that limit
 # Number of measured markers with which a point moves that is placed on their segment, and standard deviation of the distances.
 MIN_CARRIERS = 3
 MAX_CARRIER_SD_M = 0.002
 SCREENED_CARRIER_SD_M = 0.004  # in the frames of the screening
-# Coarsest resolution in metres at which exact distances differ from those of a rigid segment.
-MAX_EXACT_RESOLUTION_M = 5e-6
-# Smallest median deviation of a coordinate in metres of a point that moves.
-MIN_TRAVEL_M = 0.01
+MAX_EXACT_RESOLUTION_M = 5e-6  # coarsest resolution in metres at which exact distances differ from those of a rigid segment
+MIN_TRAVEL_M = 0.01  # smallest median deviation of a coordinate in metres of a point that moves
 
 
 @dataclass(frozen=True)
@@ -137,8 +134,7 @@ def compute_known_median(values: Shaped[np.ndarray, "T ..."]) -> Shaped[np.ndarr
     return np.where(count > 0, middle, np.inf)
 
 
-# Number of frames, evenly spread, that decide which points between two are worth a comparison in more frames.
-MAX_LINE_FRAMES = 5
+MAX_LINE_FRAMES = 5  # number of frames, evenly spread, that decide which points between two are worth a comparison in more frames
 # Largest such distance in the screening by functions of nearly the right form, in addition to that limit.
 SCREENING_MISFIT_M = 2e-3
 # Smallest standard deviation of a distance between parents, in multiples of that limit, and the same in the screening.
@@ -147,22 +143,17 @@ SCREENED_PARENT_VARIATION = 5.0
 # Fraction of the frames in which a function must hold, to within a multiple of the limit: parents and points may have faults.
 MIN_VALID_FRACTION = 0.8
 VALID_FRAME_LIMITS = 5.0
-# Number of the neighbours with the steadiest distances among which parents are searched.
-MAX_PARENT_CANDIDATES = 5
-# Number of the same among which two points are searched between which a point lies.
-MAX_LINE_CANDIDATES = 60
+MAX_PARENT_CANDIDATES = 5  # number of the neighbours with the steadiest distances among which parents are searched
+MAX_LINE_CANDIDATES = 60  # number of the same among which two points are searched between which a point lies
 # Standard deviation of a steady distance, and its largest deviation in a frame without faults, both in metres.
 MAX_STEADY_SD_M = 0.005
 MAX_STEADY_DEVIATION_M = 0.04
 # Number of rounds of reweighting, by which a fit ignores frames with faults.
 REWEIGHTING_ROUNDS = 6
 SCREENING_ROUNDS = 2
-# A smaller weight is none.
-NEGLIGIBLE_WEIGHT = 1e-3
-# A shorter offset, in metres, is none.
-NEGLIGIBLE_OFFSET_M = 1e-4
-# Number of functions of one kind that are fitted to one point after the screening.
-MAX_FULL_FITS = 8
+NEGLIGIBLE_WEIGHT = 1e-3  # a smaller weight is none
+NEGLIGIBLE_OFFSET_M = 1e-4  # a shorter offset, in metres, is none
+MAX_FULL_FITS = 8  # number of functions of one kind that are fitted to one point after the screening
 # Number of fits that may fail in one search, after which what is left is not searched. Of the public takes none has more than
 # 6; each takes about a millisecond.
 MAX_FAILED_FITS = 300
@@ -305,7 +296,6 @@ class _FunctionSearch:
         """Return the possible parents of a point: all, by their indices, or those with the steadiest distances, these first.
 
         Args:
-            point: The point.
             is_parent: Which points may be parents.
             max_count: Number of them.
             is_known: Only those whose distances are known, and these first even if they are no more than that.

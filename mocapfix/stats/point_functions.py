@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-# Least sine of an angle of three points that span a frame.
-MIN_FRAME_SINE = 0.05
+MIN_FRAME_SINE = 0.05  # least sine of an angle of three points that span a frame
 
 
 @dataclass(frozen=True)

@@ -80,12 +80,9 @@ def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[i
     return chosen
 
 
-# Relative resolution of the 32-bit floats in which files store coordinates.
-FLOAT32_RESOLUTION = 2.0**-23
-# Number of steps, evenly spread, from which a common divisor of the coordinates is estimated.
-MAX_SAMPLED_STEPS = 50_000
-# Quantiles of the steps that may equal the common divisor once.
-STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
+FLOAT32_RESOLUTION = 2.0**-23  # relative resolution of the 32-bit floats in which files store coordinates
+MAX_SAMPLED_STEPS = 50_000  # number of steps, evenly spread, from which a common divisor of the coordinates is estimated
+STEP_QUANTILES = (2e-4, 2e-3, 1e-2)  # quantiles of the steps that may equal the common divisor once
 # Fraction of the steps that must be close to a multiple of the divisor (by chance: one in five), and how close, as a part of it.
 MIN_MULTIPLE_FRACTION = 0.9
 MULTIPLE_TOLERANCE = 0.1
@@ -114,11 +111,11 @@ def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
     return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
 
 
+# Variance, in rad^2 or m^2, of a frame without information; larger values would make the system numerically singular.
 MAX_SAMPLE_VARIANCE = 1e4
-"""Variance, in rad^2 or m^2, of a frame without information; larger values would make the system numerically singular."""
+# Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
+# numerically singular, at thousands of frames a second. Such a path is straight already.
 MAX_STIFFNESS_RATIO = 1e13
-"""Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
-numerically singular, at thousands of frames a second. Such a path is straight already."""
 
 
 def smooth_path(

@@ -26,43 +26,29 @@ from mocapfix.model.skeleton import BodyModel, load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
 from mocapfix.subject import refinement
-from mocapfix.subject.body_size import MAX_SIZE_RATIO, MIN_SIZE_RATIO, estimate_body_size_ratio, scale_skeleton
+from mocapfix.subject.average_body import MAX_SIZE_RATIO, MIN_SIZE_RATIO, build_average_subject, estimate_body_size_ratio
 
 
 @dataclass(frozen=True)
 class CalibrationFrames:
-    """N frames of one subject in a take, with the poses of the average body in them.
+    """N frames of one subject in a take, with the poses of the average body in them."""
 
-    Attributes:
-        take: id of the take.
-        subject_name: name of the subject in the take; "" if its labels have none.
-        marker_set: name of the marker set.
-        labels: K marker labels, as the marker set names them.
-        joints: (K,) the joint that carries each marker.
-        marker_offsets: (K, 3) metres, of the marker set on the average body.
-        marker_spread: (K,) metres, how much people's marker offsets differ.
-        size_ratio: size of the body relative to the average one.
-        times_s: (N,) seconds, of the frames.
-        markers: (N, K, 3) metres, NaN if not visible or an outlier.
-        root_position: (N, 3) metres.
-        local_rotations: (N, J, 3, 3).
-    """
-
-    take: str
-    subject_name: str
-    marker_set: str
-    labels: tuple[str, ...]
-    joints: Int[np.ndarray, " K"]
-    marker_offsets: Float[np.ndarray, "K 3"]
-    marker_spread: Float[np.ndarray, " K"]
-    size_ratio: float
-    times_s: Float[np.ndarray, " N"]
-    markers: Float[np.ndarray, "N K 3"]
-    root_position: Float[np.ndarray, "N 3"]
-    local_rotations: Float[np.ndarray, "N J 3 3"]
+    take: str  # id of the take
+    subject_name: str  # name of the subject in the take; "" if its labels have none
+    marker_set: str  # name of the marker set
+    labels: tuple[str, ...]  # K marker labels, as the marker set names them
+    joints: Int[np.ndarray, " K"]  # the joint that carries each marker
+    marker_offsets: Float[np.ndarray, "K 3"]  # metres, of the marker set on the average body
+    marker_spread: Float[np.ndarray, " K"]  # metres, how much people's marker offsets differ
+    size_ratio: float  # size of the body relative to the average one
+    times_s: Float[np.ndarray, " N"]  # seconds, of the frames
+    markers: Float[np.ndarray, "N K 3"]  # metres, NaN if not visible or an outlier
+    root_position: Float[np.ndarray, "N 3"]  # metres
+    local_rotations: Float[np.ndarray, "N J 3 3"]  # (N, J, 3, 3)
 
     @property
     def pose_variation_rad(self) -> float:
@@ -71,17 +57,16 @@ class CalibrationFrames:
         variance = 3 - np.square(below_root.mean(0)).sum((-2, -1))  # of the chordal distance
         return float(np.sqrt(np.maximum(variance, 0.0).mean() / 2))
 
+    @property
+    def poses(self) -> Poses:
+        """Root positions and local rotations."""
+        return self.root_position, self.local_rotations
 
-def build_average_subject(frames: CalibrationFrames, body: BodyModel, size_ratio: float) -> Subject:
-    """Return the average body at a size, with the markers of the frames."""
-    return Subject(
-        skeleton=scale_skeleton(body.skeleton, size_ratio),
-        marker_set=frames.marker_set,
-        labels=frames.labels,
-        joints=frames.joints,
-        marker_offsets=frames.marker_offsets * size_ratio,
-        marker_spread=frames.marker_spread,
-    )
+    @property
+    def known_markers(self) -> MarkerSet:
+        """The markers as a set."""
+        places = self.joints, self.marker_offsets, self.marker_spread
+        return MarkerSet(self.marker_set, self.marker_set, "cmu31", self.labels, *places, ((),) * len(self.labels))
 
 
 def write_calibration_frames(path: Path, frames: CalibrationFrames) -> None:
@@ -118,22 +103,18 @@ def read_calibration_frames(path: Path) -> CalibrationFrames:
     )
 
 
-MIN_CALIBRATION_MARKERS = 3
-"""Visible markers that at least one frame must have; fewer do not determine the pose of any segment."""
+MIN_CALIBRATION_MARKERS = 3  # visible markers that at least one frame must have; fewer do not determine the pose of any segment
+# Frames that are posed to select the calibration frames from; posing all of them takes a fraction of a second.
 MAX_CANDIDATE_FRAMES = 600
-"""Frames that are posed to select the calibration frames from; posing all of them takes a fraction of a second."""
-CANDIDATE_MARKER_SHARE = 0.9
-"""Markers that a candidate frame must show, as a share of the 90th percentile over all frames."""
-MAX_CALIBRATION_FRAMES = 150
-"""Frames that enter the refinement."""
-MIN_MOVED_MARKER_FRAMES = 10
-"""Frames in which a moved marker must be visible to get an offset of its own."""
+CANDIDATE_MARKER_SHARE = 0.9  # markers that a candidate frame must show, as a share of the 90th percentile over all frames
+MAX_CALIBRATION_FRAMES = 150  # frames that enter the refinement
+MIN_MOVED_MARKER_FRAMES = 10  # frames in which a moved marker must be visible to get an offset of its own
+# Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
+# which a refinement ends.
 MAX_KEPT_IMPROVEMENT = 0.003
-"""Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
-which a refinement ends."""
+# Change of a marker offset, in standard deviations of the calibration, up to which it is kept: a marker that is seldom visible
+# hardly affects the cost.
 MAX_KEPT_CHANGE_SD = 3.0
-"""Change of a marker offset, in standard deviations of the calibration, up to which it is kept: a marker that is seldom visible
-hardly affects the cost."""
 
 
 def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
@@ -148,27 +129,15 @@ def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior:
 
 @dataclass(frozen=True)
 class CalibrationFit:
-    """A calibration, from which the next round of detection and calibration goes on.
-
-    Attributes:
-        subject: the calibrated subject.
-        start: the average body at the size of the subject.
-        unknowns: (Q,) the calibration parameters, all 0 for `start`.
-        frames: (N,) indices of the calibration frames.
-        markers: (N, K, 3) metres, the samples in these frames.
-        root_positions: (N, 3) metres, the poses in these frames.
-        local_rotations: (N, J, 3, 3), the same.
-        improvement: by how much the refinement decreased its cost, relative to the result.
-    """
+    """A calibration, from which the next round of detection and calibration goes on."""
 
     subject: Subject
-    start: Subject
-    unknowns: Float[np.ndarray, " Q"]
-    frames: Int[np.ndarray, " N"]
-    markers: Float[np.ndarray, "N K 3"]
-    root_positions: Float[np.ndarray, "N 3"]
-    local_rotations: Float[np.ndarray, "N J 3 3"]
-    improvement: float
+    start: Subject  # the average body at the size of the subject
+    unknowns: Float[np.ndarray, " Q"]  # the calibration parameters, all 0 for `start`
+    frames: Int[np.ndarray, " N"]  # indices of the calibration frames
+    markers: Float[np.ndarray, "N K 3"]  # metres, the samples in these frames
+    poses: Poses  # in these frames
+    improvement: float  # by how much the refinement decreased its cost, relative to the result
 
 
 def fit_calibration(
@@ -179,22 +148,27 @@ def fit_calibration(
     previous  a calibration from the same take with a few more or fewer samples: its frames are refined from where it ended
     """
     if previous is None:
-        start = scale_average_subject(take, marker_set, body)
-        candidates = select_candidate_frames(take.markers)
-        motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
-        chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
-        frames, unknowns = candidates[chosen], None
-        root_positions, local_rotations = motion.root_position[chosen], motion.local_rotations[chosen]
+        start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
+        unknowns = None
     else:
-        start, frames, unknowns = previous.start, previous.frames, previous.unknowns
-        root_positions, local_rotations = previous.root_positions, previous.local_rotations
+        start, frames, unknowns, poses = previous.start, previous.frames, previous.unknowns, previous.poses
     subject, refined, first_cost = refinement.refine_subject(
-        start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns, times_s=frames / take.rate
+        start, body, prior, take.markers[frames], poses, unknowns, times_s=frames / take.rate
     )
     check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
     improvement = (first_cost - refined.cost) / refined.cost
-    poses = refined.root_position, refined.local_rotations
-    return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], *poses, improvement)
+    return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], refined.poses, improvement)
+
+
+def choose_calibration_frames(
+    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior
+) -> tuple[Subject, Int[np.ndarray, " N"], Poses]:
+    """Return the average body at the size of the take, the frames that differ most in pose, and its poses in them."""
+    start = scale_average_subject(take, marker_set, body)
+    candidates = select_candidate_frames(take.markers)
+    root_position, local_rotations = refinement.pose_frames(start, body, prior, take.markers[candidates])
+    chosen = select_varied_poses(local_rotations, np.random.default_rng(0))
+    return start, candidates[chosen], (root_position[chosen], local_rotations[chosen])
 
 
 def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
@@ -203,14 +177,7 @@ def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) ->
         raise TakeError(f"{take.name}: no frame shows three markers of the body, so it cannot be calibrated.")
     ratio = estimate_body_size_ratio(body.skeleton, marker_set, take.markers)
     check_size_ratio(take, ratio)
-    return Subject(
-        skeleton=scale_skeleton(body.skeleton, ratio),
-        marker_set=marker_set.name,
-        labels=marker_set.labels,
-        joints=marker_set.joints,
-        marker_offsets=marker_set.marker_offsets * ratio,
-        marker_spread=marker_set.marker_spread,
-    )
+    return build_average_subject(marker_set, ratio)
 
 
 def check_size_ratio(take: Take, ratio: float) -> None:
@@ -249,11 +216,7 @@ def select_calibration_frames(
 
     Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
     """
-    start = scale_average_subject(take, marker_set, body)
-    candidates = select_candidate_frames(take.markers)
-    motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
-    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
-    frames = candidates[chosen]
+    start, frames, (root_position, local_rotations) = choose_calibration_frames(take, marker_set, body, prior)
     return CalibrationFrames(
         take=take_id,
         subject_name=take.subject_name,
@@ -265,8 +228,8 @@ def select_calibration_frames(
         size_ratio=start.skeleton.total_length_m / body.skeleton.total_length_m,
         times_s=frames / take.rate,
         markers=take.markers[frames],
-        root_position=motion.root_position[chosen],
-        local_rotations=motion.local_rotations[chosen],
+        root_position=root_position,
+        local_rotations=local_rotations,
     )
 
 

@@ -31,31 +31,22 @@ from mocapfix.stats.marker_distances import group_rigid_markers, measure_distanc
 from mocapfix.stats.rigid_alignment import align_to_common_shape
 from mocapfix.stats.sequences import sample_evenly
 
-JOINT_SAMPLE_SD_M = 0.01
-"""Distance between the two places in one frame by which a fit is weighted: markers move with the skin."""
+JOINT_SAMPLE_SD_M = 0.01  # distance between the two places in one frame by which a fit is weighted: markers move with the skin
+# Standard deviation per axis of a joint about the point between its groups; it matters along the axis of a hinge.
 JOINT_PRIOR_SD_M = 0.2
-"""Standard deviation per axis of a joint about the point between its groups; it matters along the axis of a hinge."""
-INDEPENDENT_JOINT_POSES = 20.0
-"""Effective number of independent frames of a take."""
+INDEPENDENT_JOINT_POSES = 20.0  # effective number of independent frames of a take
+# Frames in which the poses of both groups must be known, or a third of the frames of a short take.
 MIN_FUNCTIONAL_JOINT_FRAMES = 30
-"""Frames in which the poses of both groups must be known, or a third of the frames of a short take."""
 
 
 class MovingGroup(NamedTuple):
-    """The poses of a rigid group of markers in N frames.
+    """The poses of a rigid group of markers in N frames."""
 
-    markers   their indices
-    rotation  (N, 3, 3) of the group's axes in the world
-    origin    (N, 3) m
-    places    (K, 3) m: mean places of the markers in these axes
-    is_known  (N,) whether a frame shows enough of the markers
-    """
-
-    markers: tuple[int, ...]
-    rotation: Float[np.ndarray, "N 3 3"]
-    origin: Float[np.ndarray, "N 3"]
-    places: Float[np.ndarray, "K 3"]
-    is_known: Bool[np.ndarray, " N"]
+    markers: tuple[int, ...]  # their indices
+    rotation: Float[np.ndarray, "N 3 3"]  # of the group's axes in the world
+    origin: Float[np.ndarray, "N 3"]  # m
+    places: Float[np.ndarray, "K 3"]  # m: mean places of the markers in these axes
+    is_known: Bool[np.ndarray, " N"]  # whether a frame shows enough of the markers
 
     @property
     def centroid(self) -> Float[np.ndarray, "3"]:
@@ -68,16 +59,11 @@ class MovingGroup(NamedTuple):
 
 
 class FunctionalJoint(NamedTuple):
-    """The joint between two groups.
+    """The joint between two groups."""
 
-    places      (2, 3) m: in the axes of the first and of the second group
-    residual_m  root mean square distance between the two in a frame
-    range_rad   root mean square angle by which the groups turn against each other
-    """
-
-    places: Float[np.ndarray, "2 3"]
-    residual_m: float
-    range_rad: float
+    places: Float[np.ndarray, "2 3"]  # m: in the axes of the first and of the second group
+    residual_m: float  # root mean square distance between the two in a frame
+    range_rad: float  # root mean square angle by which the groups turn against each other
 
 
 def build_moving_group(markers: Float[np.ndarray, "N M 3"], columns: tuple[int, ...]) -> MovingGroup:
@@ -113,70 +99,44 @@ def estimate_functional_joint(first: MovingGroup, second: MovingGroup) -> Functi
     return FunctionalJoint(places.reshape(2, 3), float(np.sqrt((residual**2).sum(1).mean())), float(np.sqrt((angles**2).mean())))
 
 
-MAX_JOINT_RESIDUAL_M = 0.025
-"""Root mean square distance between the two places of a joint."""
+MAX_JOINT_RESIDUAL_M = 0.025  # root mean square distance between the two places of a joint
+# Residual of the knee relative to the larger one of hip and ankle; between a thigh and the other leg's shank it is larger.
 MAX_KNEE_RESIDUAL_RATIO = 2.5
-"""Residual of the knee relative to the larger one of hip and ankle; between a thigh and the other leg's shank it is larger."""
+# Root mean square angle by which two groups must turn against each other; groups on one segment turn less.
 MIN_JOINT_RANGE_RAD = 0.08
-"""Root mean square angle by which two groups must turn against each other; groups on one segment turn less."""
-MIN_COMPETING_RATIO = 2.0
-"""Ratio of residuals below which another group at the same joint competes for its place."""
-MAX_SAME_JOINT_DISTANCE_M = 0.12
-"""Distance between joints on one group below which they are the same."""
-MIN_ORDER_DISTANCE_M = 0.08
-"""Difference of the distances from the knee by which the foot is farther than the shank."""
+MIN_COMPETING_RATIO = 2.0  # ratio of residuals below which another group at the same joint competes for its place
+MAX_SAME_JOINT_DISTANCE_M = 0.12  # distance between joints on one group below which they are the same
+MIN_ORDER_DISTANCE_M = 0.08  # difference of the distances from the knee by which the foot is farther than the shank
+# Length of a thigh or a shank of people from about 1.3 m to 2.1 m in height; functional joints are some centimetres off.
 MIN_BONE_LENGTH_M, MAX_BONE_LENGTH_M = 0.28, 0.56
-"""Length of a thigh or a shank of people from about 1.3 m to 2.1 m in height; functional joints are some centimetres off."""
-MIN_LEG_LENGTH_M = 0.62
-"""Length of both together; an arm has less."""
-MIN_BEND_RAD = 0.26
-"""Angle of the knee from which a frame shows the direction in which it bends."""
-MIN_BENT_SHARE = 0.1
-"""Share of the frames that must show it."""
-MIN_BEND_AGREEMENT = 0.7
-"""Length of the mean direction of bending; 1 if it is the same in all frames."""
-MIN_SIDE_AGREEMENT = 0.5
-"""Cosine between two directions to the left, from different evidence, that agree."""
-MIN_THIGH_COSINE = 0.6
-"""Mean cosine between thigh and vertical; less does not show which end is the upper one."""
-MIN_LEG_REACH = 0.5
-"""Mean height of the hip above the ankle, relative to the length of the leg; a runner bends the knees."""
-MIN_SIDE_DISTANCE_M, MAX_SIDE_DISTANCE_M = 0.03, 0.16
-"""Distance of a hip from the middle of the group on the pelvis, to its side."""
-MIN_SINGLE_SIDE_DISTANCE_M = 0.05
-"""The same where only one leg is found: nothing else shows which one it is."""
-MAX_HIP_OFFSET_M = 0.35
-"""Distance of a hip from the middle of the group on the pelvis."""
-MAX_PELVIS_HEIGHT_M = 0.2
-"""Height of the middle of the group on the pelvis above the hips; that of the thorax is higher."""
-MIN_HIP_DISTANCE_M, MAX_HIP_DISTANCE_M = 0.08, 0.35
-"""Distance between the hips."""
-MAX_BONE_DISTANCE_M = 0.2
-"""Distance of a marker from the bone of its segment; wands are this long."""
+MIN_LEG_LENGTH_M = 0.62  # length of both together; an arm has less
+MIN_BEND_RAD = 0.26  # angle of the knee from which a frame shows the direction in which it bends
+MIN_BENT_SHARE = 0.1  # share of the frames that must show it
+MIN_BEND_AGREEMENT = 0.7  # length of the mean direction of bending; 1 if it is the same in all frames
+MIN_SIDE_AGREEMENT = 0.5  # cosine between two directions to the left, from different evidence, that agree
+MIN_THIGH_COSINE = 0.6  # mean cosine between thigh and vertical; less does not show which end is the upper one
+MIN_LEG_REACH = 0.5  # mean height of the hip above the ankle, relative to the length of the leg; a runner bends the knees
+MIN_SIDE_DISTANCE_M, MAX_SIDE_DISTANCE_M = 0.03, 0.16  # distance of a hip from the middle of the group on the pelvis, to its side
+MIN_SINGLE_SIDE_DISTANCE_M = 0.05  # the same where only one leg is found: nothing else shows which one it is
+MAX_HIP_OFFSET_M = 0.35  # distance of a hip from the middle of the group on the pelvis
+MAX_PELVIS_HEIGHT_M = 0.2  # height of the middle of the group on the pelvis above the hips; that of the thorax is higher
+MIN_HIP_DISTANCE_M, MAX_HIP_DISTANCE_M = 0.08, 0.35  # distance between the hips
+MAX_BONE_DISTANCE_M = 0.2  # distance of a marker from the bone of its segment; wands are this long
+# Height of the ankle above the lowest marker of the take, in the tenth of the frames in which it is lowest.
 MAX_ANKLE_HEIGHT_M = 0.3
-"""Height of the ankle above the lowest marker of the take, in the tenth of the frames in which it is lowest."""
-LOW_FRAME_QUANTILE = 0.1
-"""These frames, as a quantile of the height."""
+LOW_FRAME_QUANTILE = 0.1  # these frames, as a quantile of the height
 
 
 @dataclass(frozen=True)
 class LegChain:
-    """A leg.
+    """A leg."""
 
-    groups          indices of the groups on pelvis, thigh, shank and foot
-    places          (3, 2, 3) m: hip, knee and ankle, each in the axes of the two groups that it joins
-    bend_axes       (2, 3) the direction to the left about which the knee bends, in the axes of thigh and shank
-    left            (3,) the direction to the person's left in the axes of the pelvis
-    is_left         whether it is the left leg
-    hip_residual_m  residual of the hip
-    """
-
-    groups: tuple[int, int, int, int]
-    places: Float[np.ndarray, "3 2 3"]
-    bend_axes: Float[np.ndarray, "2 3"]
-    left: Float[np.ndarray, "3"]
-    is_left: bool
-    hip_residual_m: float
+    groups: tuple[int, int, int, int]  # indices of the groups on pelvis, thigh, shank and foot
+    places: Float[np.ndarray, "3 2 3"]  # m: hip, knee and ankle, each in the axes of the two groups that it joins
+    bend_axes: Float[np.ndarray, "2 3"]  # the direction to the left about which the knee bends, in the axes of thigh and shank
+    left: Float[np.ndarray, "3"]  # the direction to the person's left in the axes of the pelvis
+    is_left: bool  # whether it is the left leg
+    hip_residual_m: float  # residual of the hip
 
 
 class JointGraph:
@@ -348,31 +308,22 @@ def _normalise(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return vector / max(float(np.linalg.norm(vector)), 1e-9)
 
 
+# Variation of the distances between the markers of one segment, as a standard deviation; skin moves less.
 MAX_SEGMENT_SPREAD_M = 0.008
-"""Variation of the distances between the markers of one segment, as a standard deviation; skin moves less."""
-MAX_FUNCTIONAL_FRAMES = 200
-"""Evenly spread frames in which joints between groups are estimated."""
-GROUPED_MARKER_SPREAD_M = 0.04
-"""Spread of a marker about the place that its group gives it on the average body."""
-FLAT_FOOT_QUANTILE = 0.3
-"""Share of the frames in which a foot is lowest, and flat on the floor."""
+MAX_FUNCTIONAL_FRAMES = 200  # evenly spread frames in which joints between groups are estimated
+GROUPED_MARKER_SPREAD_M = 0.04  # spread of a marker about the place that its group gives it on the average body
+FLAT_FOOT_QUANTILE = 0.3  # share of the frames in which a foot is lowest, and flat on the floor
 LEG_CHAIN_JOINT_NAMES = ("UpLeg", "Leg", "Foot")
-TO_THE_LEFT = np.array([1.0, 0.0, 0.0])
-"""In the rest pose."""
+TO_THE_LEFT = np.array([1.0, 0.0, 0.0])  # in the rest pose
 
 
 class SegmentAxes(NamedTuple):
-    """A group as a segment: its joint, and how places in the group's axes become offsets in those of the joint.
-
-    joint     index of the joint
-    rotation  (3, 3) from the group's axes to those of the joint
-    origin    (3,) m: the joint in the group's axes
-    """
+    """A group as a segment: its joint, and how places in the group's axes become offsets in those of the joint."""
 
     group: MovingGroup
-    joint: int
-    rotation: Float[np.ndarray, "3 3"]
-    origin: Float[np.ndarray, "3"]
+    joint: int  # index of the joint
+    rotation: Float[np.ndarray, "3 3"]  # from the group's axes to those of the joint
+    origin: Float[np.ndarray, "3"]  # m: the joint in the group's axes
 
 
 def guess_from_rigid_groups(take: Take, labels: tuple[str, ...], skeleton: Skeleton) -> MarkerSet | None:

@@ -15,20 +15,17 @@ from mocapfix.subject.library import MIRROR_X, load_marker_set
 
 LABEL_WORDS_FILE = "words/markers.yaml"
 OTHER_WORDS_FILE = "words/other-points.yaml"
+# Words for a side: 1 for the left, -1 for the right.
 SIDE_SIGNS = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "DROIT": -1, "R": -1}
-"""words for a side: 1 for the left, -1 for the right"""
-MAX_MIDLINE_DISTANCE_M = 0.03
-"""a marker that is nearer to the median plane of the body needs no word for its side"""
-WORD_MARKER_SPREAD_M = 0.05
-"""standard deviation per axis of markers with the same word about the position for the word"""
-MIN_INNER_WORD_LENGTH = 4
-"""letters of a word that may stand within a label"""
+MAX_MIDLINE_DISTANCE_M = 0.03  # a marker that is nearer to the median plane of the body needs no word for its side
+WORD_MARKER_SPREAD_M = 0.05  # standard deviation per axis of markers with the same word about the position for the word
+MIN_INNER_WORD_LENGTH = 4  # letters of a word that may stand within a label
+# Letters of a word that may stand at the beginning of a label; a shorter one, or one with a digit, is a label of its own.
 MIN_FIRST_WORD_LENGTH = 3
-"""letters of a word that may stand at the beginning of a label; a shorter one, or one with a digit, is a label of its own"""
+# Where a label may have a letter or a word for its side.
 ALL_SIDE_PLACES = ("first letter", "first word", "last letter", "last word")
-"""where a label may have a letter or a word for its side"""
+# The words of a label: letters of one case, or a capital with small letters, or digits.
 TOKEN_PATTERN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+")
-"""the words of a label: letters of one case, or a capital with small letters, or digits"""
 
 
 class WordLocation(NamedTuple):

@@ -1,13 +1,12 @@
-"""Learn a studio's marker set from a take: the segment of each marker and its offset.
+"""Learn a marker set from a take, where no known set fits: the segment of each marker and its offset.
 
 Learning starts from a guess at some of the markers: those of a known set that are among the labels, else those whose labels have
 known words, else those on legs that rigid groups form, or those that the cloud of markers locates on a body. How the markers
-move then decides about all of them.
-
-Checks of a marker set that was learned from a take: whether a body with this set explains how the markers move.
+move then decides about all of them. `clean` uses the set, `mocapfix marker-set learn` writes it.
 
 A body with many joints follows nearly any markers to a few millimetres, so a small residual is no proof. A wrong body shows in
 other ways: it has an impossible size, knees that bend forwards, or segments far apart on it whose markers keep their distance.
+Without a plausible body there is no set: no skeleton is better than a wrong one.
 """
 
 from collections.abc import Collection, Sequence
@@ -20,90 +19,84 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError, format_name_list
+from mocapfix.io.capture import read_take
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import find_common_joint, load_cmu31_body
+from mocapfix.model.skeleton import BODY_SECTIONS, find_common_joint, load_cmu31_body
 from mocapfix.model.take import Take
+from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
+from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
 from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.grouped_markers import guess_from_rigid_groups
 from mocapfix.subject.label_words import guess_marker_set_from_words, names_object
-from mocapfix.subject.library import choose_marker_set, describe_marker_set_match, load_marker_set
+from mocapfix.subject.library import (
+    UNASSIGNED_SUBJECT,
+    SubjectChoice,
+    choose_marker_set,
+    describe_marker_set_match,
+    find_subject_prefixes,
+    load_marker_set,
+    select_subject,
+)
 from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
+from mocapfix.subject.props import find_props
 from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud
 
 if TYPE_CHECKING:
     from mocapfix.subject.marker_set_fit import MarkerSetFit
 
 
+# Mean distance of the markers from the body of a correct set; with a wrong side or segment among them it is larger.
 MAX_LEARNED_MEAN_RESIDUAL_M = 0.009
-"""Mean distance of the markers from the body of a correct set; with a wrong side or segment among them it is larger."""
+# Smallest size relative to the average body: a child of three. Learning from positions alone needs MIN_POSITION_SIZE_RATIO.
 MIN_LEARNED_SIZE_RATIO = 0.5
-"""Smallest size relative to the average body: a child of three. Learning from positions alone needs MIN_POSITION_SIZE_RATIO."""
+# Smallest size of a body that is located by positions alone; a part of a body that is taken for a whole one is smaller.
 MIN_POSITION_SIZE_RATIO = 0.75
-"""Smallest size of a body that is located by positions alone; a part of a body that is taken for a whole one is smaller."""
-MAX_LEARNED_SIZE_RATIO = 1.3
-"""Largest size relative to the average body."""
+MAX_LEARNED_SIZE_RATIO = 1.3  # largest size relative to the average body
+# Variation of the distance to a distant segment, relative to the least one to a near segment, that is a contradiction.
 STEADINESS_RATIO = 2.0
-"""Variation of the distance to a distant segment, relative to the least one to a near segment, that is a contradiction."""
+# Variation of a distance, as a standard deviation, below which two markers seem to be on the same segment.
 MAX_STEADY_SPREAD_M = 0.006
-"""Variation of a distance, as a standard deviation, below which two markers seem to be on the same segment."""
+# Variation of a marker's position that shows that it moves; two markers at rest keep their distance on any segments.
 MIN_TRAVEL_SPREAD_M = 0.05
-"""Variation of a marker's position that shows that it moves; two markers at rest keep their distance on any segments."""
+# Joints that are not counted between two segments: pelvis, thorax and head are neighbours.
 PASSED_JOINT_NAMES = ("LowerBack", "Spine", "Neck", "Neck1")
-"""Joints that are not counted between two segments: pelvis, thorax and head are neighbours."""
+# Segments along the way between two that are far apart: an upper arm hardly moves against the head in a short walk.
 MIN_DISTANT_SEGMENTS = 4
-"""Segments along the way between two that are far apart: an upper arm hardly moves against the head in a short walk."""
-MAX_CONTRADICTED_SHARE = 0.04
-"""Share of the markers whose steadiest neighbours may be on distant segments."""
+MAX_CONTRADICTED_SHARE = 0.04  # share of the markers whose steadiest neighbours may be on distant segments
+# Median variation of the distances between markers on distant segments; less is too little motion to learn from.
 MIN_DISTANCE_MOTION_M = 0.008
-"""Median variation of the distances between markers on distant segments; less is too little motion to learn from."""
-MAX_BEND_VIOLATION_RAD = 0.35
-"""Angle beyond its limits at which a knee or an elbow bends the wrong way."""
+MAX_BEND_VIOLATION_RAD = 0.35  # angle beyond its limits at which a knee or an elbow bends the wrong way
+# Angle beyond its limits at which a foot or an upper arm is turned: the wrong way round, they are further beyond.
 MAX_TURN_VIOLATION_RAD = 0.05
-"""Angle beyond its limits at which a foot or an upper arm is turned: the wrong way round, they are further beyond."""
-MAX_VIOLATION_SHARE = 0.2
-"""Share of the frames in which they may be."""
-MIN_JUDGED_MARKERS = 2
-"""Markers of a segment whose joint is judged: one marker leaves its rotation open."""
+MAX_VIOLATION_SHARE = 0.2  # share of the frames in which they may be
+MIN_JUDGED_MARKERS = 2  # markers of a segment whose joint is judged: one marker leaves its rotation open
+# Motion per axis of a marker against its segment above which it is left out, though its label or position names the segment.
 MAX_NAMED_MARKER_SD_M = 0.02
-"""Motion per axis of a marker against its segment above which it is left out, though its label or position names the segment."""
-MAX_UNNAMED_MARKER_SD_M = 0.012
-"""The same for a marker that is attached for its motion alone."""
+MAX_UNNAMED_MARKER_SD_M = 0.012  # the same for a marker that is attached for its motion alone
+# Probability of the segment of such a marker below which it is left out, unless the alternative is a neighbouring segment.
 MIN_UNNAMED_PROBABILITY = 0.9
-"""Probability of the segment of such a marker below which it is left out, unless the alternative is a neighbouring segment."""
-MIN_LOCATED_SHARE = 0.8
-"""Share of the visible markers that a body located by positions alone must explain."""
+MIN_LOCATED_SHARE = 0.8  # share of the visible markers that a body located by positions alone must explain
 TRUNK_JOINT_NAMES = ("Hips", "Spine1", "Head")
 LIMB_SEGMENT_NAMES = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")
-MIN_TRUNK_SEGMENT_MARKERS = 3
-"""Markers on pelvis, thorax and head each of such a body."""
-MIN_PAIRED_LIMB_SEGMENTS = 8
-"""Number of its ten limb segments that have two markers or more; each has at least one."""
-HINGE_JOINT_NAMES = ("LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")
-"""Knees and elbows, which bend in one direction only."""
+MIN_TRUNK_SEGMENT_MARKERS = 3  # markers on pelvis, thorax and head each of such a body
+MIN_PAIRED_LIMB_SEGMENTS = 8  # number of its ten limb segments that have two markers or more; each has at least one
+HINGE_JOINT_NAMES = ("LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")  # knees and elbows, which bend in one direction only
+# Ankles and shoulders, which a body that faces backwards would have to turn round.
 TURNED_JOINT_NAMES = ("LeftFoot", "RightFoot", "LeftArm", "RightArm")
-"""Ankles and shoulders, which a body that faces backwards would have to turn round."""
 
 
 @dataclass(frozen=True)
 class LearnedBody:
-    """What the checks compare: a learned set with the body on which it was learned.
+    """What the checks compare: a learned set with the body on which it was learned."""
 
-    marker_set           K markers
-    mean_residual_m      their mean distance from the body
-    size_ratio           size relative to the average body
-    joint_rotations      (N, J, 3, 3) world rotations of the joints in N frames
-    distance_spread      (K, K) m: variation of the distances between the markers
-    position_spread      (K,) m: variation of their positions
-    """
-
-    marker_set: MarkerSet
-    mean_residual_m: float
-    size_ratio: float
-    joint_rotations: Float[np.ndarray, "N J 3 3"]
-    distance_spread: Float[np.ndarray, "K K"]
-    position_spread: Float[np.ndarray, " K"]
+    marker_set: MarkerSet  # K markers
+    mean_residual_m: float  # their mean distance from the body
+    size_ratio: float  # size relative to the average body
+    joint_rotations: Float[np.ndarray, "N J 3 3"]  # world rotations of the joints in N frames
+    distance_spread: Float[np.ndarray, "K K"]  # m: variation of the distances between the markers
+    position_spread: Float[np.ndarray, " K"]  # m: variation of their positions
 
 
 def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from_positions: bool) -> str:
@@ -307,41 +300,27 @@ def find_doubtful_markers(
     return reasons
 
 
-KNOWN_LABEL_LOG_ODDS = 10.0
-"""log odds that the segment of a marker is correct if its label is one of a known set"""
-LABEL_WORD_LOG_ODDS = 4.0
-"""the same if the label has a known word"""
-GROUP_LOG_ODDS = 6.0
-"""the same if the marker is in a rigid group whose joints show its segment"""
-POSITION_LOG_ODDS = 3.0
-"""the same if the segment is guessed from the cloud of markers"""
-MIN_GROUPED_SHARE = 0.6
-"""share of the visible markers on legs that rigid groups form, from which no whole body is searched for"""
-MAX_LOCATED_SHARE = 0.2
-"""share of the labels whose words locate a marker, above which a body is not located by positions"""
-MIN_SEGMENT_PROBABILITY = 0.9
-"""probability of a segment below which the marker is reported as ambiguous"""
+KNOWN_LABEL_LOG_ODDS = 10.0  # log odds that the segment of a marker is correct if its label is one of a known set
+LABEL_WORD_LOG_ODDS = 4.0  # the same if the label has a known word
+GROUP_LOG_ODDS = 6.0  # the same if the marker is in a rigid group whose joints show its segment
+POSITION_LOG_ODDS = 3.0  # the same if the segment is guessed from the cloud of markers
+MIN_GROUPED_SHARE = 0.6  # share of the visible markers on legs that rigid groups form, from which no whole body is searched for
+MAX_LOCATED_SHARE = 0.2  # share of the labels whose words locate a marker, above which a body is not located by positions
+MIN_SEGMENT_PROBABILITY = 0.9  # probability of a segment below which the marker is reported as ambiguous
+# Standard deviation per axis of other people's markers about an offset that was measured on one person.
 LEARNED_MARKER_SPREAD_M = 0.02
-"""standard deviation per axis of other people's markers about an offset that was measured on one person"""
 MEAN_POSE_PRIOR_NAME = "mean-pose"
 
 
 @dataclass(frozen=True)
 class LearnedMarkerSet:
-    """A marker set that was learned from a take.
+    """A marker set that was learned from a take."""
 
-    marker_set         the set
-    guess_description  a sentence on the guess from which it was learned
-    excluded_markers   why a marker is not in the set, by label
-    ambiguous_markers  the name of another joint to which a marker may be attached, by label
-    mean_residual_m    mean distance of the markers from the body
-    """
-
-    marker_set: MarkerSet
-    guess_description: str
-    excluded_markers: dict[str, str]
-    ambiguous_markers: dict[str, str]
-    mean_residual_m: float
+    marker_set: MarkerSet  # the set
+    guess_description: str  # a sentence on the guess from which it was learned
+    excluded_markers: dict[str, str]  # why a marker is not in the set, by label
+    ambiguous_markers: dict[str, str]  # the name of another joint to which a marker may be attached, by label
+    mean_residual_m: float  # mean distance of the markers from the body
 
     @property
     def file_comment(self) -> str:
@@ -359,30 +338,20 @@ class LearnedMarkerSet:
 
 @dataclass(frozen=True)
 class SubjectMarkers:
-    """The markers of one subject in a take.
+    """The markers of one subject in a take."""
 
-    take              its markers and those without a subject prefix
-    labels            their labels without prefix
-    excluded_markers  why a marker was left out, by label
-    """
-
-    take: Take
-    labels: tuple[str, ...]
-    excluded_markers: dict[str, str]
+    take: Take  # its markers and those without a subject prefix
+    labels: tuple[str, ...]  # their labels without prefix
+    excluded_markers: dict[str, str]  # why a marker was left out, by label
 
 
 @dataclass(frozen=True)
 class InitialGuess:
-    """A guess at some of the markers of a take, enough to determine a body.
+    """A guess at some of the markers of a take, enough to determine a body."""
 
-    marker_set      the guessed markers by the labels of the take
-    label_log_odds  log odds that the segment of a marker is correct
-    description     a sentence on where the guess comes from
-    """
-
-    marker_set: MarkerSet
-    label_log_odds: float
-    description: str
+    marker_set: MarkerSet  # the guessed markers by the labels of the take
+    label_log_odds: float  # log odds that the segment of a marker is correct
+    description: str  # a sentence on where the guess comes from
 
 
 def learn_from_markers(selected: SubjectMarkers, name: str, like: str | Path | None = None) -> LearnedMarkerSet:
@@ -551,3 +520,81 @@ def find_ambiguous_markers(learned: MarkerSetFit, labels: Sequence[str]) -> dict
     joint_names, attachment = load_cmu31_body().skeleton.names, learned.attachment
     is_ambiguous = (attachment.joints >= 0) & (attachment.probability < MIN_SEGMENT_PROBABILITY)
     return {labels[int(m)]: joint_names[attachment.second_joints[m]] for m in np.flatnonzero(is_ambiguous)}
+
+
+OWN_SET_NAME = "own"
+MIN_OWN_SET_MARKERS = 5  # visible markers of the smallest part of a body, a single limb
+# Visible markers of one body; the densest published set has 350 (Park & Hodgins 2006). The joints of 1,300 took 75 s to find.
+MAX_OWN_SET_MARKERS = 400
+
+
+def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
+    """Return the choice for a take without a known set: with a set learned from the take, or without one and with the reason."""
+    known_reason = choice.notes[:1]
+    try:
+        count = int(take.visible.any(0).sum())
+        if take.subject_name == UNASSIGNED_SUBJECT or count < MIN_OWN_SET_MARKERS:
+            return choice
+        if count > MAX_OWN_SET_MARKERS:
+            raise TakeError(f"{take.name}: {count:,} markers with unknown labels are more than those of one body")
+        selected = select_subject_markers(take.masked(take.measured))
+        learned = add_props(learn_from_markers(selected, OWN_SET_NAME), take)
+    except TakeError as error:
+        reason = str(error).removeprefix(f"{take.name}: ").partition("; name")[0].removesuffix(".")
+        reason = f"{reason[:1].upper()}{reason[1:]}."
+        return replace(choice, notes=(*known_reason, reason, *choice.notes[1:]))
+    notes = (*known_reason, *describe_learned_set(learned))
+    return replace(choice, marker_set=learned.marker_set, notes=notes, is_learned=True)
+
+
+def learn_marker_set(
+    path: str | Path,
+    name: str,
+    *,
+    like: str | Path | None = None,
+    subject_prefix: str | None = None,
+    options: ReadOptions = DEFAULT_READ_OPTIONS,
+    progress: ProgressCallback | None = None,
+) -> LearnedMarkerSet:
+    """Return the marker set of the take at `path` under a name.
+
+    like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
+    subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
+    options         what is known about the file, as for `read_take`
+    progress        called with the name of each stage as it begins
+
+    Raises ReadError, SceneError or TakeError.
+    """
+    report_stage = progress or (lambda stage: None)
+    report_stage("read")
+    take = read_take(path, options)
+    take = replace(take, subject_prefixes=find_subject_prefixes(take.labels))
+    if subject_prefix is not None:
+        take = select_subject(take, subject_prefix)
+    selected = select_subject_markers(take.masked(take.measured))
+    report_stage("learn")
+    return add_props(learn_from_markers(selected, name, like), take)
+
+
+def add_props(learned: LearnedMarkerSet, take: Take) -> LearnedMarkerSet:
+    """Return a learned set with the rigid groups of the take's other markers as props."""
+    is_on_body = np.isin(take.bare_labels, learned.marker_set.labels)
+    groups = find_props(take.masked(take.measured), is_on_body, {})
+    props = {group.name: tuple(take.bare_labels[m] for m in group.markers) for group in groups}
+    return replace(learned, marker_set=replace(learned.marker_set, props=props))
+
+
+def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
+    """Return the notes on what a learned set assumes."""
+    names, labels = load_cmu31_body().skeleton.names, learned.marker_set.labels
+    marked = {names[joint] for joint in learned.marker_set.joints}
+    sections = [section for section, joints in BODY_SECTIONS.items() if marked.intersection(joints)]
+    notes = [
+        f"A marker set was learned from this take: {learned.guess_description}",
+        f"The {len(labels)} markers of the learned set are on {format_name_list(sections)}, "
+        f"{learned.mean_residual_m * 1e3:.1f} mm from the body on average. `mocapfix marker-set learn` writes the set.",
+    ]
+    ambiguous = [f"{label} (or on {joint})" for label, joint in learned.ambiguous_markers.items() if label in labels]
+    if ambiguous:
+        notes.append(f"The segment of these markers is ambiguous: {format_name_list(ambiguous)}.")
+    return tuple(notes)

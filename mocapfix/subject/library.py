@@ -1,8 +1,8 @@
-"""The library of marker sets: the shipped ones in scenes/marker-sets and those of a studio, and the choice of a take's set.
+"""The library of marker sets, of anatomical landmarks and of subjects, as YAML, and the choice of a take's set.
 
-Marker sets are read and written as YAML. A take gets the set that the options name, or the shipped one that fits its labels.
-
-Anatomical landmarks: each has one place on the average body, to which marker sets and detectors of keypoints refer.
+The shipped sets are in scenes/marker-sets, those of a studio anywhere. A take gets the set that the options name, or the
+shipped one that fits its labels. Landmarks have one place each on the average body, to which marker sets and detectors of
+keypoints refer. A subject file has one person's bones and marker offsets, which people can read, edit and use again.
 """
 
 from collections import Counter
@@ -14,37 +14,147 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, FiniteFloat, PositiveFloat, field_validator, model_validator
+from pydantic import Field, FiniteFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
 
-from mocapfix.errors import TakeError, format_name_list
+from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, find_by_name, read_yaml_model
 from mocapfix.model.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, index_labels_by_prefix
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SubjectOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS
-from mocapfix.subject import subject_file
+
+SUBJECT_FILE_HEADER = """\
+# A subject of mocapfix: one person's bones and the markers on them. All lengths are in metres.
+# offset: the joint in its parent's axes; end: the tip of a last bone in its joint's axes; place: the marker in the axes of its
+# joint; spread: typical distance per axis of the marker from its place; sd: standard deviation per axis of the joint or marker
+# due to the uncertainty of the calibration (0 if it was measured otherwise).
+# Rest pose: a T-pose facing +Z, Y up, with all joint axes parallel to the world axes.
+"""
+LENGTH_DECIMALS = 7  # decimals of the lengths in the file: a tenth of a micrometre
+
+
+def read_subject(path: str | Path) -> Subject:
+    """Return the subject in a file that `write_subject` wrote, possibly edited since.
+
+    Raises SceneError with the file and the path of the invalid key.
+    """
+    model = read_yaml_model(_SubjectModel, Path(path))
+    _check_bones(Path(path), model.bones)
+    skeleton, markers = load_cmu31_body().skeleton, model.markers.values()
+    bones = [model.bones[name] for name in skeleton.names]
+    return Subject(
+        skeleton=Skeleton(
+            skeleton.names,
+            skeleton.parents,
+            np.array([bone.offset for bone in bones], float),
+            np.array([bone.end or [np.nan] * 3 for bone in bones], float),
+        ),
+        marker_set=model.marker_set,
+        labels=tuple(model.markers),
+        joints=np.array([skeleton.find_joint(marker.joint) for marker in markers], int),
+        marker_offsets=np.array([marker.place for marker in markers], float).reshape(-1, 3),
+        marker_spread=np.array([marker.spread for marker in markers], float),
+        joint_sd=np.array([bone.sd for bone in bones], float),
+        marker_sd=np.array([marker.sd for marker in markers], float),
+        frame_count=model.frames,
+        notes=model.notes,
+    )
+
+
+def write_subject(path: str | Path, subject: Subject) -> None:
+    """Write a subject as YAML, with lengths rounded to LENGTH_DECIMALS.
+
+    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
+    """
+    skeleton, names = subject.skeleton, subject.skeleton.names
+    bones: dict[str, InlineMapping] = {}
+    markers: dict[str, InlineMapping] = {}
+    for name, parent, offset, end, sd in zip(
+        names, skeleton.parents, skeleton.offsets, skeleton.ends, subject.joint_sd, strict=True
+    ):
+        bones[name] = InlineMapping(
+            parent=names[parent] if parent >= 0 else None, offset=_round_lengths(offset), sd=_round_length(sd)
+        )
+        if not np.isnan(end).any():
+            bones[name]["end"] = _round_lengths(end)
+    for label, joint, offset, spread, sd in zip(
+        subject.labels, subject.joints, subject.marker_offsets, subject.marker_spread, subject.marker_sd, strict=True
+    ):
+        markers[label] = InlineMapping(
+            joint=names[joint], place=_round_lengths(offset), spread=_round_length(spread), sd=_round_length(sd)
+        )
+    notes = {"notes": list(subject.notes)} if subject.notes else {}
+    data = {"marker_set": subject.marker_set, "frames": int(subject.frame_count), "bones": bones, "markers": markers, **notes}
+    with replace_atomically(Path(path)) as new_file:
+        new_file.write_text(SUBJECT_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
+
+
+def _round_lengths(vector: np.ndarray) -> list[float]:
+    return [_round_length(x) for x in vector]
+
+
+def _round_length(value: float) -> float:
+    return round(float(value), LENGTH_DECIMALS)
+
+
+class _BoneModel(StrictModel):
+    parent: str | None
+    offset: Vector3
+    end: Vector3 | None = None
+    sd: FiniteFloat = Field(ge=0)
+
+
+class _MarkerModel(StrictModel):
+    joint: JointName
+    place: Vector3
+    spread: FiniteFloat = Field(ge=0)
+    sd: FiniteFloat = Field(ge=0)
+
+
+class _SubjectModel(StrictModel):
+    marker_set: str
+    frames: NonNegativeInt
+    bones: dict[str, _BoneModel]
+    markers: dict[str, _MarkerModel]
+    notes: tuple[str, ...] = ()
+
+
+def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
+    """Raise SceneError unless the bones are those of the CMU skeleton, the only tree that the solver supports."""
+    skeleton = load_cmu31_body().skeleton
+    for name, bone in bones.items():
+        if name not in skeleton.names:
+            raise SceneError(
+                f"{path}: bones.{name}: the skeleton has no such bone; its bones are {format_name_list(skeleton.names)}."
+            )
+        joint = skeleton.find_joint(name)
+        parent = skeleton.names[skeleton.parents[joint]] if joint else None
+        if bone.parent != parent:
+            raise SceneError(f"{path}: bones.{name}.parent: must be {parent or 'null'}, not {bone.parent or 'null'}.")
+        if (bone.end is None) != np.isnan(skeleton.ends[joint]).any():
+            raise SceneError(
+                f"{path}: bones.{name}.end: {'is missing' if bone.end is None else 'only the last bone of a chain has one'}."
+            )
+    if missing := [name for name in skeleton.names if name not in bones]:
+        raise SceneError(f"{path}: bones.{missing[0]}: is missing.")
+
 
 LANDMARK_FILE = "skeletons/landmarks.yaml"
 MIRROR_X = np.array([-1.0, 1.0, 1.0])
+# The distance from the median plane within which a landmark of pelvis, trunk or head is one of neither side.
 MAX_MEDIAN_DISTANCE_M = 0.008
-"""the distance from the median plane within which a landmark of pelvis, trunk or head is one of neither side"""
 
 
 class Landmark(NamedTuple):
-    """A landmark on the average body.
+    """A landmark on the average body."""
 
-    joint_name  the joint that carries it
-    offset      (3,) m: its position in the axes of the joint
-    spread      m: standard deviation per axis, over people, of a marker on it about the offset
-    """
-
-    joint_name: str
-    offset: Float[np.ndarray, "3"]
-    spread: float
+    joint_name: str  # the joint that carries it
+    offset: Float[np.ndarray, "3"]  # m: its position in the axes of the joint
+    spread: float  # m: standard deviation per axis, over people, of a marker on it about the offset
 
 
 def find_landmark(name: str) -> Landmark:
@@ -251,8 +361,7 @@ class _MarkerSetModel(StrictModel):
         return self
 
 
-UNASSIGNED_SUBJECT = "others"
-"""the name of the take of the markers that belong to no body, nor to a part of one"""
+UNASSIGNED_SUBJECT = "others"  # the name of the take of the markers that belong to no body, nor to a part of one
 
 
 @dataclass(frozen=True)
@@ -355,19 +464,12 @@ def _format_match_count(marker_set: MarkerSet, found_labels: Collection[str]) ->
 
 @dataclass(frozen=True)
 class SubjectChoice:
-    """The subject and the marker set of a take.
+    """The subject and the marker set of a take."""
 
-    Attributes:
-        subject: the subject that the options name, None if it is to be calibrated.
-        marker_set: the marker set, None where no set fits: there is no body then.
-        notes: sentences for the report.
-        is_learned: whether the marker set was learned from the take itself.
-    """
-
-    subject: Subject | None
-    marker_set: MarkerSet | None
-    notes: tuple[str, ...] = ()
-    is_learned: bool = False
+    subject: Subject | None  # the subject that the options name, None if it is to be calibrated
+    marker_set: MarkerSet | None  # the marker set, None where no set fits: there is no body then
+    notes: tuple[str, ...] = ()  # sentences for the report
+    is_learned: bool = False  # whether the marker set was learned from the take itself
 
 
 def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
@@ -375,7 +477,7 @@ def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
     subject = None if isinstance(options.subject, tuple) else options.subject
     if subject is not None:
         if isinstance(subject, str | Path):
-            subject = subject_file.read_subject(subject)
+            subject = read_subject(subject)
         return SubjectChoice(subject, build_subject_marker_set(subject), subject.notes)
     return SubjectChoice(None, None if options.marker_set is None else load_marker_set(options.marker_set))
 
@@ -409,3 +511,10 @@ def restrict_subject_choice(choice: SubjectChoice, labels: Sequence[str]) -> Sub
     if marker_set is choice.marker_set or not marker_set.labels:
         return choice
     return replace(choice, marker_set=marker_set, subject=subject.select_markers(marker_set.labels) if subject else None)
+
+
+def withdraw_marker_set(choice: SubjectChoice) -> SubjectChoice:
+    """Return the choice without its learned marker set, and with the reason."""
+    reason = "A marker set learned from this take would reject or relabel measured samples, so it is not used."
+    no_body = "The take was cleaned without a skeleton: there is no BVH."
+    return replace(choice, marker_set=None, is_learned=False, notes=(*choice.notes[:1], reason, no_body))

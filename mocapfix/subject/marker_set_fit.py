@@ -28,44 +28,30 @@ from mocapfix.subject import refinement
 from mocapfix.subject.calibration import calibrate_subject, select_candidate_frames
 from mocapfix.subject.library import load_whole_body_marker_sets
 
+# Share of a marker's frames that is used; the frames with the largest residuals may be swaps, ghosts or wrong poses.
 KEPT_FRAME_SHARE = 0.9
-"""Share of a marker's frames that is used; the frames with the largest residuals may be swaps, ghosts or wrong poses."""
-MIN_SKIN_MOTION_M = 0.005
-"""Motion per axis that a marker shows even on the correct segment."""
-INDEPENDENT_POSE_COUNT = 10.0
-"""Effective number of independent poses in a take, whatever its number of frames."""
+MIN_SKIN_MOTION_M = 0.005  # motion per axis that a marker shows even on the correct segment
+INDEPENDENT_POSE_COUNT = 10.0  # effective number of independent poses in a take, whatever its number of frames
+# Standard deviation of the distance from a marker to the nearest position of the known sets on its segment.
 ATLAS_DISTANCE_SD_M = 0.07
-"""Standard deviation of the distance from a marker to the nearest position of the known sets on its segment."""
-MAX_ATTACHED_SD_M = 0.025
-"""Motion per axis above which a marker is not attached to a segment."""
+MAX_ATTACHED_SD_M = 0.025  # motion per axis above which a marker is not attached to a segment
+# Distance from all known marker positions above which a marker is taken for a prop, unless its label names the segment.
 MAX_ATLAS_DISTANCE_M = 0.15
-"""Distance from all known marker positions above which a marker is taken for a prop, unless its label names the segment."""
-MIN_ATTACHMENT_FRAMES = 30
-"""Frames in which a marker must be visible to be attached."""
-MIN_ATTACHMENT_FRAME_SHARE = 0.3
-"""The same as a share of the frames, for short takes."""
+MIN_ATTACHMENT_FRAMES = 30  # frames in which a marker must be visible to be attached
+MIN_ATTACHMENT_FRAME_SHARE = 0.3  # the same as a share of the frames, for short takes
 
 
 @dataclass(frozen=True)
 class AttachedMarkers:
-    """The segments of M markers.
+    """The segments of M markers."""
 
-    joints             (M,) index of the joint, -1 for none
-    offsets            (M, 3) m in the axes of the joint; for unattached markers of the most likely joint
-    residual_sd        (M,) m: motion per axis about the offset
-    probability        (M,) posterior probability of the joint
-    second_joints      (M,) the second most likely joint
-    log_likelihood     (M,) log likelihood of the joint up to a constant; NaN if the marker is never visible
-    rejection_reasons  why each marker is not attached (the predicate of a sentence), "" if it is
-    """
-
-    joints: Int[np.ndarray, " M"]
-    offsets: Float[np.ndarray, "M 3"]
-    residual_sd: Float[np.ndarray, " M"]
-    probability: Float[np.ndarray, " M"]
-    second_joints: Int[np.ndarray, " M"]
-    log_likelihood: Float[np.ndarray, " M"]
-    rejection_reasons: tuple[str, ...]
+    joints: Int[np.ndarray, " M"]  # index of the joint, -1 for none
+    offsets: Float[np.ndarray, "M 3"]  # m in the axes of the joint; for unattached markers of the most likely joint
+    residual_sd: Float[np.ndarray, " M"]  # m: motion per axis about the offset
+    probability: Float[np.ndarray, " M"]  # posterior probability of the joint
+    second_joints: Int[np.ndarray, " M"]  # the second most likely joint
+    log_likelihood: Float[np.ndarray, " M"]  # log likelihood of the joint up to a constant; NaN if the marker is never visible
+    rejection_reasons: tuple[str, ...]  # why each marker is not attached (the predicate of a sentence), "" if it is
 
 
 @dataclass(frozen=True)
@@ -184,32 +170,22 @@ def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: in
     return ""
 
 
-MAX_ATTACHMENT_ROUNDS = 5
-"""Rounds of calibration and attachment."""
-MAX_LEARNING_FRAMES = 90
-"""Frames on which the person is calibrated in each round; the set is learned from more of them."""
-MAX_ATTACHMENT_FRAMES = 300
-"""Frames, evenly spread, from which markers are attached to segments."""
+MAX_ATTACHMENT_ROUNDS = 5  # rounds of calibration and attachment
+MAX_LEARNING_FRAMES = 90  # frames on which the person is calibrated in each round; the set is learned from more of them
+MAX_ATTACHMENT_FRAMES = 300  # frames, evenly spread, from which markers are attached to segments
+# Spread of a marker offset learned from one take: other takes place the marker at least this differently.
 ONE_TAKE_MARKER_SPREAD_M = 0.02
-"""Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
 
 
 @dataclass(frozen=True)
 class MarkerSetFit:
-    """A marker set learned from a take.
+    """A marker set learned from a take."""
 
-    marker_set       the markers that are attached to a segment
-    subject          the person calibrated on them
-    attachment       the segments of all markers of the take, in its order
-    mean_residual_m  mean distance of the markers from the body over the frames examined
-    joint_rotations  (N, J, 3, 3) world rotations of the joints in these frames
-    """
-
-    marker_set: MarkerSet
-    subject: Subject
-    attachment: AttachedMarkers
-    mean_residual_m: float
-    joint_rotations: np.ndarray
+    marker_set: MarkerSet  # the markers that are attached to a segment
+    subject: Subject  # the person calibrated on them
+    attachment: AttachedMarkers  # the segments of all markers of the take, in its order
+    mean_residual_m: float  # mean distance of the markers from the body over the frames examined
+    joint_rotations: np.ndarray  # (N, J, 3, 3) world rotations of the joints in these frames
 
 
 class CalibratedFrames(NamedTuple):
@@ -306,8 +282,8 @@ def calibrate_on_frames(
     markers = selected.markers[frames]
     sparse = selected.replace_markers(markers[sample_evenly(len(frames), MAX_LEARNING_FRAMES)])
     subject = calibrate_subject(sparse, marker_set, body, prior)
-    motion = refinement.pose_frames(subject, body, prior, markers)
-    joint_positions, joint_rotations = kinematics.compute_world_poses(subject.skeleton, motion)
-    predicted = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
+    poses = refinement.pose_frames(subject, body, prior, markers)
+    joint_poses = kinematics.compute_tree_poses(kinematics.build_kinematic_tree(subject.skeleton), *poses)
+    predicted = kinematics.predict_markers(subject, poses)
     residual = float(np.nanmean(np.linalg.norm(markers - predicted, axis=-1)))
-    return CalibratedFrames(subject, joint_positions, joint_rotations, residual)
+    return CalibratedFrames(subject, *joint_poses, residual)

@@ -24,25 +24,21 @@ from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.terms import ShapeDeformations
 from mocapfix.subject.library import find_landmark
 
-BODY_SIZE_SD = 1e3
-"""Relative standard deviation of the size: practically free, since the take determines it well."""
+BODY_SIZE_SD = 1e3  # relative standard deviation of the size: practically free, since the take determines it well
+# Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects.
 BONE_GROUP_SD = 0.05
-"""Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects."""
+# Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects.
 INDIVIDUAL_BONE_LENGTH_SD = 0.03
-"""Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects."""
+# Joints at the ends of bones whose direction differs from person to person. A limb's bone defines the axes of its segment.
 LEANING_BONES = ("LeftUpLeg", "RightUpLeg", "Neck", "Neck1", "Head", "LeftArm", "RightArm")
-"""Joints at the ends of bones whose direction differs from person to person. A limb's bone defines the axes of its segment."""
+# The same for bones whose direction looks like a bend of the joint below: the fit hardly changes it.
 FIRM_BONES = ("Spine", "Spine1")
-"""The same for bones whose direction looks like a bend of the joint below: the fit hardly changes it."""
+# Standard deviation of the direction of such a bone about each axis across it: that of each of CMU's subjects from the principal
+# components of the others.
 PEOPLE_LEAN_SD_RAD = 0.04
-"""Standard deviation of the direction of such a bone about each axis across it: that of each of CMU's subjects from the principal
-components of the others."""
-FIRM_BONE_LEAN_SD_RAD = 0.005
-"""The same as the fit assumes it for FIRM_BONES."""
-MEAN_POSE_SD_RAD = 0.02
-"""Standard deviation of a take's mean pose from the average about axes for which no variation is known."""
-MIN_SCALED_BONE_LENGTH_M = 0.02
-"""Length above which an offset counts as a bone with a length of its own."""
+FIRM_BONE_LEAN_SD_RAD = 0.005  # the same as the fit assumes it for FIRM_BONES
+MEAN_POSE_SD_RAD = 0.02  # standard deviation of a take's mean pose from the average about axes for which no variation is known
+MIN_SCALED_BONE_LENGTH_M = 0.02  # length above which an offset counts as a bone with a length of its own
 
 
 class CalibratedBody(NamedTuple):
@@ -151,19 +147,16 @@ def list_bone_leans(skeleton: Skeleton, joint_names: tuple[str, ...]) -> Float[n
     return np.array(leans)
 
 
+# Standard deviation per axis of a predicted hip joint centre: 12.3 +- 5.9 mm in space in 67 adults whose landmarks and joints
+# were found in computed tomography (Mantovani et al., Gait & Posture 44 (2016) 48-54).
 HIP_REGRESSION_SD_M = 0.008
-"""Standard deviation per axis of a predicted hip joint centre: 12.3 +- 5.9 mm in space in 67 adults whose landmarks and joints
-were found in computed tomography (Mantovani et al., Gait & Posture 44 (2016) 48-54)."""
+# Distance of the centre behind the middle of the anterior iliac spines: a share of the pelvis' depth, and metres more.
 BACKWARD_PER_DEPTH, BACKWARD_M = 0.24, 0.0099
-"""Distance of the centre behind the middle of the anterior iliac spines: a share of the pelvis' depth, and metres more."""
-DOWNWARD_PER_WIDTH, DOWNWARD_M = 0.30, 0.0109
-"""The same for its distance below it, from the pelvis' width."""
-SIDEWARD_PER_WIDTH, SIDEWARD_M = 0.33, 0.0073
-"""The same for its distance to the side."""
+DOWNWARD_PER_WIDTH, DOWNWARD_M = 0.30, 0.0109  # the same for its distance below it, from the pelvis' width
+SIDEWARD_PER_WIDTH, SIDEWARD_M = 0.33, 0.0073  # the same for its distance to the side
+# Distance on the average body up to which a marker of a set is the one on a landmark: all sets give a landmark one place.
 MAX_LANDMARK_DISTANCE_M = 0.001
-"""Distance on the average body up to which a marker of a set is the one on a landmark: all sets give a landmark one place."""
-DERIVATIVE_STEP_M = 1e-4
-"""Step of the numerical derivatives; the equations are nearly linear over centimetres."""
+DERIVATIVE_STEP_M = 1e-4  # step of the numerical derivatives; the equations are nearly linear over centimetres
 HIP_JOINTS = ("LeftUpLeg", "RightUpLeg")
 
 
@@ -180,14 +173,10 @@ class PelvisLandmarks(NamedTuple):
 
 
 class HipEvidence(NamedTuple):
-    """What the regression says of the unknowns of a calibration, linearised at the start, where all are 0.
+    """What the regression says of the unknowns of a calibration, linearised at the start, where all are 0."""
 
-    error     (6,) m: the body's hip joint centres, left and right, relative to the predicted ones
-    jacobian  (6, Q) its derivatives with respect to the unknowns
-    """
-
-    error: Float[np.ndarray, "6"]
-    jacobian: Float[np.ndarray, "6 Q"]
+    error: Float[np.ndarray, "6"]  # m: the body's hip joint centres, left and right, relative to the predicted ones
+    jacobian: Float[np.ndarray, "6 Q"]  # its derivatives with respect to the unknowns
 
 
 def add_hip_regression(parameters: CalibrationParameters, start: Subject, average: Skeleton) -> CalibrationParameters:

@@ -1,8 +1,8 @@
 """People across the takes of a session: who is who, by names and checked by the body.
 
 Takes show the same person if they agree in the name: that in the session file, else the prefix of the labels, else the folder of
-the take. Names are checked by the body: distances of markers on one segment or on neighbouring ones. Subjects of one take are
-never the same person.
+the take. Names are checked by the body: distances of markers on one segment or on neighbouring ones, which do not depend on the
+pose and need neither detected faults nor a solved body. Subjects of one take are never the same person.
 
 The subject files of a calibrated person: one for all takes, and one for each take in which markers lie elsewhere.
 
@@ -16,41 +16,100 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
+from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.subject.body_size import BodyMeasurements, compute_body_difference, measure_body
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.calibration import CalibrationFrames
+from mocapfix.subject.library import write_subject
 from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
-from mocapfix.subject.subject_file import write_subject
 
+MAX_MEASURED_FRAMES = 200
+MIN_COMPARED_PAIRS = 8  # marker pairs that two takes must have in common to compare their bodies
+MIN_PAIR_LENGTH_M = 0.10  # median distance of a marker pair that is compared
+
+
+@dataclass(frozen=True)
+class BodyMeasurements:
+    """Distances between markers of one subject in a take.
+
+    Attributes:
+        take: id of the take.
+        subject_name: name of the subject among several in the take; "" if it is the only one.
+        label_name: name of the person in the labels; "" if they have none.
+        marker_set: name of the marker set.
+        distances_m: median distance of markers on one segment or on neighbouring ones, by their labels joined with a space.
+    """
+
+    take: str
+    subject_name: str
+    label_name: str
+    marker_set: str
+    distances_m: dict[str, float]
+
+
+def measure_body(take_id: str, take: Take, marker_set: MarkerSet) -> BodyMeasurements:
+    """Return the measurements of the subject of a take. A few faulty samples do not change them, since they are medians."""
+    columns = marker_set.find_columns(take.labels)
+    seen = np.flatnonzero(columns >= 0)
+    markers = take.markers[sample_evenly(len(take.markers), MAX_MEASURED_FRAMES)][:, columns[seen]]
+    labels = [marker_set.labels[k] for k in seen]
+    distances_m = measure_marker_distances(markers, labels, marker_set.joints[seen])
+    return BodyMeasurements(take_id, take.subject_name, take.main_subject, marker_set.name, distances_m)
+
+
+def measure_marker_distances(
+    markers: Float[np.ndarray, "N K 3"], labels: Sequence[str], joints: Int[np.ndarray, " K"]
+) -> dict[str, float]:
+    """Return the median distances in metres of marker pairs whose joints are the same or neighbours.
+
+    joints  (K,) the joint that carries each marker
+    """
+    parents = np.array(load_cmu31_body().skeleton.parents)
+    second, first = np.tril_indices(len(labels), -1)
+    i, j = joints[second], joints[first]
+    near = (i == j) | (parents[i] == j) | (parents[j] == i)
+    first, second = first[near], second[near]
+    distance = np.linalg.norm(markers[:, second] - markers[:, first], axis=2)
+    known = (~np.isnan(distance)).any(0)
+    median = np.nanmedian(distance[:, known], axis=0)
+    kept = median > MIN_PAIR_LENGTH_M
+    pairs = zip(first[known][kept], second[known][kept], median[kept], strict=True)
+    return {f"{labels[a]} {labels[b]}": round(float(length), 6) for a, b, length in pairs}
+
+
+def compute_body_difference(first: BodyMeasurements, second: BodyMeasurements) -> float | None:
+    """Return the median relative difference of the distances that two subjects have in common; None if they are too few."""
+    common = sorted(first.distances_m.keys() & second.distances_m.keys())
+    if len(common) < MIN_COMPARED_PAIRS:
+        return None
+    lengths = np.array([[each.distances_m[pair] for pair in common] for each in (first, second)])
+    return float(np.median(np.abs(np.log(lengths[0] / lengths[1]))))
+
+
+# Median relative difference of marker distances above which two bodies are clearly different, whatever their names. Markers that
+# were attached again differ by half of it.
 MAX_BODY_DIFFERENCE = 0.06
-"""Median relative difference of marker distances above which two bodies are clearly different, whatever their names. Markers that
-were attached again differ by half of it."""
+# The same for takes that share only a folder. Two takes of one person with the markers left on differ by 0.003 to 0.017, the
+# bodies of different people by 0.048 and more.
 MAX_UNNAMED_DIFFERENCE = 0.03
-"""The same for takes that share only a folder. Two takes of one person with the markers left on differ by 0.003 to 0.017, the
-bodies of different people by 0.048 and more."""
-MAX_COMPARED_TAKES = 20
-"""Takes of a person with which another take is compared."""
+MAX_COMPARED_TAKES = 20  # takes of a person with which another take is compared
 FOLDER_REASON = "folder of the takes"
 UNNAMED_PERSON = "person"
 
 
 @dataclass(frozen=True)
 class Person:
-    """A person of a session.
+    """A person of a session."""
 
-    Attributes:
-        name: unique in the session, and a file name.
-        takes: the measurements of the person in each take.
-        reason: how the takes were recognised.
-        notes: sentences on names that the bodies contradict.
-    """
-
-    name: str
-    takes: tuple[BodyMeasurements, ...]
-    reason: str
-    notes: tuple[str, ...] = ()
+    name: str  # unique in the session, and a file name
+    takes: tuple[BodyMeasurements, ...]  # the measurements of the person in each take
+    reason: str  # how the takes were recognised
+    notes: tuple[str, ...] = ()  # sentences on names that the bodies contradict
 
 
 def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequence[str]] | None = None) -> list[Person]:
@@ -120,14 +179,10 @@ SUBJECT_SUFFIX = ".subject.yaml"
 
 @dataclass(frozen=True)
 class PersonFiles:
-    """Where the subjects of a person are.
+    """Where the subjects of a person are."""
 
-    main     the subject file for takes in which the markers have their usual places
-    by_take  by id of a take, the file with the places of that take
-    """
-
-    main: Path
-    by_take: dict[str, Path]
+    main: Path  # the subject file for takes in which the markers have their usual places
+    by_take: dict[str, Path]  # by id of a take, the file with the places of that take
 
 
 def locate_person_files(folder: Path, name: str, person: PersonCalibration) -> PersonFiles:
@@ -152,16 +207,11 @@ TakeGuard = Callable[[Path], AbstractContextManager[object]]
 
 @dataclass(frozen=True)
 class CalibratedPerson:
-    """A person of several takes.
+    """A person of several takes."""
 
-    name         unique among the people, and a file name; "" for the only person
-    calibration  bones and marker places
-    notes        sentences on names that the bodies contradict
-    """
-
-    name: str
-    calibration: PersonCalibration
-    notes: tuple[str, ...] = ()
+    name: str  # unique among the people, and a file name; "" for the only person
+    calibration: PersonCalibration  # bones and marker places
+    notes: tuple[str, ...] = ()  # sentences on names that the bodies contradict
 
     def describe(self) -> list[str]:
         """Return what a technician must know of the calibration: moved markers, and takes that do not fit."""

@@ -1,6 +1,12 @@
 """Calibration of a person from all takes: bones and marker places from the best frames, and what differs between takes.
 
-Differences between takes of a person: markers that were attached again for a session, or moved between two takes.
+The takes share the bones and the marker offsets; each has a mean pose of its own, since what a person does differs from take to
+take. Where a marker was attached again or moved, it has a further place, which some of the takes share. The unknowns of one take
+are a selection from those of all takes: the normal equations of the takes (see `refinement`) are summed into those of all.
+
+The poses of all frames absorb a part of the markers' noise: a hand with one marker seems to turn more than it does, and its bone
+becomes too short. This bias does not shrink with more frames (Neyman & Scott 1948). It is estimated by calibrating from simulated
+markers with noise and its opposite, and removed (indirect inference, Gourieroux, Monfort & Renault 1993).
 
 A marker's place in a take is compared with its place in the others. A moved marker turns its segment, so that its own residual is
 too small and its neighbours have one too. Candidates are therefore compared with the pose that the other markers give.
@@ -8,57 +14,247 @@ too small and its neighbours have one too. Candidates are therefore compared wit
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.model.skeleton import load_cmu31_body, restrict_body
+from mocapfix.model.skeleton import BodyModel, load_cmu31_body, restrict_body
 from mocapfix.model.subject import Subject
-from mocapfix.solve.kinematics import compute_tree_poses
-from mocapfix.solve.mean_pose import load_mean_pose_prior
+from mocapfix.solve.kinematics import Poses, compute_tree_poses
+from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.solve.minimise import minimise_shared
+from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
 from mocapfix.stats.sequences import select_farthest_rows
 from mocapfix.subject import refinement
-from mocapfix.subject.calibration import CalibrationFrames, build_average_subject
-from mocapfix.subject.joint_calibration import JointCalibration, calibrate_jointly, predict_frame_markers, remove_noise_bias
-from mocapfix.subject.parameters import CalibratedBody
-from mocapfix.subject.refinement import RefinementState
+from mocapfix.subject.average_body import build_average_subject
+from mocapfix.subject.calibration import CalibrationFrames
+from mocapfix.subject.parameters import CalibratedBody, CalibrationParameters, add_hip_regression, build_calibration_parameters
+from mocapfix.subject.refinement import RefinementState, estimate_residual_sd
 
-MIN_PLACE_FRAMES = 5
-"""Frames of a take in which a marker must be visible to compare its place."""
+TAKE_DISTANCE_S = 1e3  # distance in time at which frames of different takes are treated: their errors are independent
+MAX_JOINT_ROUNDS = 20  # steps of the shared unknowns
+
+
+class JointUnknowns(NamedTuple):
+    """The layout of the N unknowns of all takes, and their prior."""
+
+    of_take: tuple[Int[np.ndarray, " Q"], ...]  # indices of each take's own unknowns
+    information: Float[np.ndarray, "N N"]  # inverse covariance about the expected values
+    expected: Float[np.ndarray, " N"]
+
+
+class JointFit(NamedTuple):
+    """The fitted states of all takes, with the unknowns (N,), the cost and its gradient (N,)."""
+
+    states: list[RefinementState]
+    unknowns: Float[np.ndarray, " N"]
+    cost: float
+    gradient: Float[np.ndarray, " N"]
+
+    @property
+    def poses(self) -> list[Poses]:
+        """The poses of each take."""
+        return [state.poses for state in self.states]
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """A person calibrated from T takes."""
+
+    subject: Subject  # the person with the markers at place 0
+    marker_offsets: Float[np.ndarray, "T K 3"]  # metres, the markers as they are placed in each take
+    states: tuple[RefinementState, ...]  # the refined frames of each take
+
+
+def calibrate_jointly(
+    takes: Sequence[CalibrationFrames],
+    places: Int[np.ndarray, "T K"],
+    body: BodyModel,
+    prior: MeanPosePrior,
+    previous: JointCalibration | None = None,
+) -> JointCalibration:
+    """Return the bones and marker offsets that explain frames of several takes best.
+
+    takes     all with the same K markers
+    places    number of the place of each marker in each take: takes with the same number share its offset
+    previous  a calibration from the same frames with other places, from whose poses the refinement begins
+    """
+    size_ratio = float(np.median([take.size_ratio for take in takes]))
+    start = build_average_subject(takes[0].known_markers, size_ratio)
+    plain = build_calibration_parameters(start, body, prior)
+    parameters = add_hip_regression(plain, start, body.skeleton)
+    unknowns = lay_out_unknowns(plain, parameters, places)
+    poses = [each.poses for each in (takes if previous is None else previous.states)]
+
+    def fit(values: np.ndarray, poses: list[Poses]) -> JointFit:
+        states: list[RefinementState] = []
+        deviation = values - unknowns.expected
+        gradient = unknowns.information @ deviation
+        cost = float(0.5 * deviation @ gradient)
+        for take, indices, start_poses in zip(takes, unknowns.of_take, poses, strict=True):
+            of_take = values[indices]
+            # the prior is that of all takes together, and is added once
+            shape = replace(parameters, information=np.zeros_like(parameters.information))
+            problem = refinement.build_calibration_problem(start, body, prior, take.markers, shape.compute_body(of_take))
+            states.append(refinement.solve_and_linearise(shape, problem, of_take, start_poses))
+            cost += states[-1].cost
+            gradient[indices] += states[-1].gradient
+        return JointFit(states, values, cost, gradient)
+
+    def sum_curvature(joint: JointFit) -> np.ndarray:
+        curvature = unknowns.information.copy()
+        for state, indices in zip(joint.states, unknowns.of_take, strict=True):
+            curvature[np.ix_(indices, indices)] += refinement.compute_curvature(state)
+        return curvature
+
+    values = np.zeros(len(unknowns.expected))
+    if previous is not None:
+        for state, indices in zip(previous.states, unknowns.of_take, strict=True):
+            values[indices] = state.unknowns
+    first = fit(values, poses)
+    joint, _ = minimise_shared(lambda values, joint: fit(values, joint.poses), first, sum_curvature, MAX_JOINT_ROUNDS)
+    return build_joint_calibration(start, parameters, takes, places, joint.states)
+
+
+def lay_out_unknowns(
+    plain: CalibrationParameters, parameters: CalibrationParameters, places: Int[np.ndarray, "T K"]
+) -> JointUnknowns:
+    """Return the unknowns of all takes: deformations, markers at place 0, their further places, and mean poses of the takes.
+
+    plain       the parameters without the prediction of the hip joints, whose prior holds for further places
+    parameters  those with it
+    """
+    take_count, marker_count = places.shape
+    body_count = len(parameters.deformations.marker_offsets)
+    shared = body_count + 3 * marker_count
+    pose_count = len(parameters.information) - shared
+    further = sorted({(int(k), int(places[t, k])) for t, k in zip(*np.nonzero(places), strict=True)})
+    first_pose = shared + 3 * len(further)
+    total = first_pose + take_count * pose_count
+    information, expected = np.zeros((total, total)), np.zeros(total)
+    information[:shared, :shared] = parameters.information[:shared, :shared]
+    expected[:shared] = parameters.expected[:shared]
+    for number, (marker, _) in enumerate(further):
+        own = slice(shared + 3 * number, shared + 3 * number + 3)
+        nominal = slice(body_count + 3 * marker, body_count + 3 * marker + 3)
+        information[own, own] = plain.information[nominal, nominal]
+    of_take: list[np.ndarray] = []
+    for t in range(take_count):
+        indices = np.arange(len(parameters.information))
+        for number, (marker, place) in enumerate(further):
+            if places[t, marker] == place:
+                nominal = body_count + 3 * marker
+                indices[nominal : nominal + 3] = shared + 3 * number + np.arange(3)
+        own_pose = slice(first_pose + t * pose_count, first_pose + (t + 1) * pose_count)
+        indices[shared:] = np.arange(own_pose.start, own_pose.stop)
+        information[own_pose, own_pose] = parameters.information[shared:, shared:]
+        of_take.append(indices)
+    return JointUnknowns(tuple(of_take), information, expected)
+
+
+def build_joint_calibration(
+    start: Subject,
+    parameters: CalibrationParameters,
+    takes: Sequence[CalibrationFrames],
+    places: Int[np.ndarray, "T K"],
+    states: Sequence[RefinementState],
+) -> JointCalibration:
+    """Return the calibration of refined states, with the standard deviations of the subject as if all takes were one."""
+    body_count = len(parameters.deformations.marker_offsets)
+    shared = body_count + parameters.marker_offsets.size
+    unknowns = states[0].unknowns.copy()
+    unknowns[shared:] = np.mean([state.unknowns[shared:] for state in states], axis=0)
+    for k in range(places.shape[1]):
+        if common := [state for state, row in zip(states, places, strict=True) if row[k] == 0]:
+            own = slice(body_count + 3 * k, body_count + 3 * k + 3)
+            unknowns[own] = common[0].unknowns[own]
+    markers = np.concatenate(
+        [np.where((row == 0)[:, None], take.markers, np.nan) for take, row in zip(takes, places, strict=True)]
+    )
+    calibrated = parameters.compute_body(unknowns)
+    first = states[0].problem
+    problem = replace(
+        first,
+        marker_positions=markers,
+        solver_mask=~np.isnan(markers[..., 0]),
+        attachment=first.attachment._replace(offsets=calibrated.marker_offsets),
+        pose_prior=first.pose_prior._replace(mean_vectors=calibrated.mean_pose_vectors),
+    )
+    poses = np.concatenate([state.poses[0] for state in states]), np.concatenate([state.poses[1] for state in states])
+    pooled = refinement.linearise_frames(parameters, problem, unknowns, poses)
+    times_s = np.concatenate([take.times_s + t * TAKE_DISTANCE_S for t, take in enumerate(takes)])
+    subject = refinement.build_refined_subject(start, pooled, refinement.compute_curvature(pooled), times_s)
+    offsets = np.array([state.problem.attachment.offsets for state in states])
+    return JointCalibration(subject, offsets, tuple(states))
+
+
+def remove_noise_bias(
+    calibration: JointCalibration,
+    takes: Sequence[CalibrationFrames],
+    places: Int[np.ndarray, "T K"],
+    body: BodyModel,
+    prior: MeanPosePrior,
+) -> JointCalibration:
+    """Return a calibration without the bias by noise of the size of its residuals."""
+    predicted = [predict_frame_markers(state) for state in calibration.states]
+    distance = np.concatenate(
+        [np.linalg.norm(take.markers - markers, axis=-1) for take, markers in zip(takes, predicted, strict=True)]
+    )
+    is_free = calibration.states[0].problem.tree.free
+    noise_sd_m = estimate_residual_sd(distance, 3 + 3 * int(np.isin(np.flatnonzero(is_free), takes[0].joints).sum()))
+    rng = np.random.default_rng(0)
+    noise = [rng.normal(0, noise_sd_m, markers.shape) for markers in predicted]
+
+    def calibrate_simulated(sign: int) -> JointCalibration:
+        simulated = [
+            replace(take, markers=np.where(np.isnan(take.markers), np.nan, markers + sign * each))
+            for take, markers, each in zip(takes, predicted, noise, strict=True)
+        ]
+        return calibrate_jointly(simulated, places, body, prior, calibration)
+
+    plus, minus, exact = (calibrate_simulated(sign) for sign in (1, -1, 0))
+    skeleton, subject = calibration.subject.skeleton, calibration.subject
+
+    def find_bias(values: list[np.ndarray]) -> np.ndarray:
+        return (values[0] + values[1]) / 2 - values[2]
+
+    each = (plus, minus, exact)
+    offsets = skeleton.offsets - find_bias([one.subject.skeleton.offsets for one in each])
+    placed = subject.marker_offsets - find_bias([one.subject.marker_offsets for one in each])
+    of_take = calibration.marker_offsets - find_bias([one.marker_offsets for one in each])
+    unbiased = replace(subject, skeleton=replace(skeleton, offsets=offsets), marker_offsets=placed)
+    return replace(calibration, subject=unbiased, marker_offsets=of_take)
+
+
+def predict_frame_markers(state: RefinementState) -> Float[np.ndarray, "N K 3"]:
+    """Return where the calibrated body carries its markers, in metres."""
+    position, rotation = compute_tree_poses(state.problem.tree, *state.poses)
+    joints, offsets = state.problem.attachment
+    return position[:, joints] + np.einsum("tkab,kb->tka", rotation[:, joints], offsets)
+
+
+MIN_PLACE_FRAMES = 5  # frames of a take in which a marker must be visible to compare its place
+# Difference of a marker's residual from that in the other takes above which its place is compared without its own pull.
 MIN_SCREENED_MOVE_M = 0.004
-"""Difference of a marker's residual from that in the other takes above which its place is compared without its own pull."""
+# Smallest move that is reported: without its own pull, a marker of the trunk differs by up to 12 mm between short takes.
 MIN_MOVE_M = 0.015
-"""Smallest move that is reported: without its own pull, a marker of the trunk differs by up to 12 mm between short takes."""
-MIN_MOVE_SD = 3.0
-"""The same in standard deviations of the places of unmoved markers between takes."""
-LONG_TAKE_S, MIN_TAKE_S = 10.0, 0.5
-"""Duration from which MIN_MOVE_M holds, and the shortest for which it is scaled."""
-MIN_PLACE_SD_M = 0.001
-"""Least standard deviation of a place between takes."""
-MAX_MOVED_MARKER_SHARE = 0.2
-"""Share of the markers of a take above which they are attached again rather than moved."""
+MIN_MOVE_SD = 3.0  # the same in standard deviations of the places of unmoved markers between takes
+LONG_TAKE_S, MIN_TAKE_S = 10.0, 0.5  # duration from which MIN_MOVE_M holds, and the shortest for which it is scaled
+MIN_PLACE_SD_M = 0.001  # least standard deviation of a place between takes
+# Root mean square difference of the markers' places between sessions above which they were attached again.
 MIN_SESSION_DIFFERENCE_M = 0.004
-"""Root mean square difference of the markers' places between sessions above which they were attached again."""
-SESSION_DIFFERENCE_RATIO = 2.0
-"""The same relative to the differences between takes of one session."""
-NORMAL_MAD_RATIO = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+SESSION_DIFFERENCE_RATIO = 2.0  # the same relative to the differences between takes of one session
 
 
 @dataclass(frozen=True)
 class MovedMarker:
-    """A marker that has another place in some takes than in the rest.
+    """A marker that has another place in some takes than in the rest."""
 
-    Attributes:
-        marker: index of the marker.
-        takes: indices of the takes in which it has the other place.
-        distance_m: distance of the two places.
-    """
-
-    marker: int
-    takes: tuple[int, ...]
-    distance_m: float
+    marker: int  # index of the marker
+    takes: tuple[int, ...]  # indices of the takes in which it has the other place
+    distance_m: float  # distance of the two places
 
 
 def compute_place_residuals(state: RefinementState, *, without_marker: int | None = None) -> Float[np.ndarray, "K 3"]:
@@ -66,12 +262,12 @@ def compute_place_residuals(state: RefinementState, *, without_marker: int | Non
 
     without_marker  a marker that does not affect the poses
     """
-    problem, root, local = state.problem, state.root_position, state.local_rotations
+    problem, poses = state.problem, state.poses
     if without_marker is not None:
         mask = problem.solver_mask.copy()
         mask[:, without_marker] = False
-        root, local = refinement.pose_calibrated_frames(replace(problem, solver_mask=mask), (root, local))
-    position, rotation = compute_tree_poses(problem.tree, root, local)
+        poses = refinement.pose_calibrated_frames(replace(problem, solver_mask=mask), poses)
+    position, rotation = compute_tree_poses(problem.tree, *poses)
     joints, offsets = problem.attachment
     columns = np.arange(len(joints)) if without_marker is None else np.array([without_marker])
     relative = problem.marker_positions[:, columns] - position[:, joints[columns]]
@@ -98,16 +294,11 @@ def find_attached_again(
     within = residuals - means[of_session]
     in_large = np.isin(of_session, np.flatnonzero(np.bincount(of_session) > 1))
     noise_m = max(_compute_rms(within[in_large]), MIN_PLACE_SD_M) if in_large.any() else MIN_PLACE_SD_M
+    max_same_m = max(MIN_SESSION_DIFFERENCE_M, SESSION_DIFFERENCE_RATIO * noise_m)
     kept: list[int] = []  # sessions whose markers lie at different places
     for s in range(len(names)):
-        same = next(
-            (
-                other
-                for other in kept
-                if _compute_rms(means[s] - means[other]) <= max(MIN_SESSION_DIFFERENCE_M, SESSION_DIFFERENCE_RATIO * noise_m)
-            ),
-            None,
-        )
+        differences = ((other, _compute_rms(means[s] - means[other])) for other in kept)
+        same = next((other for other, difference in differences if difference <= max_same_m), None)
         if same is None:
             kept.append(s)
         places[of_session == s] = kept.index(s if same is None else same)
@@ -134,7 +325,7 @@ def find_moved_markers(
             rows = np.flatnonzero(places[:, k] == place)
             if len(rows) > 1:
                 deviations[rows, k] = residuals[rows, k] - _compute_nanmedian(residuals[rows, k])
-    place_sd_m = max(NORMAL_MAD_RATIO * float(np.nanmedian(np.abs(deviations))), MIN_PLACE_SD_M)
+    place_sd_m = max(MEDIAN_DEVIATIONS_PER_SD * float(np.nanmedian(np.abs(deviations))), MIN_PLACE_SD_M)
     noise_ratio = np.sqrt(max(1.0, LONG_TAKE_S / max(shortest_s, MIN_TAKE_S)))
     threshold_m = max(noise_ratio * MIN_MOVE_M, MIN_MOVE_SD * np.sqrt(3) * place_sd_m)
     with np.errstate(invalid="ignore"):
@@ -213,41 +404,26 @@ def _compute_rms(differences: Float[np.ndarray, "... 3"]) -> float:
     return float(np.sqrt(np.nanmean(squares))) if np.isfinite(squares).any() else 0.0
 
 
-MAX_JOINT_TAKES = 10
-"""Takes from which bones and places are calibrated; those of the others are compared with them."""
+MAX_JOINT_TAKES = 10  # takes from which bones and places are calibrated; those of the others are compared with them
+# Frames of all takes of a person that enter the calibration. More of them weight the errors of the model too much.
 MAX_FRAMES_PER_PERSON = 300
-"""Frames of all takes of a person that enter the calibration. More of them weight the errors of the model too much."""
-MIN_FRAMES_PER_TAKE = 20
-"""Frames of each take that enter at least."""
-MAX_MOVE_ROUNDS = 3
-"""Rounds of detecting moved markers and calibrating with their places."""
-MAX_OWN_RESIDUAL_RATIO = 2.5
-"""Residual of a take, relative to the person's other takes, above which it is not that person's."""
-MIN_FOREIGN_RESIDUAL_M = 0.015
-"""The same in metres."""
-RANGE_OF_MOTION_WORDS = ("rom", "range", "calib", "static")
-"""Parts of the names of takes that were recorded for calibration."""
+MIN_FRAMES_PER_TAKE = 20  # frames of each take that enter at least
+MAX_MOVE_ROUNDS = 3  # rounds of detecting moved markers and calibrating with their places
+MAX_OWN_RESIDUAL_RATIO = 2.5  # residual of a take, relative to the person's other takes, above which it is not that person's
+MIN_FOREIGN_RESIDUAL_M = 0.015  # the same in metres
+RANGE_OF_MOTION_WORDS = ("rom", "range", "calib", "static")  # parts of the names of takes that were recorded for calibration
 
 
 @dataclass(frozen=True)
 class PersonCalibration:
-    """A person calibrated from several takes.
+    """A person calibrated from several takes."""
 
-    Attributes:
-        subject: bones and the usual marker places.
-        take_subjects: by id of a take, the subject with the marker places of that take, where they differ.
-        sessions: by id of a take, the number of the attachment of all markers; 0 unless they were attached again.
-        moved: moved markers, whose takes are indices of `takes`.
-        takes: ids of the takes that fit the person.
-        rejected: by id, why a take does not belong to the person.
-    """
-
-    subject: Subject
-    take_subjects: dict[str, Subject]
-    sessions: dict[str, int]
-    moved: tuple[MovedMarker, ...]
-    takes: tuple[str, ...]
-    rejected: dict[str, str] = field(default_factory=dict[str, str])
+    subject: Subject  # bones and the usual marker places
+    take_subjects: dict[str, Subject]  # by id of a take, the subject with the marker places of that take, where they differ
+    sessions: dict[str, int]  # by id of a take, the number of the attachment of all markers; 0 unless they were attached again
+    moved: tuple[MovedMarker, ...]  # moved markers, whose takes are indices of `takes`
+    takes: tuple[str, ...]  # ids of the takes that fit the person
+    rejected: dict[str, str] = field(default_factory=dict[str, str])  # by id, why a take does not belong to the person
 
     def describe_moves(self) -> list[str]:
         """Return a sentence for each moved marker."""
@@ -290,7 +466,11 @@ def calibrate_person(
     thinned = [thin_frames(take, frame_count) for take in ranked]
     chosen = thinned[:MAX_JOINT_TAKES]
     calibration = calibrate_jointly(chosen, np.zeros((len(chosen), len(takes[0].labels)), int), body, prior)
-    rejected = find_foreign_takes(chosen, calibration.states)
+    reasons = {
+        take.take: find_foreign_take(take, state, calibration.states)
+        for take, state in zip(chosen, calibration.states, strict=True)
+    }
+    rejected = {name: reason for name, reason in reasons.items() if reason}
     if rejected:
         chosen = [take for take in chosen if take.take not in rejected]
         calibration = calibrate_jointly(chosen, np.zeros((len(chosen), len(takes[0].labels)), int), body, prior)
@@ -331,27 +511,22 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
     """Return the person with one more take, whose marker places are compared with those of the calibration."""
     body = restrict_body(load_cmu31_body(), set(take.joints.tolist()))
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    start = build_average_subject(take, body, take.size_ratio)
+    start = build_average_subject(take.known_markers, take.size_ratio)
     first = calibration.states[0]
     no_deviation = np.zeros_like(person.subject.skeleton.offsets)
     placed = CalibratedBody(person.subject.skeleton.offsets, person.subject.marker_offsets, no_deviation)
     problem = refinement.build_calibration_problem(start, body, prior, take.markers, placed)
-    state = refinement.solve_and_linearise(
-        first.parameters, problem, first.unknowns, take.root_position.copy(), take.local_rotations.copy()
-    )
+    state = refinement.solve_and_linearise(first.parameters, problem, first.unknowns, take.poses)
     if reason := find_foreign_take(take, state, calibration.states):
         return replace(person, rejected={**person.rejected, take.take: reason})
     common = [t for t, name in enumerate(person.takes[: len(calibration.states)]) if name not in person.take_subjects]
     states = [*(calibration.states[t] for t in common), state]
     offsets = np.tile(person.subject.marker_offsets, (len(states), 1, 1))
-    index = len(person.takes)
-    own = person.subject.marker_offsets.copy()
-    moved = list(person.moved)
-    duration_s = float(np.ptp(take.times_s))
-    for each in find_moved_markers(states, offsets, np.zeros(offsets.shape[:2], int), duration_s):
+    own, moved = person.subject.marker_offsets.copy(), list(person.moved)
+    for each in find_moved_markers(states, offsets, np.zeros(offsets.shape[:2], int), float(np.ptp(take.times_s))):
         if each.takes == (len(states) - 1,):
             own[each.marker] += compute_place_residuals(state, without_marker=each.marker)[each.marker]
-            moved.append(replace(each, takes=(index,)))
+            moved.append(replace(each, takes=(len(person.takes),)))
     has_own = bool((own != person.subject.marker_offsets).any())
     own_subjects = {take.take: replace(person.subject, marker_offsets=own)} if has_own else {}
     return replace(
@@ -389,11 +564,13 @@ def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFram
 
 
 def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
-    """Return at most `count` frames of a take, those that differ most in pose."""
+    """Return at most `count` frames of a take: half of them the most different poses, half evenly spaced among the others."""
     if len(take.times_s) <= count:
         return take
     flat = take.local_rotations[:, 1:].reshape(len(take.times_s), -1)
-    kept = np.sort(select_different(flat, count))
+    chosen = select_farthest_rows(flat, count // 2)
+    rest = np.setdiff1d(np.arange(len(flat)), chosen)
+    kept = np.sort(np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]])
     return replace(
         take,
         times_s=take.times_s[kept],
@@ -401,19 +578,6 @@ def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
         root_position=take.root_position[kept],
         local_rotations=take.local_rotations[kept],
     )
-
-
-def select_different(values: Float[np.ndarray, "N D"], count: int) -> Int[np.ndarray, " C"]:
-    """Return the indices of rows: half of them by farthest-point selection, half evenly spaced among the others."""
-    chosen = select_farthest_rows(values, count // 2)
-    rest = np.setdiff1d(np.arange(len(values)), chosen)
-    return np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]]
-
-
-def find_foreign_takes(takes: Sequence[CalibrationFrames], states: Sequence[RefinementState]) -> dict[str, str]:
-    """Return the takes whose markers do not fit the body that the others have in common, with the reason."""
-    reasons = {take.take: find_foreign_take(take, state, states) for take, state in zip(takes, states, strict=True)}
-    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def find_foreign_take(take: CalibrationFrames, state: RefinementState, others: Sequence[RefinementState]) -> str:

@@ -23,12 +23,11 @@ from mocapfix.stats.marker_distances import (
     measure_group,
 )
 
-MIN_PREFIX_LETTERS = 3
-"""Letters that the labels of a group must have in common at their beginning to name it."""
+MIN_PREFIX_LETTERS = 3  # letters that the labels of a group must have in common at their beginning to name it
+# Characters at the end of this common beginning that are no part of the name.
 LABEL_ENDING_CHARACTERS = "0123456789 _.-:#"
-"""Characters at the end of this common beginning that are no part of the name."""
+# Variation of the distances within a prop that a marker set names; with more it is not rigid in this take.
 MAX_KNOWN_PROP_SPREAD_M = 2 * MAX_RIGID_SPREAD_M
-"""Variation of the distances within a prop that a marker set names; with more it is not rigid in this take."""
 
 
 def find_props(

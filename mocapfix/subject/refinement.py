@@ -1,4 +1,4 @@
-"""Refinement: bones, marker offsets and the poses of many frames, fitted together.
+"""Refinement: bones, marker offsets and the poses of many frames, fitted together, and how uncertain the result is.
 
 Levenberg-Marquardt over the unknowns that the frames share (see `parameters`), with the poses of the frames eliminated (see
 `solve.minimise`). The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
@@ -38,12 +37,9 @@ from mocapfix.subject.parameters import (
     build_calibration_parameters,
 )
 
-SKIN_CORRELATION_S = 0.3
-"""Time after which the correlation of a marker's motion with the skin has fallen to 1/e."""
-MIN_SKIN_SD_M = 0.001
-"""Smallest estimate of the residual's standard deviation."""
-MAX_POSE_ABSORBED_SHARE = 0.8
-"""Largest share of the markers' error that the poses are assumed to absorb."""
+SKIN_CORRELATION_S = 0.3  # time after which the correlation of a marker's motion with the skin has fallen to 1/e
+MIN_SKIN_SD_M = 0.001  # smallest estimate of the residual's standard deviation
+MAX_POSE_ABSORBED_SHARE = 0.8  # largest share of the markers' error that the poses are assumed to absorb
 
 
 def estimate_residual_sd(distance: Float[np.ndarray, "N K"], pose_freedom: int) -> float:
@@ -106,43 +102,29 @@ def compute_response_sd(
     return joint_sd, marker_sd
 
 
+# Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated.
 CALIBRATION_MARKER_SD_M = 0.010
-"""Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated."""
-CALIBRATION_ROBUST_SCALE_M = 0.050
-"""Geman-McClure scale of the marker residuals."""
-SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)
-"""The same scales, one after the other, for a body that is not yet calibrated."""
+CALIBRATION_ROBUST_SCALE_M = 0.050  # Geman-McClure scale of the marker residuals
+SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # the same scales, one after the other, for a body that is not yet calibrated
+# Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations.
 POSE_PRIOR_WEIGHT = 0.02
-"""Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations."""
-MAX_SELECTION_ITERATIONS = 8
-"""Iterations of a frame when an uncalibrated body is posed."""
-MAX_CALIBRATION_POSE_ITERATIONS = 6
-"""Iterations of a frame between two steps of the shared unknowns."""
-MAX_REFINEMENT_ROUNDS = 25
-"""Steps of the shared unknowns."""
-FRAMES_PER_BLOCK = 10
-"""Frames whose responses are held at a time: those of one frame take about a megabyte."""
-MAX_UNCERTAINTY_FRAMES = 30
-"""Frames from which the standard deviations are computed."""
+MAX_SELECTION_ITERATIONS = 8  # iterations of a frame when an uncalibrated body is posed
+MAX_CALIBRATION_POSE_ITERATIONS = 6  # iterations of a frame between two steps of the shared unknowns
+MAX_REFINEMENT_ROUNDS = 25  # steps of the shared unknowns
+FRAMES_PER_BLOCK = 10  # frames whose responses are held at a time: those of one frame take about a megabyte
+MAX_UNCERTAINTY_FRAMES = 30  # frames from which the standard deviations are computed
 
 
 @dataclass(frozen=True)
 class RefinementState:
-    """A body with the poses of N frames, and the cost and its gradient in the shared unknowns (Q,) there.
+    """A body with the poses of N frames, and the cost and its gradient in the shared unknowns there."""
 
-    parameters                      the definition of the unknowns
-    root_position, local_rotations  (N, 3) m and (N, J, 3, 3): the poses
-    cost                            half the sum of squares in standard deviations, priors included
-    gradient                        (Q,) derivative of the cost with the poses eliminated
-    """
-
-    parameters: CalibrationParameters
-    unknowns: np.ndarray
+    parameters: CalibrationParameters  # the definition of the unknowns
+    unknowns: Float[np.ndarray, " Q"]
     problem: PoseProblem
-    root_position: np.ndarray
-    local_rotations: np.ndarray
-    cost: float
-    gradient: np.ndarray
+    poses: Poses
+    cost: float  # half the sum of squares in standard deviations, priors included
+    gradient: Float[np.ndarray, " Q"]  # of the cost with the poses eliminated
 
 
 def build_calibration_problem(
@@ -162,14 +144,13 @@ def build_calibration_problem(
     )
 
 
-def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"]) -> Motion:
+def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"]) -> Poses:
     """Return robust poses of some frames on a body that is not yet calibrated, so that spikes do not look like varied poses."""
     motion = register_poses(start, body.free_joints, prior, markers)
     uncalibrated = CalibratedBody(start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3)))
     problem = build_calibration_problem(start, body, prior, markers, uncalibrated)
     poses = motion.root_position, motion.local_rotations
-    solution = problem.minimise(poses, SELECTION_ROBUST_SCALES_M, max_iterations=MAX_SELECTION_ITERATIONS)
-    return replace(motion, root_position=solution.root_position, local_rotations=solution.local_rotations)
+    return problem.minimise(poses, SELECTION_ROBUST_SCALES_M, max_iterations=MAX_SELECTION_ITERATIONS).poses
 
 
 def refine_subject(
@@ -177,45 +158,36 @@ def refine_subject(
     body: BodyModel,
     prior: MeanPosePrior,
     markers: Float[np.ndarray, "N K 3"],
-    root_position: Float[np.ndarray, "N 3"],
-    local_rotations: Float[np.ndarray, "N J 3 3"],
+    poses: Poses,
     unknowns: Float[np.ndarray, " Q"] | None = None,
     *,
     times_s: Float[np.ndarray, " N"],
 ) -> tuple[Subject, RefinementState, float]:
     """Return `start` with the bones and marker offsets that fit the frames best, the refined state, and the first state's cost.
 
-    root_position, local_rotations  the first poses
-    times_s                         of the frames: those near each other have similar errors
-    unknowns                        the first values of the calibration parameters, by default 0
+    Args:
+        poses: the first ones.
+        unknowns: the first values of the calibration parameters, by default 0.
+        times_s: of the frames: those near each other have similar errors.
     """
     parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start, body.skeleton)
 
-    def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
+    def fit(unknowns: np.ndarray, poses: Poses) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
-        return solve_and_linearise(parameters, problem, unknowns, root_position, local_rotations)
+        return solve_and_linearise(parameters, problem, unknowns, poses)
 
-    unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
-    first = fit(unknowns, root_position, local_rotations)
+    first = fit(np.zeros(len(parameters.information)) if unknowns is None else unknowns, poses)
     state, curvature = minimise_shared(
-        lambda unknowns, state: fit(unknowns, state.root_position, state.local_rotations),
-        first,
-        compute_curvature,
-        MAX_REFINEMENT_ROUNDS,
+        lambda unknowns, state: fit(unknowns, state.poses), first, compute_curvature, MAX_REFINEMENT_ROUNDS
     )
     return build_refined_subject(start, state, curvature, times_s), state, first.cost
 
 
 def solve_and_linearise(
-    parameters: CalibrationParameters,
-    problem: PoseProblem,
-    unknowns: np.ndarray,
-    root_position: np.ndarray,
-    local_rotations: np.ndarray,
+    parameters: CalibrationParameters, problem: PoseProblem, unknowns: np.ndarray, start: Poses
 ) -> RefinementState:
     """Solve the poses from those given, and return the state there."""
-    poses = pose_calibrated_frames(problem, (root_position, local_rotations))
-    return linearise_frames(parameters, problem, unknowns, *poses)
+    return linearise_frames(parameters, problem, unknowns, pose_calibrated_frames(problem, start))
 
 
 def pose_calibrated_frames(problem: PoseProblem, start: Poses) -> Poses:
@@ -224,19 +196,15 @@ def pose_calibrated_frames(problem: PoseProblem, start: Poses) -> Poses:
 
 
 def linearise_frames(
-    parameters: CalibrationParameters,
-    problem: PoseProblem,
-    unknowns: np.ndarray,
-    root_position: np.ndarray,
-    local_rotations: np.ndarray,
+    parameters: CalibrationParameters, problem: PoseProblem, unknowns: np.ndarray, poses: Poses
 ) -> RefinementState:
     """Return the state at given poses, without solving them."""
-    frames, deviation = np.arange(len(root_position)), unknowns - parameters.expected
+    deviation = unknowns - parameters.expected
     prior_gradient = parameters.information @ deviation
-    responses = respond_in_frames(parameters, problem, root_position, local_rotations, frames, only_errors=True)
+    responses = respond_in_frames(parameters, problem, poses, np.arange(len(poses[0])), only_errors=True)
     cost = float(responses.cost.sum() + 0.5 * deviation @ prior_gradient)
     gradient = reduce_shared_gradient(responses) + prior_gradient
-    return RefinementState(parameters, unknowns, problem, root_position, local_rotations, cost, gradient)
+    return RefinementState(parameters, unknowns, problem, poses, cost, gradient)
 
 
 def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
@@ -244,19 +212,17 @@ def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
 
     The frames are summed block by block: the responses of all of them together would take a hundred megabytes.
     """
-    curvature, frame_count = state.parameters.information.copy(), len(state.root_position)
+    curvature, frame_count = state.parameters.information.copy(), len(state.poses[0])
     for first in range(0, frame_count, FRAMES_PER_BLOCK):
         frames = np.arange(first, min(first + FRAMES_PER_BLOCK, frame_count))
-        responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
-        curvature += reduce_shared_curvature(responses)
+        curvature += reduce_shared_curvature(respond_in_frames(state.parameters, state.problem, state.poses, frames))
     return curvature
 
 
 def respond_in_frames(
     parameters: CalibrationParameters,
     problem: PoseProblem,
-    root_position: np.ndarray,
-    local_rotations: np.ndarray,
+    poses: Poses,
     frames: Int[np.ndarray, " N"],
     *,
     only_errors: bool = False,
@@ -268,8 +234,8 @@ def respond_in_frames(
         part.build_terms(),
         parameters.deformations,
         part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0],
-        root_position[frames],
-        local_rotations[frames],
+        poses[0][frames],
+        poses[1][frames],
         only_errors=only_errors,
     )
 
@@ -287,19 +253,13 @@ def compute_calibration_sd(
     times_s        of the frames; None if each is measured independently
     residual_sd_m  of a marker about its place on the body, per axis
     """
-    frames = sample_evenly(len(state.root_position), MAX_UNCERTAINTY_FRAMES)
-    responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
-    if times_s is None:
-        covariance = np.linalg.inv(curvature)
-    else:
-        covariance = compute_shared_covariance(
-            responses.marker_response,
-            responses.marker_weight,
-            curvature,
-            state.parameters.gradient_covariance,
-            times_s,
-            residual_sd_m,
-        )
+    frames = sample_evenly(len(state.poses[0]), MAX_UNCERTAINTY_FRAMES)
+    responses = respond_in_frames(state.parameters, state.problem, state.poses, frames)
+    covariance = np.linalg.inv(curvature)
+    if times_s is not None:
+        of_prior = state.parameters.gradient_covariance
+        weighted = responses.marker_response, responses.marker_weight
+        covariance = compute_shared_covariance(*weighted, curvature, of_prior, times_s, residual_sd_m)
     return compute_response_sd(responses.joint_response, responses.marker_response, covariance)
 
 
@@ -313,12 +273,9 @@ def build_refined_subject(
         start,
         skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),
         marker_offsets=state.problem.attachment.offsets,
-        frame_count=len(state.root_position),
+        frame_count=len(state.poses[0]),
     )
-    zeros = np.zeros(len(state.root_position), int)
-    motion = Motion(state.root_position, state.local_rotations, zeros, zeros, np.zeros(0), np.zeros(0))
-    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
-    distance = np.linalg.norm(state.problem.marker_positions - predicted, axis=-1)
+    distance = np.linalg.norm(state.problem.marker_positions - kinematics.predict_markers(subject, state.poses), axis=-1)
     visible = (~np.isnan(distance)).any(0)
     spread = start.marker_spread.copy()
     spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)

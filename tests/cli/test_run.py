@@ -8,7 +8,7 @@ import pytest
 from mocapfix import synthetic
 from mocapfix.io import shipped
 from mocapfix.keypoints import keypoint_scene
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 
 
 def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):
@@ -75,7 +75,7 @@ def test_shipped_session_calibrates_once_for_all_takes(mocapfix, tmp_path):
     status, out, err = mocapfix("run", scene, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
     assert "Jim's session: 3 takes." in out
-    subjects = [subject_file.read_subject(tmp_path / "out" / f"{name}.subject.yaml") for name in ("rom", "walk1", "walk2")]
+    subjects = [library.read_subject(tmp_path / "out" / f"{name}.subject.yaml") for name in ("rom", "walk1", "walk2")]
     assert len({each.skeleton.offsets.tobytes() for each in subjects}) == 1
     assert not (tmp_path / "out" / "other.c3d").exists()
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.detect import jitter
+from mocapfix.detect import noise
 from mocapfix.model.take import Take
 
 
@@ -16,7 +16,7 @@ def swinging(rate=120.0, seconds=4.0, noise=0.0005):
 
 def found(markers, rate=120.0):
     take = Take(markers, ("LWRA",), rate)
-    return jitter.detect_jitter(take, take.visible, min_amplitude_m=0.005, min_ratio=6.0, min_duration_s=0.1)
+    return noise.detect_jitter(take, take.visible, min_amplitude_m=0.005, min_ratio=6.0, min_duration_s=0.1)
 
 
 def add_jitter(markers, first, last, size, seed=0):

@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.detect.round_memory import RoundMemory
+from mocapfix.detect.noise import RoundMemory
 
 
 def test_result_is_computed_again_only_for_other_samples():

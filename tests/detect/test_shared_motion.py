@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect import jitter, shared_motion, spikes
+from mocapfix.detect import noise
 from mocapfix.model.take import Take
 
 RATE = 120.0
@@ -29,7 +29,7 @@ def strike():
 
 
 def detect_spikes(take):
-    return [(take.labels[f.marker], f.first, f.last) for f in spikes.detect_spikes(take, 0.02, 0.05)]
+    return [(take.labels[f.marker], f.first, f.last) for f in noise.detect_spikes(take, 0.02, 0.05)]
 
 
 def test_blow_is_no_spike(monkeypatch):
@@ -37,7 +37,7 @@ def test_blow_is_no_spike(monkeypatch):
     assert detect_spikes(take) == []
     # the marker's own path alone would make spikes of it
     monkeypatch.setattr(
-        spikes, "_find_shared_excursions", lambda take, marker, excursion, partners: np.zeros(len(excursion.frames), bool)
+        noise, "_find_shared_excursions", lambda take, marker, excursion, partners: np.zeros(len(excursion.frames), bool)
     )
     assert len(detect_spikes(take)) >= 2
 
@@ -88,7 +88,7 @@ def push_rims(seed=0, rate=100.0):
 def test_strike_that_turns_three_markers_rigidly_is_no_spike(seed, monkeypatch):
     take, _ = push_rims(seed)
     assert len(detect_spikes(take)) <= 1  # of 36 samples that leave their paths
-    monkeypatch.setattr(shared_motion, "MAX_RIGID_CHANGE_M", 0.0)
+    monkeypatch.setattr(noise, "MAX_RIGID_CHANGE_M", 0.0)
     assert len(detect_spikes(take)) >= 5
 
 
@@ -106,7 +106,7 @@ def test_spikes_of_a_glove_between_and_in_impacts_are_detected(marker, monkeypat
         return set(frames.tolist()) - {first for label, first, _ in spikes_found if label == take.labels[marker]}
 
     missed = find_missed()
-    monkeypatch.setattr(shared_motion, "MAX_RIGID_CHANGE_M", 0.0)
+    monkeypatch.setattr(noise, "MAX_RIGID_CHANGE_M", 0.0)
     assert len(missed - find_missed()) <= 1
     assert len(missed) <= 5  # a strike in the opposite direction hides a spike
 
@@ -124,7 +124,7 @@ def test_vibrating_limb_has_no_jitter():
 
 
 def detect_jitter(take):
-    faults = jitter.detect_jitter(take, take.visible, 0.004, 5.0, 0.1)
+    faults = noise.detect_jitter(take, take.visible, 0.004, 5.0, 0.1)
     return [(take.labels[f.marker], f.first, f.last) for f in faults]
 
 
@@ -140,14 +140,14 @@ def test_shared_deviations():
             [[-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.01, 0.0, 0.0]],  # opposite, or too short
         ]
     )
-    assert shared_motion.find_shared_deviations(own, neighbours).tolist() == [True, False, True, False, False]
+    assert noise.find_shared_deviations(own, neighbours).tolist() == [True, False, True, False, False]
 
 
 def test_shared_noise_is_removed():
     rng = np.random.default_rng(0)
     common, own_noise = rng.normal(size=(60, 3)), 0.1 * rng.normal(size=(60, 3))
     neighbours = np.stack([0.5 * common, np.full((60, 3), np.nan), rng.normal(size=(60, 3))], 1)
-    rest = shared_motion.remove_shared_noise(2 * common + own_noise, neighbours)
+    rest = noise.remove_shared_noise(2 * common + own_noise, neighbours)
     np.testing.assert_allclose(rest, own_noise, atol=0.1)
     independent = rng.normal(size=(60, 3))
-    assert np.linalg.norm(shared_motion.remove_shared_noise(independent, neighbours)) > 0.9 * np.linalg.norm(independent)
+    assert np.linalg.norm(noise.remove_shared_noise(independent, neighbours)) > 0.9 * np.linalg.norm(independent)

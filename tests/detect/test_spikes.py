@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.detect import spikes
+from mocapfix.detect import noise
 from mocapfix.model.faults import Faults
 from mocapfix.model.take import Take
 
@@ -19,7 +19,7 @@ def swinging(rate=120.0, seconds=2.0, markers=1):
 
 
 def found(markers, rate=120.0):
-    return spikes.detect_spikes(Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate), SMALLEST, LONGEST)
+    return noise.detect_spikes(Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate), SMALLEST, LONGEST)
 
 
 def spans(faults):
@@ -97,7 +97,7 @@ def test_spikes_in_a_fifth_of_all_samples():
     markers[is_spike] += rng.uniform(-0.3, 0.3, (is_spike.sum(), 3))
     markers[rng.random(is_spike.shape) < 0.05] = np.nan
     take = Take(markers, tuple("abcdefgh"), 120.0)
-    is_faulty = Faults(tuple(spikes.detect_spikes(take, SMALLEST, LONGEST))).compute_faulty_mask(take)
+    is_faulty = Faults(tuple(noise.detect_spikes(take, SMALLEST, LONGEST))).compute_faulty_mask(take)
     assert is_faulty[is_spike & take.visible].mean() > 0.97
     assert is_faulty[~is_spike & take.visible].mean() < 0.005
 
@@ -122,8 +122,8 @@ def test_local_fit_and_its_standard_deviation():
     times = np.arange(-10, 11) / 120
     times = times[times != 0]
     path = np.array([[1.0, 2.0, 3.0]]) + times[:, None] * [1.0, 0.0, -2.0] + times[:, None] ** 2 / 2 * [0.0, 50.0, -9.81]
-    fit = spikes._fit_locally(times, np.zeros(1))
+    fit = noise._fit_locally(times, np.zeros(1))
     np.testing.assert_allclose(fit.weight.sum(1), 1.0)
     np.testing.assert_allclose(np.einsum("ns,nsx->nx", fit.weight, path[fit.samples]), [[1.0, 2.0, 3.0]], atol=5e-4)
     assert fit.sd_m < 0.003
-    assert spikes._fit_locally(times[abs(times) > 0.05], np.zeros(1)).sd_m > 0.05
+    assert noise._fit_locally(times[abs(times) > 0.05], np.zeros(1)).sd_m > 0.05

@@ -10,7 +10,7 @@ from mocapfix import synthetic
 from mocapfix.errors import ReadError
 from mocapfix.lab import label_recovery
 from mocapfix.lab.label_recovery import LabelScore, compute_tracklet_purity, count_right_labels, summarise_label_scores
-from mocapfix.labels.points import PointLabels, UnlabelledPoints
+from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints
 
 
 def test_the_better_names_of_two_people_count() -> None:

@@ -2,9 +2,22 @@ import numpy as np
 import pytest
 
 from mocapfix.labels import mislabelled
+from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.subject.average_body import (
+    build_average_subject,
+    build_posed_body,
+    compute_rest_marker_positions,
+    estimate_body_size_ratio,
+)
 from tests.detect.people import CMU41, compose_person
 
-RESTING = mislabelled.compute_rest_markers(CMU41)
+SKELETON = load_cmu31_body().skeleton
+RESTING = compute_rest_marker_positions(SKELETON, CMU41)
+
+
+def fitted(markers):
+    size = estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1)
+    return mislabelled.fit_markers(build_posed_body(build_average_subject(CMU41, size)), markers)
 
 
 def test_rest_markers_are_symmetric_in_a_t_pose():
@@ -18,18 +31,18 @@ def test_rest_markers_are_symmetric_in_a_t_pose():
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.3])
 def test_size_ratio_from_distances_within_segments(scale):
     markers = np.tile(RESTING * scale, (3, 1, 1))
-    assert mislabelled.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
+    assert estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1) == pytest.approx(scale)
     markers[0, 5] = markers[1, 7] = np.nan
-    assert mislabelled.estimate_size_ratio(CMU41, markers) == pytest.approx(scale)
+    assert estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1) == pytest.approx(scale)
 
 
 def test_size_ratio_is_one_without_visible_distances():
-    assert mislabelled.estimate_size_ratio(CMU41, np.full((2, 41, 3), np.nan)) == 1.0
+    assert estimate_body_size_ratio(SKELETON, CMU41, np.full((2, 41, 3), np.nan), min_frames=1) == 1.0
 
 
 def test_predicted_markers_match_the_measured_ones():
     markers = np.ascontiguousarray(compose_person().markers[::30])
-    off = np.linalg.norm(mislabelled.build_average_body_fitter(CMU41, markers).predict_markers(markers) - markers, axis=-1)
+    off = np.linalg.norm(fitted(markers) - markers, axis=-1)
     assert np.median(off) < 0.03  # marker offsets vary by 12 mm per axis, bones by some per cent
     assert off.max() < 0.12
 
@@ -38,7 +51,7 @@ def test_missing_markers_are_predicted():
     markers = np.ascontiguousarray(compose_person().markers[:1])
     hidden = markers.copy()
     hidden[0, CMU41.labels.index("LTOE")] = np.nan
-    placed = mislabelled.build_average_body_fitter(CMU41, hidden).predict_markers(hidden)
+    placed = fitted(hidden)
     np.testing.assert_allclose(placed[0, CMU41.labels.index("LTOE")], markers[0, CMU41.labels.index("LTOE")], atol=0.06)
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
-from mocapfix.labels.points import UnlabelledPoints
 from mocapfix.labels.reference_labeller import arrange_points, join_trajectories, label_points_like, select_marker_fragments
-from mocapfix.labels.tracklets import find_tracklets
+from mocapfix.labels.tracklets import UnlabelledPoints, find_tracklets
 
 
 @pytest.fixture(scope="module")

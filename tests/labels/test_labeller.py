@@ -5,10 +5,19 @@ import pytest
 
 from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
-from mocapfix.labels.label_overlaps import compute_label_confidence, continue_labels, label_single_points
 from mocapfix.labels.labeller import label_points
-from mocapfix.labels.points import SampledPoints, UnlabelledPoints, sample_points
-from mocapfix.labels.tracklets import TrackletDistances, assign_tracklets, find_tracklets, measure_tracklets
+from mocapfix.labels.tracklets import (
+    SampledPoints,
+    TrackletDistances,
+    UnlabelledPoints,
+    assign_tracklets,
+    compute_label_confidence,
+    continue_labels,
+    find_tracklets,
+    label_single_points,
+    measure_tracklets,
+    sample_points,
+)
 from mocapfix.subject.library import load_marker_set
 
 MARKER_SET = load_marker_set("cmu41")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.labels.points import UnlabelledPoints
-from mocapfix.labels.tracklets import are_points_unordered, cut_columns, find_tracklets, link_points
+from mocapfix.labels.tracklets import UnlabelledPoints, are_points_unordered, cut_columns, find_tracklets, link_points
 
 RATE = 120.0
 

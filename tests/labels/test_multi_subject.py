@@ -21,7 +21,7 @@ from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.report.stage_timer import StageTimer, omit_stage_times
 from mocapfix.result import CleaningResult
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 from mocapfix.subject.library import SubjectChoice, find_subject_prefixes, load_marker_set, load_shipped_marker_sets
 from tests.conftest import build_c3d
 
@@ -404,16 +404,16 @@ def test_a_subject_file_needs_the_name_of_one_of_several_subjects(files, two):
 
 
 def test_subject_files_of_other_people_are_refused(files, two, tmp_path):
-    subject_file.write_subject(tmp_path / "bob.yaml", two[0].subject_results[0].subject)
+    library.write_subject(tmp_path / "bob.yaml", two[0].subject_results[0].subject)
     with pytest.raises(TakeError, match=r"two\.c3d: shows Jim and Ann, but --subject is for Bob\."):
         pipeline.clean(files / "two.c3d", subject=(("Bob", tmp_path / "bob.yaml"),))
 
 
 def test_each_subject_may_have_a_subject_file(files, two, tmp_path):
-    subject_file.write_subject(tmp_path / "ann.yaml", two[0].subject_results[1].subject)
+    library.write_subject(tmp_path / "ann.yaml", two[0].subject_results[1].subject)
     result = pipeline.clean(files / "two.c3d", subject=(("ann", tmp_path / "ann.yaml"),))
     jim, ann, *_ = result.subject_results
-    known = subject_file.read_subject(tmp_path / "ann.yaml")
+    known = library.read_subject(tmp_path / "ann.yaml")
     assert jim.subject
     assert ann.subject
     np.testing.assert_array_equal(ann.subject.skeleton.offsets, known.skeleton.offsets)

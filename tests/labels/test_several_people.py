@@ -6,8 +6,7 @@ import pytest
 from mocapfix import synthetic
 from mocapfix.lab.label_recovery import TwoPersonTake, UnlabelledKind, UnlabelledTake, place_two_people, remove_labels
 from mocapfix.labels.labeller import assign_to_people, label_people, label_points, separate_people
-from mocapfix.labels.points import PointLabels, UnlabelledPoints
-from mocapfix.labels.tracklets import find_tracklets
+from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, find_tracklets
 from mocapfix.subject.library import load_marker_set
 
 RATE = 60.0

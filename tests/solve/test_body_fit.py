@@ -17,7 +17,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import kinematics
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 from mocapfix.subject.library import build_subject_marker_set, load_marker_set, resolve_subject
 
 CMU41 = load_marker_set("cmu41")
@@ -43,7 +43,7 @@ def test_notes_explain_why_no_set_fits():
 
 
 def test_subject_brings_its_own_marker_set(brief):
-    subject = subject_file.read_subject(brief.subject)
+    subject = library.read_subject(brief.subject)
     for given in (subject, brief.subject, str(brief.subject)):
         choice = resolve_subject(build_take(*CMU41.labels), SubjectOptions(subject=given))
         assert choice.subject is not None
@@ -64,7 +64,7 @@ def test_named_set_or_subject_must_exist_and_fit(brief):
 @pytest.fixture(scope="module")
 def moved(brief) -> tuple[Detected, Subject, BodyFit, StageTimer, int]:
     """Return what is detected in a second in which LSHN moves by 50 mm, the subject, the solved body, the timer, the marker."""
-    whole, subject = capture.read_take(Path(brief.path)), subject_file.read_subject(brief.subject)
+    whole, subject = capture.read_take(Path(brief.path)), library.read_subject(brief.subject)
     marker = whole.labels.index("LSHN")
     markers = whole.markers.copy()
     markers[60:, marker] += [0.0, 0.05, 0.0]

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.model.take import Take
-from mocapfix.subject.body_size import compute_body_difference, measure_body
 from mocapfix.subject.library import load_marker_set
+from mocapfix.subject.people import compute_body_difference, measure_body
 from mocapfix.synthetic import compose_take
 
 MARKER_SET = load_marker_set("cmu41")

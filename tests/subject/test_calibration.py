@@ -10,7 +10,7 @@ from mocapfix.errors import TakeError
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics, mean_pose
-from mocapfix.subject import body_size, calibration
+from mocapfix.subject import average_body, calibration
 from mocapfix.subject.library import load_marker_set
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
@@ -72,7 +72,7 @@ def test_very_small_and_large_subjects_are_calibrated(truth, factor):
 
 
 def test_scaling_changes_all_lengths():
-    half = body_size.scale_skeleton(BODY.skeleton, 0.5)
+    half = average_body.scale_skeleton(BODY.skeleton, 0.5)
     np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
     np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.subject.body_size import scale_skeleton
+from mocapfix.subject.average_body import scale_skeleton
 from mocapfix.subject.library import load_marker_set
 from mocapfix.subject.parameters import (
     HIP_REGRESSION_SD_M,

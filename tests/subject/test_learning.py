@@ -11,7 +11,7 @@ from mocapfix.errors import TakeError
 from mocapfix.io.capture import read_take
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.subject import learning, own_set
+from mocapfix.subject import learning
 from mocapfix.subject.library import SubjectChoice, load_marker_set, write_marker_set
 from tests.captures import CAPTURES, needs_captures
 from tests.conftest import build_c3d
@@ -40,7 +40,7 @@ def rename_with_words(label: str) -> str:
 def test_learned_set_cleans_the_take(tmp_path):
     labels = [f"Ann:{rename_label(label)}" for label in WHOLE.labels]
     path = write_take(tmp_path, labels)
-    learned = own_set.learn_marker_set(path, "ann", like="cmu41")
+    learned = learning.learn_marker_set(path, "ann", like="cmu41")
     names, marker_set = load_cmu31_body().skeleton.names, learned.marker_set
     expected = {rename_label(label): names[j] for label, j in zip(WHOLE.labels, WHOLE.subject.joints, strict=True)}
     found = {label: names[j] for label, j in zip(marker_set.labels, marker_set.joints, strict=True)}
@@ -68,7 +68,7 @@ def test_learned_set_cleans_the_take(tmp_path):
 def test_set_with_too_few_markers_cannot_start_learning(tmp_path):
     path = write_take(tmp_path, WHOLE.labels)
     with pytest.raises(TakeError, match=r"wave\.c3d: qualisys-sports cannot be used to learn a marker set: only 0 of its "):
-        own_set.learn_marker_set(path, "mine", like="qualisys-sports")
+        learning.learn_marker_set(path, "mine", like="qualisys-sports")
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_subject_with_the_most_markers_is_selected():
 
 @needs_captures
 def test_unknown_labels_of_a_real_capture():
-    learned = own_set.learn_marker_set(CAPTURES / "c3d" / "Qualisys.c3d", "laboratory")
+    learned = learning.learn_marker_set(CAPTURES / "c3d" / "Qualisys.c3d", "laboratory")
     names, marker_set = load_cmu31_body().skeleton.names, learned.marker_set
     joint_of_label = {label: names[j] for label, j in zip(marker_set.labels, marker_set.joints, strict=True)}
     expected = {"L_FLE": "LeftUpLeg", "R_FAL": "RightLeg", "R_FCC": "RightFoot", "L_HLE": "LeftArm", "R_RSP": "RightForeArm"}
@@ -133,15 +133,15 @@ def test_props_are_written_to_the_learned_set(tmp_path):
     labels = [*map(rename_label, WHOLE.labels), *(f"Box{k}" for k in range(4))]
     path = tmp_path / "wave.c3d"
     path.write_bytes(build_c3d(np.concatenate([WHOLE.damaged_positions, moved], axis=1), labels, rate=WHOLE.rate))
-    learned = own_set.learn_marker_set(path, "ann", like="cmu41")
+    learned = learning.learn_marker_set(path, "ann", like="cmu41")
     assert learned.marker_set.props == {"Box": ("Box0", "Box1", "Box2", "Box3")}
 
 
 def test_more_markers_than_one_body_has_are_no_set_of_their_own(monkeypatch):
-    monkeypatch.setattr(own_set, "learn_from_markers", lambda *arguments: pytest.fail("a set is learned"))
-    count = own_set.MAX_OWN_SET_MARKERS + 1
+    monkeypatch.setattr(learning, "learn_from_markers", lambda *arguments: pytest.fail("a set is learned"))
+    count = learning.MAX_OWN_SET_MARKERS + 1
     markers = np.random.default_rng(0).normal(size=(4, count, 3))
     take = Take(markers, tuple(f"Q{n}A" for n in range(count)), 120.0)
-    choice = own_set.find_own_marker_set(take, SubjectChoice(None, None, ("No set fits.", "Other.")))
+    choice = learning.find_own_marker_set(take, SubjectChoice(None, None, ("No set fits.", "Other.")))
     assert choice.marker_set is None
     assert choice.notes == ("No set fits.", "401 markers with unknown labels are more than those of one body.", "Other.")

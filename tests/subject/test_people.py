@@ -4,9 +4,8 @@ import numpy as np
 
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.subject.body_size import BodyMeasurements, measure_body
 from mocapfix.subject.library import load_marker_set
-from mocapfix.subject.people import group_people
+from mocapfix.subject.people import BodyMeasurements, group_people, measure_body
 
 
 def measure(take: str, subject_name: str = "", size: float = 1.0, seed: int = 0) -> BodyMeasurements:

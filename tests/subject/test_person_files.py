@@ -4,10 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from mocapfix.options import SubjectOptions
-from mocapfix.subject.library import load_requested_subject
+from mocapfix.subject.library import load_requested_subject, read_subject
 from mocapfix.subject.people import locate_person_files, write_person_files
 from mocapfix.subject.person_calibration import MovedMarker, PersonCalibration
-from mocapfix.subject.subject_file import read_subject
 from mocapfix.synthetic import compose_take
 
 

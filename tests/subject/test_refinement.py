@@ -39,7 +39,7 @@ def perform(subject, frames=90):
 def refine(markers, start=NOMINAL, interval_s=0.1):
     posed = refinement.pose_frames(start, BODY, MEAN, markers)
     times_s = interval_s * np.arange(len(markers))
-    return refinement.refine_subject(start, BODY, MEAN, markers, posed.root_position, posed.local_rotations, times_s=times_s)[0]
+    return refinement.refine_subject(start, BODY, MEAN, markers, posed, times_s=times_s)[0]
 
 
 def test_average_body_is_a_fixed_point():
@@ -119,9 +119,8 @@ def test_spread_is_the_marker_motion():
 def test_input_poses_are_not_modified():
     markers, _ = perform(NOMINAL, frames=30)
     posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
-    was = [field.copy() for field in vars(posed).values()]
-    poses = posed.root_position, posed.local_rotations
-    subject, _, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, *poses, times_s=np.arange(30.0))
+    was = [field.copy() for field in posed]
+    subject, _, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, posed, times_s=np.arange(30.0))
     assert subject.frame_count == 30
-    for before, after in zip(was, vars(posed).values(), strict=True):
+    for before, after in zip(was, posed, strict=True):
         np.testing.assert_array_equal(before, after)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
-from mocapfix.subject import subject_file
+from mocapfix.subject import library
 from mocapfix.subject.library import load_marker_set as load_marker_set
 
 NOMINAL = load_marker_set("cmu41")
@@ -39,8 +39,8 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
     skeleton = Skeleton(average.names, average.parents, offsets, average.ends * 1.0123456)
     path = tmp_path_factory.getbasetemp() / "one.subject.yaml"
     marker_fields = ("cmu41", NOMINAL.labels, NOMINAL.joints, places, spread)
-    subject_file.write_subject(path, Subject(skeleton, *marker_fields, frames, joint_sd, marker_sd))
-    back = subject_file.read_subject(path)
+    library.write_subject(path, Subject(skeleton, *marker_fields, frames, joint_sd, marker_sd))
+    back = library.read_subject(path)
     assert (back.skeleton.names, back.marker_set, back.labels, back.frame_count) == (
         average.names,
         "cmu41",
@@ -62,7 +62,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
 
 def test_file_is_readable(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.write_subject(path, SUBJECT)
+    library.write_subject(path, SUBJECT)
     lines = path.read_text().splitlines()
     assert lines[0].startswith("# A subject of mocapfix")
     assert "metres" in lines[0]
@@ -74,17 +74,17 @@ def test_labels_that_look_like_yaml_values_round_trip(tmp_path):
     path = tmp_path / "one.subject.yaml"
     odd = ("No", "a: b", "12", "#7", "Möve")
     one = np.zeros(5, int)
-    subject_file.write_subject(path, Subject(load_cmu31_body().skeleton, "mine", odd, one, np.zeros((5, 3)), np.ones(5)))
-    assert subject_file.read_subject(path).labels == odd
+    library.write_subject(path, Subject(load_cmu31_body().skeleton, "mine", odd, one, np.zeros((5, 3)), np.ones(5)))
+    assert library.read_subject(path).labels == odd
 
 
 def test_bone_order_is_irrelevant(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.write_subject(path, SUBJECT)
+    library.write_subject(path, SUBJECT)
     data = yaml.safe_load(path.read_text())
     data["bones"] = dict(sorted(data["bones"].items()))
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    np.testing.assert_array_equal(subject_file.read_subject(path).skeleton.offsets, SUBJECT.skeleton.offsets)
+    np.testing.assert_array_equal(library.read_subject(path).skeleton.offsets, SUBJECT.skeleton.offsets)
 
 
 @pytest.mark.parametrize(
@@ -106,25 +106,25 @@ def test_bone_order_is_irrelevant(tmp_path):
 )
 def test_invalid_file_names_the_key(tmp_path, old, new, message):
     path = tmp_path / "one.subject.yaml"
-    subject_file.write_subject(path, SUBJECT)
+    library.write_subject(path, SUBJECT)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {message}"):
-        subject_file.read_subject(path)
+        library.read_subject(path)
 
 
 def test_missing_file_or_folder_is_reported(tmp_path):
     with pytest.raises(SceneError, match=r"nobody\.yaml.*No such file"):
-        subject_file.read_subject(tmp_path / "nobody.yaml")
+        library.read_subject(tmp_path / "nobody.yaml")
     with pytest.raises(WriteError, match=r"nobody\.yaml"):
-        subject_file.write_subject(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
+        library.write_subject(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
 
 
 def test_failed_write_keeps_the_old_file(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.write_subject(path, SUBJECT)
+    library.write_subject(path, SUBJECT)
     before = path.read_bytes()
     with pytest.raises(ValueError, match="argument"):
-        subject_file.write_subject(path, replace(SUBJECT, labels=("LFHD",)))
+        library.write_subject(path, replace(SUBJECT, labels=("LFHD",)))
     assert path.read_bytes() == before
