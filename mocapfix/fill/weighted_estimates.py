@@ -1,17 +1,17 @@
-"""The weights of several estimates of one gap: from their errors in hidden stretches, and from what is expected of each.
+"""The combination of several estimates: of samples by their precisions, of a gap by the errors in hidden stretches.
 
 Errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates & Granger
 1969, "The combination of forecasts"). Few stretches show little of it: variances and correlations are then shrunk to the expected
 ones, variances by their logarithms, since errors of one method in different gaps differ by factors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int8
 
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow
+from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MarkerEstimate
 
 MIN_ESTIMATE_SD_M = 0.0003
 """Smallest standard deviation of an estimate."""
@@ -25,6 +25,12 @@ SAME_AXES_CORRELATION = 0.75
 """The same where both were made in the same axes."""
 COVARIANCE_RIDGE = 1e-3
 """Relative increase of the variances, so that equal estimates share their weight."""
+
+
+ESTIMATE_CORRELATION = 0.5
+"""Correlation of the errors of two estimates of one sample."""
+PREDICTED_SPREAD_DOF = 6.0
+"""Degrees of freedom that the predicted standard deviations are worth beside the differences of the estimates."""
 
 
 class CombinedEstimate(NamedTuple):
@@ -127,3 +133,42 @@ def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndar
     if variance <= covariance[best, best]:
         return weights, variance
     return np.eye(len(covariance))[best], float(covariance[best, best])
+
+
+def combine_estimates(
+    estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION
+) -> tuple[MarkerEstimate, Float[np.ndarray, "*samples"]]:
+    """Return the mean of several estimates weighted by precision, with the method of the largest weight; NaN without any.
+
+    The estimates rely on the same neighbours and edges, so their errors are correlated, and the variance of the mean is larger
+    than for independent estimates. Where the estimates differ by more than their standard deviations allow, the standard
+    deviation is increased accordingly (Birge 1932, "The calculation of errors by the method of least squares").
+
+    An estimate weighs no more for agreeing with another. But where estimates agree, their mean is more certain than this standard
+    deviation says. The second result is the ratio of the two: it weights the predicted standard deviations and the differences of
+    the estimates by their degrees of freedom.
+    """
+    mean = precision = inverse_sd = count = square = largest = method = np.zeros(())
+    for position, sd, each_method in estimates:
+        if not count.shape:
+            mean, method = np.zeros(position.shape), np.zeros(sd.shape, np.int8)
+            precision, inverse_sd, count, square, largest = (np.zeros(sd.shape) for _ in range(5))
+        is_known = ~np.isnan(sd)
+        weight = 1 / sd[is_known] ** 2
+        mean[is_known] += weight[:, None] * position[is_known]
+        precision[is_known] += weight
+        inverse_sd[is_known] += 1 / sd[is_known]
+        count[is_known] += 1
+        square[is_known] += weight * (position[is_known] ** 2).sum(1)
+        is_larger = is_known & (np.nan_to_num(1 / sd) > largest)
+        largest[is_larger], method[is_larger] = 1 / sd[is_larger], each_method[is_larger]
+    precision[count == 0] = np.nan
+    mean /= precision[..., None]
+    spread = square - precision * (mean**2).sum(-1)
+    birge = np.maximum(spread / np.maximum(3 * (count - 1), 1), 1)
+    variance = (correlation * inverse_sd**2 + (1 - correlation) * precision) * birge
+    degrees_of_freedom = 3 * np.maximum(count - 1, 0)
+    expected_spread = 1 - ESTIMATE_CORRELATION
+    expected = PREDICTED_SPREAD_DOF + np.maximum(spread, 0) / expected_spread
+    ratio = np.sqrt(expected / (PREDICTED_SPREAD_DOF + degrees_of_freedom) / birge)
+    return MarkerEstimate(mean, np.sqrt(variance) / precision, method), ratio

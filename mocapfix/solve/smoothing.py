@@ -85,7 +85,7 @@ def estimate_rotation_power(
     rate: float,
     max_sd_rad: float = MAX_POWER_SAMPLE_SD,
 ) -> Float[np.ndarray, " T"]:
-    """Return the power of a joint's random angular acceleration, in rad^2/s^3 per axis, from its lie."""
+    """Return the power of a joint's random angular acceleration, in rad^2/s^3 per axis, from its quaternions."""
     # quaternions are half the angle, and spread three degrees of freedom over four numbers
     return estimate_acceleration_power(2 * joint_quaternions, variance, rate, max_sd_rad) * 4 / 3
 
@@ -187,7 +187,7 @@ def smooth_joint_rotations(
     is_uncertain: Bool[np.ndarray, " T"],
     rate: float,
 ) -> Float[np.ndarray, "T 4"]:
-    """Return the smooth trajectory of one joint's rotations, whose variance is in rad^2, as lie."""
+    """Return the smooth trajectory of one joint's rotations, whose variance is in rad^2, as quaternions."""
     joint_quaternions = lie.extract_joint_quaternions(local_rotations, joint, np.ones(len(variance), bool))
     observed_variance = np.where(is_uncertain, MAX_SAMPLE_VARIANCE, variance)
     power = estimate_rotation_power(joint_quaternions, observed_variance, rate, MAX_OBSERVED_SAMPLE_SD_RAD)

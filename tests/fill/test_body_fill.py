@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from mocapfix import synthetic
-from mocapfix.fill import marker_estimates
+from mocapfix.fill import gap_filling
 from mocapfix.solve import kinematics
 
 RATE = 60.0
@@ -30,7 +30,7 @@ def build_gap_mask(scene, marker, first, last):
 
 def fill(scene, markers, wanted, motion=None):
     subject, known, _, _ = scene
-    return marker_estimates.fill_from_body(np.where(wanted[..., None], np.nan, markers), wanted, subject, motion or known, RATE)
+    return gap_filling.fill_from_body(np.where(wanted[..., None], np.nan, markers), wanted, subject, motion or known, RATE)
 
 
 def test_marker_at_its_offset_is_exact(scene):

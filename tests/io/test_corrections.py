@@ -8,8 +8,14 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.errors import SceneError
-from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
-from mocapfix.fill.requested_fills import EMPTY_REASON, FillRequest, explain_requested_fills, use_requested_methods
+from mocapfix.fill.fill_methods import (
+    EMPTY_REASON,
+    FillMethod,
+    FillRequest,
+    build_marker_estimate,
+    explain_requested_fills,
+    use_requested_methods,
+)
 from mocapfix.io.changes_file import (
     CorrectionKind,
     CorrectionModel,

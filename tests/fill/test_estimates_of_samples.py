@@ -5,14 +5,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate, find_impossible_speeds, measure_fastest_speed
-from mocapfix.fill.marker_estimates import (
-    ESTIMATE_CORRELATION,
+from mocapfix.fill.gap_filling import (
     PARTIAL_BODY_SD_RATIO,
-    PREDICTED_SPREAD_DOF,
-    combine_estimates,
     combine_with_partial_body,
     estimate_missing_samples,
 )
+from mocapfix.fill.weighted_estimates import ESTIMATE_CORRELATION, PREDICTED_SPREAD_DOF, combine_estimates
 from mocapfix.io import capture
 from mocapfix.model.take import Take
 from tests.captures import CAPTURES, needs_captures
