@@ -42,7 +42,7 @@ from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_processes
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
-from mocapfix.solve.prior_files import build_pose_model_loader
+from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import (
     Calibrated,
     calibrate_body,

@@ -1,13 +1,11 @@
 """The stage of contacts: find those of the solved body, and hold its feet in them.
 
-How certain a held foot is while no marker shows it: it is where it stood before and after, up to its rolling.
+The legs are solved so that feet in contact are where they shall be. The contacts are point terms on the ankles and the toes, in
+all frames in which a foot is displaced, beside terms that keep the legs' rotations and the root as they were, and the visible
+markers of thighs and shins. The weights do not depend on contacts, so that no knee jumps where one begins. The root yields by
+MAX_ROOT_DISPLACEMENT_M at most: a place that a leg does not reach from there is not where its foot stands.
 
-Solve the legs so that feet in contact are where they shall be.
-
-The contacts are point terms on the ankles and the toes, in all frames in which a foot is displaced, beside terms that keep the
-legs' rotations and the root as they were, and the visible markers of thighs and shins. The weights do not depend on contacts, so
-that no knee jumps where one begins.
-The root yields by MAX_ROOT_DISPLACEMENT_M at most: a place that a leg does not reach from there is not where its foot stands.
+While no marker shows a held foot, it is as certain as where it stood before and after, up to its rolling.
 """
 
 from dataclasses import dataclass, replace

@@ -32,7 +32,7 @@ from mocapfix.solve import kinematics
 from mocapfix.solve.motion_prior import predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.solve.prior_files import load_pose_model
+from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.synthetic import synthetic_takes as motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 

@@ -18,7 +18,7 @@ from torch.optim.lr_scheduler import LambdaLR
 from mocapfix.lab.networks import AutoencoderNetwork
 from mocapfix.lab.settings import AutoencoderSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.autoencoder import FEATURE_COUNTS, NetworkArchitecture, compute_pose_features
+from mocapfix.solve.trained_priors import FEATURE_COUNTS, NetworkArchitecture, compute_pose_features
 
 RATE_DECAY_INTERVAL_STEPS = 2000  # after so many steps a rate schedule's factor is applied (MNN-IK, appendix A)
 MAX_JOINT_NOISE_SD_RAD = 0.35  # standard deviation of the noise of all joints: at most this, drawn for each corrupted pose

@@ -20,13 +20,12 @@ from mocapfix.lab.networks import AutoencoderNetwork, compute_rotation_tensor, r
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.solve import kinematics
-from mocapfix.solve.autoencoder import AutoencoderModel
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.minimise import IteratedTerm, KernelTerms, PoseSolution, SolverSettings, minimise
 from mocapfix.solve.model_terms import INITIAL_CODE_DAMPING, ModelRounds, PoseModelTerm
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.prior_files import MNN_IK, load_pose_model
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
+from mocapfix.solve.trained_priors import MNN_IK, AutoencoderModel, load_pose_model
 
 NO_PRIOR = "none"
 COMPARED_PRIOR_NAMES = (NO_PRIOR, "pca", "gaussian", "mixture", MNN_IK, "autoencoder")

@@ -39,7 +39,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, build_clean_options
 from mocapfix.solve.hybrik import read_twist_regressor
-from mocapfix.solve.prior_files import load_pose_model
+from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.subject.library import load_marker_set, read_subject
 from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_motion, compose_take, draw_subject
 

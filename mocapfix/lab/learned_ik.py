@@ -37,7 +37,7 @@ from mocapfix.solve.hybrik import solve_hybrik
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.learned_ik import IkNetwork, PoseRegressor, load_shipped_ik_network, smooth_positions
 from mocapfix.solve.pose_prior import PoseModel
-from mocapfix.solve.prior_files import load_pose_model
+from mocapfix.solve.trained_priors import load_pose_model
 
 SMPLIFY_ITERATIONS = 100
 SMPLIFY_LEARNING_RATE = 0.03

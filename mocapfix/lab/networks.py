@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mocapfix.solve.autoencoder import FEATURE_COUNTS, NetworkArchitecture
+from mocapfix.solve.trained_priors import FEATURE_COUNTS, NetworkArchitecture
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "relu": nn.ReLU}
 

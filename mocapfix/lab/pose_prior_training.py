@@ -22,10 +22,9 @@ from mocapfix.lab.networks import copy_weights
 from mocapfix.lab.settings import AutoencoderSettings, GaussianSettings, MixtureSettings, PriorSettings
 from mocapfix.lab.training_poses import TrainingPoses, compute_sampling_weights, conform_training_poses, gather_training_poses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.autoencoder import AutoencoderModel
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.pose_prior import GaussianModel, MixtureModel, PoseModel
-from mocapfix.solve.prior_files import save_pose_model
+from mocapfix.solve.trained_priors import AutoencoderModel, save_pose_model
 
 # Measured standard deviations are multiplied by this: the held-out subjects are few, and measurements shall outweigh the prior.
 SD_INFLATION = 2.5

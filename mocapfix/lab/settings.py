@@ -52,7 +52,7 @@ class AutoencoderSettings(SubjectSettings):
 
     seed               of weights, order and corruption
     input_features, output_features, hidden_widths, code_size, residual_directions, activation, skip_connection
-                       the architecture, see mocapfix.solve.autoencoder.NetworkArchitecture
+                       the architecture, see mocapfix.solve.trained_priors.NetworkArchitecture
     initial_weight_sd  standard deviation of the initial weights; null for torch's default
     epochs             passes over all poses
     batch_poses        poses per step

@@ -2,15 +2,11 @@
 
 The methods (`INIT_METHODS`) are:
 
-learned       those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_start`)
-hybrik-...    joint positions from the markers (`joint_positions`), and from these each frame's pose in closed form (`hybrik`)
+learned       those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_ik`)
+hybrik-...    joint positions from the frame's markers, and from these its pose in closed form (`hybrik`)
 registration  the subject's segments registered to the visible markers, down the tree (`segment_registration`)
 previous      only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
               saves some iterations, but frames cannot be solved in parallel, and a wrong solution affects the next frame.
-
-Joint positions from markers, estimated in every frame independently, with their standard deviations.
-
-Initial poses by learned inverse kinematics: what no marker shows is inferred from the rest of the body.
 """
 
 from dataclasses import dataclass, replace

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import ConstraintError, format_name_list
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
-from mocapfix.solve import kinematics, mean_pose, prior_files
+from mocapfix.solve import kinematics, mean_pose, trained_priors
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_uncertainty, minimise
 from mocapfix.solve.model_terms import PoseModelTerm, linearise_model_term
 from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
@@ -385,7 +385,7 @@ def solve_pose(
 def resolve_pose_model(prior_name: str, skeleton: Skeleton) -> PoseModel:
     """Return the pose model of a name; "none" is the rest pose with a standard deviation of REST_POSE_SD_RAD."""
     if prior_name != "none":
-        return prior_files.load_pose_model(prior_name, skeleton)
+        return trained_priors.load_pose_model(prior_name, skeleton)
     joint_count = len(skeleton.names)
     rest_rotations = mean_pose.load_mean_pose_prior("none", skeleton).mean_rotations
     residual_sd, no_components = np.full(joint_count, REST_POSE_SD_RAD), np.zeros((0, joint_count, 3))

@@ -1,33 +1,22 @@
 """The window solver: the poses of consecutive frames, without the inference of limbs that no marker shows.
 
 Each frame is solved on its own first. The joints' smooth trajectories through these solutions, weighted by their uncertainty,
-then enter a second solve as tracking terms, which couple the frames. Limbs that this leaves although their markers are visible
-are solved again.
+then enter a second solve as tracking terms, which couple the frames.
 
-Marker equations: the dense normal equations of the markers of single frames, for steps that couple all joints.
+Limbs that this leaves although their markers are visible are recovered. A solve goes to the nearest minimum: from a start with a
+limb far away, the narrow robust scale makes outliers of all the limb's markers. So frames in which a limb is lost although its
+markers keep their distances (`lost_in_sight`), and those that fit their markers worse than the frame's own solution did, are
+solved again from other starts, from wide robust scales to narrow ones; the solution of least marker cost is kept.
 
-The compiled kernels never form this matrix; it is needed where a pose model couples every joint with every other.
-
-The frame prior: a trained pose model as a prior of every frame of a motion.
-
-Under the model a pose is normally distributed about the decoded pose of its code, so that all its joints depend on each other.
-The solver's prior term treats each joint by itself. So the most probable poses under markers and model are computed here, in
-sampled frames, by dense Gauss-Newton steps in which the code is eliminated; in between, poses are interpolated. Each joint
-gets the mean and the information with which the prior term has the model's gradient at these poses, and the curvature that the
-model has for the joint if the others are given. The minimum of the solver's cost is then that of the cost with the model: joints
-that markers determine are hardly affected, and those that they do not determine follow the rest of the body.
+A trained pose model as a prior of every frame makes all joints depend on each other, while the solver's prior term treats each
+joint by itself. So the most probable poses under markers and model are computed here, in sampled frames, by dense Gauss-Newton
+steps in which the code is eliminated; in between, poses are interpolated. Each joint gets the mean and the information with which
+the prior term has the model's gradient at these poses, and the curvature that the model has for the joint if the others are
+given. The minimum of the solver's cost is then that of the cost with the model.
 
 Unlike the mean pose, the model has its full weight in every frame. Its errors persist from frame to frame, but so do those of
 markers about their places on the skin, and it does not attract a person to the pose of others. On people that were not trained
 on, a tenth and a hundredth of the weight gave greater errors with all sets of markers, and three times the weight with most.
-
-Recovery of lost limbs: frames whose visible markers the solve left are solved again from other starts.
-
-A solve goes to the nearest minimum. From a start with a limb far away, the narrow robust scale makes outliers of all the limb's
-markers, and the limb stays where it is. So after the last solve two kinds of frames are solved again, from wide robust scales to
-narrow ones: those in which a limb is lost although its markers are visible and keep their distances (`lost_in_sight`), and those
-that fit their markers worse than the frame's own solution did. The starts are the frame's own solution, the registration of the
-segments to their own markers, and the poses of the nearest frames without a lost limb. The solution of least marker cost is kept.
 """
 
 import math

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animations.clean import MappedPriorConditioner
 from mocapfix.animations.joint_mapping import SkeletonAlignment
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files
+from mocapfix.solve import trained_priors
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_alignment import compose_transforms
@@ -20,7 +20,7 @@ OBSERVED = np.array(
 
 @pytest.fixture(scope="module")
 def model():
-    return prior_files.load_pose_model("gaussian", SKELETON)
+    return trained_priors.load_pose_model("gaussian", SKELETON)
 
 
 def posed(frames: int) -> np.ndarray:

@@ -9,12 +9,12 @@ import pytest
 from mocapfix.keypoints import film_solver, keypoint_file
 from mocapfix.keypoints.film_solver import ReprojectionProblem, build_camera_rotation
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files
+from mocapfix.solve import trained_priors
 from tests.keypoints.example_film import compose_example_film
 
 RATE = 10.0
 SKELETON = load_cmu31_body().skeleton
-MODEL = prior_files.load_pose_model("pca", SKELETON)
+MODEL = trained_priors.load_pose_model("pca", SKELETON)
 
 
 def compute_error_m(found, truth):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.lab import pose_priors, sound_takes
 from mocapfix.lab.compared_priors import ComparedPriors, place_known_poses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose, prior_files
+from mocapfix.solve import mean_pose, trained_priors
 
 SKELETON = load_cmu31_body().skeleton
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations
@@ -69,7 +69,7 @@ def test_bias_is_relative_to_no_prior_and_noise_is_the_same_for_all(poses, monke
 
 
 def test_exact_positions_are_met_without_a_prior_and_twists_are_better_with_one(poses):
-    priors: ComparedPriors = {"none": None, "gaussian": prior_files.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"none": None, "gaussian": trained_priors.load_pose_model("gaussian", SKELETON)}
     results = pose_priors.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
     assert results["none"]["bias_mm"] == 0
     assert 0 < results["gaussian"]["bias_mm"] < 5

@@ -15,7 +15,7 @@ from mocapfix.lab.settings import AutoencoderSettings
 from mocapfix.lab.training_poses import compute_sampling_weights
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose
-from mocapfix.solve.autoencoder import DECODER, ENCODER, Layers, NetworkArchitecture
+from mocapfix.solve.trained_priors import DECODER, ENCODER, Layers, NetworkArchitecture
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
 PRIORS = Path(mean_pose.__file__).parents[2] / "priors"

@@ -8,7 +8,7 @@ import torch
 
 from mocapfix.lab.autoencoder_training import ResidualModel, compute_evidence_loss
 from mocapfix.lab.networks import AutoencoderNetwork
-from mocapfix.solve.autoencoder import NetworkArchitecture
+from mocapfix.solve.trained_priors import NetworkArchitecture
 
 
 def build_linear_network(gain):

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.lab import compared_priors, pose_priors
 from mocapfix.lab.compared_priors import ComparedPriors, build_joint_task, place_known_poses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose, prior_files
+from mocapfix.solve import mean_pose, trained_priors
 
 SKELETON = load_cmu31_body().skeleton
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations
@@ -41,7 +41,7 @@ def test_all_priors_solve_the_same_tasks_from_the_same_start(poses, monkeypatch)
 
     monkeypatch.setattr(pose_priors, "solve_joint_task", solve)
     messages: list[str] = []
-    priors: ComparedPriors = {"one": None, "other": prior_files.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"one": None, "other": trained_priors.load_pose_model("gaussian", SKELETON)}
     pose_priors.measure_given_joints(poses, priors, REFERENCE, 2, messages.append)
     for one, other in zip(tasks[True], tasks[False], strict=True):
         np.testing.assert_array_equal(one.is_given, other.is_given)
@@ -91,7 +91,7 @@ def test_improvement_is_the_mean_of_reductions():
 
 
 def test_given_joints_are_met_and_more_of_them_reduce_the_error(poses):
-    priors: ComparedPriors = {"none": None, "gaussian": prior_files.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"none": None, "gaussian": trained_priors.load_pose_model("gaussian", SKELETON)}
     task = build_joint_task(poses, pose_priors.draw_given_joints(6, 31, 8), 0.005)
     for model in priors.values():
         found = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE))

@@ -7,11 +7,11 @@ from mocapfix.lab import compared_priors, hands, pose_priors, sound_takes
 from mocapfix.lab.compared_priors import ComparedPriors, build_joint_task
 from mocapfix.lab.pose_priors import GIVEN_JOINT_SD_M, compute_pose_errors, draw_given_joints
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import mean_pose, prior_files
+from mocapfix.solve import mean_pose, trained_priors
 from mocapfix.solve.pose_prior import compute_pose_vectors
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
-GAUSSIAN = prior_files.load_pose_model("gaussian", load_cmu31_body().skeleton)
+GAUSSIAN = trained_priors.load_pose_model("gaussian", load_cmu31_body().skeleton)
 PRIORS: ComparedPriors = {"none": None, "gaussian": GAUSSIAN}
 
 

@@ -11,7 +11,7 @@ from mocapfix.lab import lost_limbs
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.sound_takes import PerformedMotion
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, prior_files
+from mocapfix.solve import kinematics, trained_priors
 
 SKELETON = load_cmu31_body().skeleton
 ARM = np.array([SKELETON.find_joint(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")])
@@ -41,7 +41,7 @@ def test_constant_rotation_is_restored_exactly():
 
 def test_blended_model_is_accurate_at_the_edges():
     found = rotate_evenly(60, ARM[0], speed=0.4)
-    by_way = fill(found, prior_files.load_pose_model("gaussian", SKELETON))
+    by_way = fill(found, trained_priors.load_pose_model("gaussian", SKELETON))
     alone, corrected = by_way["model, each frame alone"], by_way["model, corrected at both edges"]
 
     def off(motion, frame):

@@ -12,7 +12,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import pose_prior_training, settings
 from mocapfix.lab.training_poses import TrainingPoses
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files
+from mocapfix.solve import trained_priors
 from mocapfix.solve.pose_prior import GaussianModel
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -61,7 +61,7 @@ def train(name, motion, folder, *more, **changes):
 )
 def test_trained_prior_loads_and_has_a_card(tmp_path, motion, capsys, name, changes, size):
     assert train(name, motion, tmp_path, **changes) == 0
-    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    model = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     assert model.code_size == size
     card = (tmp_path / "mine.md").read_text(encoding="utf-8")
     assert "NSF EIA-0196217" in card
@@ -80,7 +80,7 @@ def test_interleaved_split_trains_on_all_subjects(tmp_path, motion):
     assert "two of every five frames, between those trained on" in card
     assert "never read" not in card
     assert "| held-out frames |" in card
-    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    model = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     poses = pose_prior_training.gather_training_poses(
         [motion], model.reference_rotations, frozenset(), frozenset(), lambda text: None, is_interleaved=True
     )
@@ -109,7 +109,7 @@ def test_unknown_suffix_raises_before_training(tmp_path, motion):
 
 def test_codes_of_training_poses_are_scaled_by_the_inflation(tmp_path, motion):
     train("autoencoder", motion, tmp_path, **SMALL)
-    model = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    model = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     poses = pose_prior_training.gather_training_poses(
         [motion], model.reference_rotations, frozenset(["02"]), frozenset(["03"]), lambda text: None
     )

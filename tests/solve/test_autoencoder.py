@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose
-from mocapfix.solve.autoencoder import (
+from mocapfix.solve.trained_priors import (
     FEATURE_COUNTS,
     AutoencoderModel,
     NetworkArchitecture,

@@ -14,7 +14,7 @@ from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem, w
 from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.pose_problem import change_all_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.solve.prior_files import load_pose_model
+from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.solve.window_solver import set_frame_prior
 
 BODY = load_cmu31_body()

@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files
+from mocapfix.solve import trained_priors
 from mocapfix.solve.pose_prior import GaussianModel
 from tests.solve.test_autoencoder import draw_model
 
@@ -30,8 +30,8 @@ def gaussian():
 
 
 def test_saved_gaussian_is_restored(tmp_path, gaussian):
-    prior_files.save_pose_model(tmp_path / "mine.safetensors", gaussian)
-    loaded = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    trained_priors.save_pose_model(tmp_path / "mine.safetensors", gaussian)
+    loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     assert isinstance(loaded, GaussianModel)
     np.testing.assert_allclose(loaded.decode(CODES), gaussian.decode(CODES), atol=1e-6)
     np.testing.assert_allclose(loaded.encode(gaussian.decode(CODES)), gaussian.encode(gaussian.decode(CODES)), atol=1e-4)
@@ -43,8 +43,8 @@ def test_saved_network_is_restored(tmp_path, features, activation):
     model = draw_model(features, activation)
     halved = {name: weight.astype(np.float16).astype(np.float32) for name, weight in model.weights.items()}
     model = replace(model, weights=halved)
-    prior_files.save_pose_model(tmp_path / "mine.safetensors", model)
-    loaded = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
+    trained_priors.save_pose_model(tmp_path / "mine.safetensors", model)
+    loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     np.testing.assert_allclose(loaded.decode(CODES), model.decode(CODES), atol=1e-5)
     np.testing.assert_allclose(loaded.linearise(CODES)[1], model.linearise(CODES)[1], atol=1e-4)
     np.testing.assert_allclose(loaded.encode(model.decode(CODES)), model.encode(model.decode(CODES)), atol=1e-4)
@@ -53,7 +53,7 @@ def test_saved_network_is_restored(tmp_path, features, activation):
 def save_changed(tmp_path, model, change):
     """Return the path of a saved model whose header and tensors have been changed."""
     path = tmp_path / "mine.safetensors"
-    prior_files.save_pose_model(path, model)
+    trained_priors.save_pose_model(path, model)
     header, tensors = {"kind": model.kind, "joints": model.joint_names, **model.serialise()[0]}, load_file(path)
     change(header, tensors)
     save_file(tensors, path, {"mocapfix": json.dumps(header)})
@@ -73,7 +73,7 @@ def save_changed(tmp_path, model, change):
 )
 def test_incomplete_or_unknown_content_raises(tmp_path, gaussian, change, message):
     with pytest.raises(SceneError, match=message):
-        prior_files.load_pose_model(save_changed(tmp_path, gaussian, change), SKELETON)
+        trained_priors.load_pose_model(save_changed(tmp_path, gaussian, change), SKELETON)
 
 
 def test_missing_network_weights_raise(tmp_path):
@@ -81,24 +81,24 @@ def test_missing_network_weights_raise(tmp_path):
         tmp_path, draw_model("continuous", "silu"), lambda header, tensors: tensors.pop("network.decoder.0.weight")
     )
     with pytest.raises(SceneError, match=r"decoder\.0\.weight"):
-        prior_files.load_pose_model(path, SKELETON)
+        trained_priors.load_pose_model(path, SKELETON)
 
 
 def test_model_of_other_joints_raises(tmp_path, gaussian):
     path = save_changed(tmp_path, gaussian, lambda header, tensors: header.update(joints=SKELETON.names[::-1]))
     with pytest.raises(SceneError, match="in this order"):
-        prior_files.load_pose_model(path, SKELETON)
-    prior_files.save_pose_model(tmp_path / "mine.safetensors", gaussian)
+        trained_priors.load_pose_model(path, SKELETON)
+    trained_priors.save_pose_model(tmp_path / "mine.safetensors", gaussian)
     with pytest.raises(SceneError, match="in this order"):
-        prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), replace(SKELETON, names=SKELETON.names[:-1]))
+        trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), replace(SKELETON, names=SKELETON.names[:-1]))
 
 
 def test_missing_and_invalid_files_raise(tmp_path):
     (tmp_path / "text.safetensors").write_text("not that")
     with pytest.raises(SceneError, match=r"text\.safetensors: is not a prior"):
-        prior_files.load_pose_model(str(tmp_path / "text.safetensors"), SKELETON)
+        trained_priors.load_pose_model(str(tmp_path / "text.safetensors"), SKELETON)
     with pytest.raises(SceneError, match="no trained prior 'nobody'"):
-        prior_files.load_pose_model("nobody", SKELETON)
+        trained_priors.load_pose_model("nobody", SKELETON)
 
 
 def test_shipped_models_load_and_are_small():
@@ -107,8 +107,8 @@ def test_shipped_models_load_and_are_small():
     for path in shipped:
         assert path.with_suffix(".md").is_file()
         assert path.with_suffix(".yaml").is_file()
-        if path.stem not in prior_files.OTHER_WEIGHT_FILES:
-            model = prior_files.load_pose_model(str(path), SKELETON)
+        if path.stem not in trained_priors.OTHER_WEIGHT_FILES:
+            model = trained_priors.load_pose_model(str(path), SKELETON)
             assert (model.residual_sd_rad[1:] >= np.radians(1) - 1e-6).all()
             decoded = model.decode(np.zeros((1, model.code_size)))
             assert np.isfinite(decoded).all()
@@ -116,23 +116,24 @@ def test_shipped_models_load_and_are_small():
 
 def test_twist_regressor_is_not_a_pose_prior():
     with pytest.raises(SceneError, match="no trained prior 'twist'; choose one of: autoencoder, gaussian, mixture, pca;"):
-        prior_files.load_pose_model("twist", SKELETON)
+        trained_priors.load_pose_model("twist", SKELETON)
 
 
 def test_gaussian_does_not_import_torch(tmp_path, gaussian):
     path = tmp_path / "mine.safetensors"
-    prior_files.save_pose_model(path, gaussian)
+    trained_priors.save_pose_model(path, gaussian)
     code = (
-        "import sys; from mocapfix.solve import prior_files; from mocapfix.model.skeleton import load_cmu31_body; "
-        f"prior_files.load_pose_model({str(path)!r}, load_cmu31_body().skeleton); print('torch' in sys.modules)"
+        "import sys; from mocapfix.solve import trained_priors; from mocapfix.model.skeleton import load_cmu31_body; "
+        f"trained_priors.load_pose_model({str(path)!r}, load_cmu31_body().skeleton); print('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
 
 
 def test_default_prior_is_linearised_without_torch():
     code = (
-        "import sys, numpy as np; from mocapfix.solve import prior_files; from mocapfix.model.skeleton import load_cmu31_body; "
-        "model = prior_files.load_pose_model('autoencoder', load_cmu31_body().skeleton); "
+        "import sys, numpy as np; from mocapfix.solve import trained_priors; "
+        "from mocapfix.model.skeleton import load_cmu31_body; "
+        "model = trained_priors.load_pose_model('autoencoder', load_cmu31_body().skeleton); "
         "model.decode(np.zeros((2, model.code_size))); model.linearise(np.zeros((2, model.code_size))); "
         "print('torch' in sys.modules)"
     )

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import prior_files
+from mocapfix.solve import trained_priors
 from mocapfix.solve.pose_prior import MixtureModel
 
 RNG = np.random.default_rng(0)
@@ -73,8 +73,8 @@ def test_linearisation_predicts_the_change_of_the_decoded_pose(mixture):
 
 
 def test_saved_mixture_is_restored(mixture, tmp_path):
-    prior_files.save_pose_model(tmp_path / "mine.safetensors", mixture)
-    loaded = prior_files.load_pose_model(str(tmp_path / "mine.safetensors"), load_cmu31_body().skeleton)
+    trained_priors.save_pose_model(tmp_path / "mine.safetensors", mixture)
+    loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), load_cmu31_body().skeleton)
     assert isinstance(loaded, MixtureModel)
     at = build_poses(mixture, RNG.normal(size=(5, 3)))
     np.testing.assert_allclose(loaded.compute_component_costs(at), mixture.compute_component_costs(at), rtol=1e-4)

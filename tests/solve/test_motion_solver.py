@@ -19,7 +19,7 @@ from mocapfix.solve import (
     motion_solver,
     occluded_joints,
     pose_problem,
-    prior_files,
+    trained_priors,
     window_solver,
 )
 from mocapfix.solve.mean_pose import load_joint_limits
@@ -200,7 +200,7 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
         motion_solver.solve_motion(
-            *arguments, conditioner=PriorConditioner(lambda: prior_files.load_pose_model("gaussian", BODY.skeleton), 1.0)
+            *arguments, conditioner=PriorConditioner(lambda: trained_priors.load_pose_model("gaussian", BODY.skeleton), 1.0)
         ),
         motion_solver.solve_motion(*arguments),
     )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ConstraintError, SceneError
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, prior_files, single_pose
+from mocapfix.solve import kinematics, single_pose, trained_priors
 from mocapfix.solve.single_pose import (
     Camera,
     DirectionConstraint,
@@ -20,7 +20,7 @@ from mocapfix.solve.single_pose import (
 )
 
 SKELETON = load_cmu31_body().skeleton
-GAUSSIAN = prior_files.load_pose_model("gaussian", SKELETON)
+GAUSSIAN = trained_priors.load_pose_model("gaussian", SKELETON)
 INDEX = SKELETON.find_joint
 
 

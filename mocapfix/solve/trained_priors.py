@@ -1,23 +1,32 @@
-"""Autoencoder pose models (MNN-IK, section 3 and appendix A).
+"""Trained pose models: their weights files, and autoencoders (MNN-IK, section 3 and appendix A).
+
+A file is NAME.safetensors; its header holds the kind of the model and its joints.
 
 The scale of a network's code is arbitrary. Here the code is normalised by the covariance of the codes of training poses, so that
 its cost is half its sum of squares. The residuals of decoded poses are correlated between joints, above all for subjects that the
-network was not trained on; further code dimensions are amplitudes along the directions of these residuals.
-
-The networks are evaluated with numpy; only training needs torch.
+network was not trained on; further code dimensions are amplitudes along the directions of these residuals. The networks are
+evaluated with numpy; only training needs torch.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
-from mocapfix.solve.pose_prior import Header, PoseModel, Tensors, validate_tensors
+from mocapfix.errors import SceneError
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.shipped import find_shipped_folder, is_existing_file
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.solve.pose_prior import GaussianModel, Header, MixtureModel, PoseModel, Tensors, validate_tensors
 
 ENCODER, DECODER = "encoder.", "decoder."  # how the names of the weights begin
 SKIPPED_LAYERS, SKIP = "0.layers.", "0.skip."  # and how they go on in a decoder with a skip connection
@@ -299,3 +308,73 @@ def _name_file_weight(name: str) -> str:
 def _name_network_weight(name: str) -> str:
     """Return the name in the network of a weight in a weights file."""
     return name.removeprefix(NETWORK_PREFIX).replace("0.bent.", "0.layers.").replace("0.straight.", "0.skip.")
+
+
+OTHER_WEIGHT_FILES = ("twist", "ik", "motion")  # weights in priors/ that are not pose models
+MNN_IK = "mnn-ik"  # enters the solver as one scalar, unlike the other models; used by the benchmarks only
+
+
+def find_pose_model(name: str) -> Path:
+    """Return the path of the model shipped as priors/NAME.safetensors, or `name` itself if it ends in .safetensors.
+
+    Raises SceneError that lists the available models if there is none; also for MNN-IK, which is available by its path only.
+    """
+    path = Path(name) if name.endswith(".safetensors") else find_shipped_folder("priors") / f"{Path(name).name}.safetensors"
+    shipped = {each.stem for each in find_shipped_folder("priors").glob("*.safetensors")}
+    available = ", ".join(sorted(shipped - {MNN_IK, *OTHER_WEIGHT_FILES}))
+    if name == MNN_IK:
+        raise SceneError(f"The prior {name!r} is available in mocapfix bench prior only; choose one of: {available}.")
+    if not is_existing_file(path) or name in OTHER_WEIGHT_FILES:
+        raise SceneError(f"There is no trained prior {name!r}; choose one of: {available}; or give a .safetensors file.")
+    return path
+
+
+def load_pose_model(name: str, skeleton: Skeleton) -> PoseModel:
+    """Return the model that `find_pose_model` finds.
+
+    Raises SceneError that lists the available models if there is none, or names the file if it is invalid or was trained for
+    another skeleton.
+    """
+    path = find_pose_model(name)
+    try:
+        with safe_open(path, "numpy") as file:
+            header = json.loads((file.metadata() or {}).get("mocapfix", "null"))
+            if header is None:
+                raise ValueError("the header does not give the kind of the model")
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (safe_open is not a mapping)
+        joint_names = tuple(header.pop("joints"))
+        if joint_names == skeleton.names:
+            return get_model_class(header.pop("kind")).deserialise(joint_names, header, tensors)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise SceneError(f"{path}: is not a prior trained by mocapfix ({' '.join(str(error).split())}).") from error
+    joints = ", ".join(joint_names)
+    raise SceneError(f"{path}: was trained for the joints {joints}, in this order; the joints of the skeleton differ.")
+
+
+def save_pose_model(path: Path, model: PoseModel) -> None:
+    """Write a model, replacing the file atomically. Raises WriteError if the folder cannot be written."""
+    header, tensors = model.serialise()
+    metadata = {"mocapfix": json.dumps({"kind": model.kind, "joints": model.joint_names, **header})}
+    with replace_atomically(path) as temporary:
+        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
+
+
+MODEL_CLASSES: dict[str, type[PoseModel]] = {each.kind: each for each in (GaussianModel, MixtureModel, AutoencoderModel)}
+
+
+def get_model_class(kind: str) -> type[PoseModel]:
+    """Return the class of models of a kind."""
+    if kind not in MODEL_CLASSES:
+        raise ValueError(f"the kind {kind!r} is unknown")
+    return MODEL_CLASSES[kind]
+
+
+def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:
+    """Return a function that loads a trained prior once, when it is first needed; None for the name "none".
+
+    Raises SceneError where there is no such prior.
+    """
+    if name == "none":
+        return None
+    find_pose_model(name)
+    return cache(lambda: load_pose_model(name, load_cmu31_body().skeleton))
