@@ -1,29 +1,20 @@
 """Body outliers: samples that lie where the solved body cannot have their marker, by their residuals from it.
 
-A residual is measured in the segment's axes, and from the marker's usual position there, so that neither motion nor a bias
-of the calibration counts. The residuals of a sound sample are as large as the marker's usually are, and larger where the
-solver predicts a larger uncertainty of the marker than usual. (A marker attracts the body, which makes its residuals
-smaller, so each marker is compared with itself.) In standard deviations one threshold holds for all markers.
+A residual is measured in the segment's axes, and from the marker's usual position there, so that neither motion nor a bias of
+the calibration counts. It is compared with the marker's usual residuals, since a marker attracts the body, and with more where
+the solver predicts more uncertainty than usual. In standard deviations one threshold holds for all markers.
 
-A marker's path on its segment is split where it leaps, visibly or within a gap, and a segment between two leaps is judged as
-a whole. It is an outlier if it lies far from the marker's usual position, relative to the expected residual. If the marker
-visibly leaps there and back, a smaller distance is sufficient, because the body follows a marker for as long as it is
-elsewhere. A slow deviation is not separated: it is skin motion or a bad calibration, and no fault of the samples. A marker
-that leaps once and then keeps its position on the segment has moved.
+A marker's path on its segment is split where it leaps, visibly or within a gap, and a segment between two leaps is judged as a
+whole. It is an outlier if it lies far from the marker's usual position; if it visibly leaps there and back, a smaller distance
+is sufficient. A slow deviation is skin motion or a bad calibration, and no fault. A marker that leaps once and then keeps its
+position has moved. Outliers attract the body, so only the worst of simultaneous ones is accepted, and the body is solved again.
 
-Outliers attract the body, so that sound samples around them look wrong as well. Therefore only the worst of the simultaneous
-outliers is accepted, and the body is solved again.
+The body is wrong, rather than the marker, where its neighbours carry the marker across an end of the outlier as a rigid body,
+or where several markers of a limb lie off the body in the same direction.
 
-Evidence that a sample off the solved body is right, and that the body is wrong there.
-
-A marker that leaves its place for a while leaps relative to its neighbours, when it leaves and when it returns. Where its
-neighbours carry it across an end as a rigid body, it has not left or not returned. And where the body loses a limb, the samples
-of several markers of the limb lie off it in the same direction, which faults of single markers do not.
-
-An outlier under a label that lies where the body has another marker, which is not visible there itself, has that marker's
-samples. Where two labels, or three in a cycle, have one another's markers, they are exchanged. The exchange extends from
-leap to leap, because a label that continues smoothly has not changed its marker, even where the exchange misled the body and
-other markers with it.
+An outlier that lies where the body has another marker, which is not visible there itself, has that marker's samples. Where two
+labels, or three in a cycle, have one another's markers, they are exchanged, from leap to leap: a label that continues smoothly
+has not changed its marker.
 """
 
 from bisect import bisect_left, bisect_right
@@ -51,20 +42,13 @@ RESIDUAL_BLOCK_FRAMES = 256  # number of frames whose residuals are computed at 
 
 @dataclass(frozen=True)
 class BodyResiduals:
-    """The residuals of K markers over T frames.
+    """The residuals of K markers over T frames."""
 
-    Attributes:
-        measured_world: Measured positions (T, K, 3) in metres, NaN where missing.
-        expected_world: Usual positions (T, K, 3) in metres of the markers on the solved body, never NaN.
-        residual_segment: Vectors (T, K, 3) in metres from the expected to the measured positions, in the segment's axes, NaN
-            where missing.
-        sd_m: Standard deviation (T, K) in metres per axis of the residual of a sound sample, never NaN.
-    """
-
-    measured_world: np.ndarray
-    expected_world: np.ndarray
+    measured_world: np.ndarray  # measured positions (T, K, 3) in metres, NaN where missing
+    expected_world: np.ndarray  # usual positions (T, K, 3) in metres of the markers on the solved body, never NaN
+    # Vectors (T, K, 3) in metres from the expected to the measured positions, in the segment's axes, NaN where missing.
     residual_segment: np.ndarray
-    sd_m: np.ndarray
+    sd_m: np.ndarray  # standard deviation (T, K) in metres per axis of the residual of a sound sample, never NaN
 
     @cached_property
     def distance_m(self) -> Float[np.ndarray, "T K"]:

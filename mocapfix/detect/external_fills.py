@@ -1,21 +1,14 @@
 """Fills of other programs: samples that no camera measured.
 
-`detect_virtual_samples` reads them from the file's own marks. The other detectors find samples that follow a polynomial exactly.
-A measured marker has noise of some tenths of a millimetre, and its coordinates have a last digit. Samples that are constant, or
-that lie on a line, a parabola or a cubic to that digit, were not measured.
+`detect_virtual_samples` reads them from the file's own marks. The other detectors find samples that follow a polynomial
+exactly. A measured marker has noise of some tenths of a millimetre, and its coordinates have a last digit: no polynomial fits a
+tenth of a second of them to the file's resolution. In a file of coarse integers a longer stretch is needed to tell the two
+apart, and for a marker at rest it is impossible.
 
-`detect_polynomial_fills`: no polynomial fits a measured tenth of a second to the file's resolution, because cameras have noise
-and bodies do not move along polynomials. In a file of coarse integers a longer stretch is needed to tell the two apart, and for
-a marker at rest it is impossible.
+A frozen marker keeps one value while its neighbours move. In a file of coarse integers the markers of a body at rest are
+constant as well, but then their neighbours move by a few of these integers at most.
 
-`detect_frozen`: a marker keeps one value, to the resolution of a 32-bit float, while its neighbours move, as some programs fill
-gaps. In a file of coarse integers the markers of a body at rest are constant as well, but then their neighbours move by a few of
-these integers at most.
-
-Such samples are no evidence for the solve. Whether they are as good as this program's own estimates is decided after the
-fill.
-
-Stretches of samples that follow a polynomial exactly, to the resolution of the file's coordinates.
+Such samples are no evidence for the solve. Whether they are as good as this program's own estimates is decided after the fill.
 """
 
 from collections.abc import Iterator

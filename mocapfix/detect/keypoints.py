@@ -1,22 +1,15 @@
 """Detection on the trajectories of 3-D keypoints: exchanged sides, outliers and noise, in place of the detectors of markers.
 
-Noise of 3-D keypoints: estimated for each point of a take, separated from its motion, and removed.
+A keypoint is a program's estimate in one frame, with an error of one or a few centimetres that changes from frame to frame.
+What the detectors of markers compare with millimetres would be found everywhere. A smooth trajectory, of the acceleration that
+the point itself shows, has an error of a few millimetres; samples far from it are outliers, and weigh less (iteratively
+reweighted least squares).
 
-A keypoint is a program's estimate in one frame, with an error of one or a few centimetres that changes from frame to frame. What
-the detectors of markers compare with millimetres would be found everywhere. A smooth trajectory, of the acceleration that the
-point itself shows, has an error of a few millimetres, as a marker has; samples far from it are outliers.
-
-The smoother weights a sample less the farther it lies away (iteratively reweighted least squares), so that outliers, and labels
-that are exchanged for a moment, do not draw the trajectory away.
-
-Left and right keypoints that are exchanged for some frames: detectors confuse the sides of people.
-
-Each pair of mirrored points is judged by itself, since a detector exchanges single joints as well as whole legs. In frames that
-show both, they are straight or exchanged. The cheapest sequence of these states is found exactly (Viterbi's algorithm). A step
-between two frames costs the squared distances, in variances of noise and motion, between the samples that it takes to be of one
-point. A state costs the deviation of the distance to the nearest joint of the same side from its usual length: joints are judged
-from the trunk outwards, each against joints whose sides are corrected already. Being exchanged costs a little at all times, so
-that the smaller part of a take is the exchanged one.
+Detectors confuse the sides of people. Each pair of mirrored points is judged by itself: in frames that show both, they are
+straight or exchanged, and the cheapest sequence of these states is found exactly (Viterbi's algorithm). A step costs the
+squared distances, in variances of noise and motion, between the samples that it takes to be of one point. A state costs the
+deviation of the distance to the nearest joint of the same side from its usual length: joints are judged from the trunk
+outwards. Being exchanged costs a little at all times, so that the smaller part of a take is the exchanged one.
 """
 
 from typing import NamedTuple

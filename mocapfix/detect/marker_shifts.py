@@ -1,19 +1,14 @@
 """Marker shifts: markers that move to another position on their segment and stay there, by more than the solved body follows.
 
 A marker's path on its segment is the part of its motion that the body does not explain. The rotations of the adjacent joints
-explain some of it, because no joint is exactly where the body has it and skin moves. The rest is fitted by one change at any
-time: sudden (a marker that was knocked or attached again) or slow (a marker that slides). The change is accepted if it is
-large relative to the remaining residual.
+explain some of it, because no joint is exactly where the body has it and skin moves: that part is removed by ridge regression.
+The rest is fitted by one ramp, sudden (a marker that was knocked or attached again) or slow (a marker that slides), together
+with the regression, so that a change that coincides with one of pose is neither missed nor overestimated. The product of a ramp
+with a column is a difference of cumulative sums, so that all ramps are tried. The largest is accepted if it is large relative
+to the remaining residual.
 
 The body follows a marker that has moved, so that its neighbours seem to move as well. Of the markers on adjacent joints only
 the largest change is accepted, and the body is solved again.
-
-Fit of one ramp to a marker's path on its segment: a position that changes once, suddenly or slowly.
-
-The part of the path that varies with the rotations of the adjacent joints is removed by ridge regression. The ramp is fitted
-together with that regression by least squares, so that a change of position that coincides with a change of pose is neither
-missed nor overestimated. The product of a ramp with a column is a difference of cumulative sums. Therefore each ramp costs the
-same, whatever its length, and all of them are tried.
 """
 
 from typing import NamedTuple

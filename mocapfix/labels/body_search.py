@@ -1,25 +1,14 @@
-"""The search for a body in single frames of unlabelled points: poses whose markers lie where the points are.
+"""The search for a body in unlabelled points: in single frames, then in more of them, then in all tracklets of a take.
 
-A body is placed in many headings and arm positions. Points and markers are assigned one-to-one, and the pose is solved with this
-assignment, in turns (iterative closest points; Besl & McKay 1992), with a gate that narrows. The most likely poses are kept.
-
-The extension of a body found in one frame to other frames, in all of which its labels must hold.
+A body is placed in many headings and arm positions in the frames with most points. Points and markers are assigned one-to-one,
+and the pose is solved with this assignment, in turns (iterative closest points; Besl & McKay 1992), with a gate that narrows.
 
 A body that faces backwards, or has an arm assigned to a leg, fits one frame nearly as well as the right one. Its joints cannot
-follow the markers through a motion.
+follow the markers through a motion, so the labels must hold in several frames.
 
-The search for limbs whose labels were lost: where all trajectories of an arm break at once, nothing shows where it went.
-
-In a frame with unlabelled trajectories and markers without one, the limb is placed in the poses that it has in other frames of
-the take. Points and markers are assigned and the pose is solved in turns, as in `body_search`, with all other labels kept.
-
-The frames of a take in which a body is searched for: those with most points, from the lowest to those of a standing person.
-
-The labels of all tracklets of a take, outwards from those that a body has in a few frames.
-
-The body is posed in every frame in which enough of its markers are labelled, and shows there where the other markers must be.
-Tracklets that begin or end in such frames get their labels, by which the body can be posed in further frames, until no label
-changes. The offsets of the markers are adapted to the take on the way.
+From there labels spread outwards: the body is posed in every frame in which enough of its markers are labelled, and shows where
+the others must be. Tracklets that begin or end in such frames get their labels, until no label changes. Where all trajectories
+of a limb break at once, the limb is placed in the poses that it has in other frames.
 """
 
 from dataclasses import dataclass, replace

@@ -1,20 +1,15 @@
 """The labels of points by a labelled take of the same person, where no body is known: by its markers and their neighbours.
 
+A marker is predicted from its neighbours, those whose distances from it vary least: frames of the labelled take in which these
+have about the same distances from each other show where the marker is among them. Each frame is aligned rigidly, so that a
+mirror image does not fit.
+
 Poses of the labelled take are placed in a few frames in many headings. Points and markers are assigned one-to-one, and each
-marker is moved to where its neighbours have it, in turns. The best assignments are extended to more frames, the best of these to
-all frames, as for a body (`labeller`).
+marker is moved to where its neighbours have it, in turns. The best assignments are extended to more frames, the best of these
+to all.
 
-The markers of a labelled take as a model of the person, where no body is known: each marker moves with those around it.
-
-A marker is predicted from its neighbours, those whose distances from it vary least. Frames of the labelled take in which the
-neighbours have about the same distances from each other show where the marker is among them (nearest neighbours in the space of
-poses; each frame is aligned rigidly, so that a mirror image does not fit).
-
-Fragments of the same markers joined where no marker set is known: the take itself shows how its markers move.
-
-The markers are those trajectories that are visible together in the fullest stretch of the take. There they show how each moves
-with its neighbours, as a labelled take of the person does (`reference_labeller`). By that the other fragments are assigned, which
-shows the markers in more poses, and all are assigned once more.
+Where no labelled take is known either, the take itself shows how its markers move: those trajectories that are visible together
+in its fullest stretch are the markers, and the other fragments are assigned to them.
 """
 
 from collections.abc import Callable
@@ -70,16 +65,11 @@ MIN_POSE_RESIDUAL_M = 0.004  # residual of the neighbours up to which poses fit 
 
 @dataclass(frozen=True)
 class ReferenceMarkers:
-    """K markers of a labelled take.
+    """K markers of a labelled take."""
 
-    Attributes:
-        labels: Their labels.
-        poses: Their positions in E frames of the take, metres, NaN where missing.
-        distance_sd_m: Standard deviations of the distances of pairs; infinite for markers that were never visible together.
-    """
-
-    labels: tuple[str, ...]
-    poses: Float[np.ndarray, "E K 3"]
+    labels: tuple[str, ...]  # their labels
+    poses: Float[np.ndarray, "E K 3"]  # their positions in E frames of the take, metres, NaN where missing
+    # Standard deviations of the distances of pairs; infinite for markers that were never visible together.
     distance_sd_m: Float[np.ndarray, "K K"]
 
     @cached_property

@@ -1,15 +1,10 @@
-"""Labels for a take that has none with a meaning: of the named marker set or person, of the shipped set that fits clearly, or
-numbers.
+"""Labels for a take that has none with a meaning: of the named set or person, of the shipped set that fits clearly, or numbers.
 
-Labels without a meaning: those that programs number (M01, Marker_17), or that are in no marker set and have no known word.
+Labels without a meaning are those that programs number (M01, Marker_17), or that are in no marker set and have no known word.
 
-Labelled copies of files: the bytes of a file whose unlabelled trajectories got the names of markers.
-
-Where each trajectory is one marker, only its name is replaced. Otherwise each marker gets a column of its own, before the other
-columns of the file, to which its samples move with all of their words, and trajectories without samples are left out. A text
-table is written again, in the unit and axes and with the decimals of a new one.
-
-The labels of a take whose trajectories have none, or none with a meaning: the points of its file, labelled and read again.
+The points of the file are labelled, and its labelled copy is read again. Where each trajectory is one marker, only its name is
+replaced. Otherwise each marker gets a column of its own, before the other columns, to which its samples move with all of their
+words, and trajectories without samples are left out. A text table is written again, in the unit and axes of the old one.
 """
 
 from collections.abc import Callable, Sequence

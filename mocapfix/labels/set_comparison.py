@@ -1,14 +1,9 @@
 """The choice of a marker set for points without labels: the shipped sets of about as many markers are compared.
 
-A body with the markers of each candidate is found in a few frames, as for labelling, and the evidence for the sets is compared
-(`set_evidence`). A set that the user named is compared with the others where the points fit it badly.
-
-The evidence for a marker set: how much more probable the points are with its markers than anywhere on the body.
-
-A point with a label is close to the place of its marker on the average body, within the spread of the set; any other point lies
-anywhere on the body. The body must follow its markers in several frames with a common pose. Markers without points are rare.
-
-The labels of optional markers of a set, which long trajectories get that have no other label.
+A body with the markers of each candidate is found in a few frames. The evidence for a set is how much more probable the points
+are with its markers than anywhere on the body: a labelled point is close to the place of its marker on the average body, within
+the spread of the set, and the body must follow its markers in several frames with a common pose. Markers without points are
+rare. A set that the user named is compared with the others where the points fit it badly.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,18 +1,13 @@
 """Labels that two subjects have exchanged: for a while one person's label has the other person's marker.
 
 One label may be exchanged, those of a limb, or those of the whole person. Where labels leap from one person to the other, the
-physical trajectories do not: the points of both people are linked into tracklets by their motion alone, whatever their labels
-(`labels.tracklets`). The question is then to which person each tracklet belongs. Two tracklets belong to the same person if
-they keep the distance of their markers on that person, and to two persons if they do not. Its labels tell to whom a tracklet
-mostly belongs, with a weight that hardly matters beside the distances.
+physical trajectories do not: the points of both people are linked into tracklets by their motion alone. Two tracklets belong to
+the same person if they keep the distance of their markers on that person, and to two persons if they do not. Labels count with
+a weight that hardly matters beside the distances.
 
 Tracklets are grouped by these relations, the strongest first, and each group belongs to the person whose labels it has for the
-longer time. So an exchange is found by what the labels leap to and by the distances alone. A tracklet that belongs to the other
-person than its label names shows an exchange, provided that the label of the other person does not have another of their points.
-
-To which of two persons each tracklet belongs, from evidence about pairs of tracklets.
-
-Labels that the subjects of a take exchanged, exchanged back before each subject is cleaned as a take of its own.
+longer time. A tracklet that belongs to the other person than its label names shows an exchange, provided that the label of the
+other person does not have another of their points. It is undone before each subject is cleaned as a take of its own.
 """
 
 from collections.abc import Callable, Sequence

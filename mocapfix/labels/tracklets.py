@@ -24,18 +24,13 @@ from mocapfix.stats.sequences import find_runs
 
 @dataclass(frozen=True)
 class UnlabelledPoints:
-    """T frames of at most C points.
+    """T frames of at most C points."""
 
-    Attributes:
-        positions: Metres, Y up, NaN where a frame has fewer points.
-        tracklet_indices: The tracklet of each point, 0 to N - 1 in the order of their first frames; -1 where there is no point.
-            A tracklet has at most one point in a frame, and may change its column and miss single frames.
-        rate: Frames per second.
-    """
-
-    positions: Float[np.ndarray, "T C 3"]
+    positions: Float[np.ndarray, "T C 3"]  # metres, Y up, NaN where a frame has fewer points
+    # The tracklet of each point, 0 to N - 1 in the order of their first frames; -1 where there is no point. A tracklet has at
+    # most one point in a frame, and may change its column and miss single frames.
     tracklet_indices: Int[np.ndarray, "T C"]
-    rate: float
+    rate: float  # frames per second
 
     @property
     def tracklet_count(self) -> int:
@@ -51,19 +46,14 @@ class UnlabelledPoints:
 
 @dataclass(frozen=True)
 class PointLabels:
-    """The marker to which each point belongs.
+    """The marker to which each point belongs."""
 
-    Attributes:
-        marker_indices: Index among the labels of the marker set, -1 for a point without a label.
-        confidence: Probability that the label, or that no label, is right; 0 where there is no point.
-        subject_indices: Of several persons, to whom each point belongs, -1 for none; empty if there is one person.
-        evidence_per_marker: Logarithm of how much more probable a labelled point is at its marker than anywhere on the body;
-            infinite for the markers of a known person.
-    """
-
-    marker_indices: Int[np.ndarray, "T C"]
-    confidence: Float[np.ndarray, "T C"]
+    marker_indices: Int[np.ndarray, "T C"]  # index among the labels of the marker set, -1 for a point without a label
+    confidence: Float[np.ndarray, "T C"]  # probability that the label, or that no label, is right; 0 where there is no point
+    # Of several persons, to whom each point belongs, -1 for none; empty if there is one person.
     subject_indices: Int[np.ndarray, "S C"] = field(default_factory=lambda: np.zeros((0, 0), int))
+    # Logarithm of how much more probable a labelled point is at its marker than anywhere on the body; infinite for the markers
+    # of a known person.
     evidence_per_marker: float = np.inf
 
 
@@ -142,15 +132,12 @@ MIN_SEARCHED_DURATION_S = 0.15  # duration of the tracklets among which a body i
 
 
 class TrackletDistances(NamedTuple):
-    """Distances of N tracklets from K markers.
+    """Distances of N tracklets from K markers."""
 
-    squared_m2   (N, K) mean squared distance, each at most the square of the gate; that of frames in which the marker has no
-                 position is left out. NaN if there is no other frame.
-    frame_count  (N,) frames that were compared
-    """
-
+    # (N, K) mean squared distance, each at most the square of the gate; that of frames in which the marker has no position is
+    # left out. NaN if there is no other frame.
     squared_m2: np.ndarray
-    frame_count: np.ndarray
+    frame_count: np.ndarray  # (N,) frames that were compared
 
 
 class TrackletLabels(NamedTuple):

@@ -191,20 +191,14 @@ MAX_COMPARED_SAMPLES = 60  # number of samples, evenly spread, that are compared
 
 @dataclass(frozen=True)
 class SignatureMatch:
-    """How well samples match the signature of a marker.
+    """How well samples match the signature of a marker."""
 
-    Attributes:
-        distance_sd: Root mean square deviation of the distances to the partners, in standard deviations.
-        side_sd: Deviation of the height above the plane of three markers, in standard deviations. 0 if no plane is known,
-            or if the distances do not match at all.
-        distance_error_m: Root mean square deviation of the distances in metres.
-        partners: Indices of the partners.
-    """
-
-    distance_sd: float
+    distance_sd: float  # root mean square deviation of the distances to the partners, in standard deviations
+    # Deviation of the height above the plane of three markers, in standard deviations. 0 if no plane is known, or if the
+    # distances do not match at all.
     side_sd: float
-    distance_error_m: float
-    partners: tuple[int, ...]
+    distance_error_m: float  # root mean square deviation of the distances in metres
+    partners: tuple[int, ...]  # indices of the partners
 
 
 class RigidSignatures:

@@ -1,17 +1,13 @@
-"""Gaussian process regression over a take's frames.
+"""Gaussian process regression over a take's frames, and the interpolation of a residual across a gap.
 
 The covariance of two frames depends on their distance in time, as motion is smooth (Matern-5/2), and on the similarity of the
 body's states. The latter has two parts: a linear one, for what always moves together, as both arms do, and a stationary one
 (Matern-3/2), for motion that recurs (Rasmussen and Williams 2006, Eqs. 2.25, 2.26, 4.16, 4.17). So the prediction is a cubic
-curve across a short gap, a regression on the take's own motion across a long one, and a weighted combination between. The
-linear part alone is the Gaussian over all measurements, in its dual form.
+curve across a short gap, a regression on the take's own motion across a long one, and a weighted combination between.
 
-Interpolation of a residual across a gap, from the samples on both sides.
-
-The part of a marker's motion that its segment does not explain (skin, and the solve's own error), or of a joint's that a
-prediction does not, is a smooth random process about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams
-2006, Eq. 4.17), of which a part is rough (Matern-1/2), as the residual itself shows. Given the samples on both sides of a gap,
-its mean continues them smoothly and decays towards zero in the middle of a long gap; its variance is the uncertainty.
+What a marker's segment does not explain of its motion is a smooth random process about zero (Matern-3/2), of which a part is
+rough (Matern-1/2). Given the samples on both sides of a gap, its mean continues them and decays towards zero in the middle of a
+long gap.
 """
 
 from typing import Literal, NamedTuple

@@ -2,10 +2,8 @@
 
 Programs compute joint centres and virtual markers from markers, to the last digit. A measured marker has noise of its own and
 moves on the skin, so no function of others gives its position to a hundredth of a millimetre. The opposite is not true of
-markers whose mutual distances are exact as well, as in takes that a program has solved: there every marker is a function of
-the others. So a point is a function of its parents only if their distances vary far more than its position misses the function.
-
-Distances between points that are constant to the resolution of the file, and what measures them.
+markers whose mutual distances are exact as well, as in takes that a program has solved. So a point is a function of its parents
+only if their distances vary far more than its position misses the function.
 """
 
 from collections.abc import Sequence
@@ -43,14 +41,10 @@ MIN_TRAVEL_M = 0.01  # smallest median deviation of a coordinate in metres of a 
 
 @dataclass(frozen=True)
 class PartnerDistances:
-    """How steady the distances of each point to others are.
+    """How steady the distances of each point to others are."""
 
-    Attributes:
-        partner: Indices (P, K) of the points, rising, with which each of P points is compared.
-        sd_m: Robust standard deviations of the distances; infinite where two are rarely seen together and for one and itself.
-    """
-
-    partner: Int[np.ndarray, "P K"]
+    partner: Int[np.ndarray, "P K"]  # indices (P, K) of the points, rising, with which each of P points is compared
+    # Robust standard deviations of the distances; infinite where two are rarely seen together and for one and itself.
     sd_m: Float[np.ndarray, "P K"]
 
     def get_group_sd(self, points: Float[np.ndarray, "T P 3"], group: Sequence[int] | Int[np.ndarray, " n"]) -> np.ndarray:

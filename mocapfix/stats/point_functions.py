@@ -10,19 +10,14 @@ MIN_FRAME_SINE = 0.05  # least sine of an angle of three points that span a fram
 
 @dataclass(frozen=True)
 class PointFunction:
-    """A point as a function of n other points: a weighted mean of them, and an offset in a frame that they span.
+    """A point as a function of n other points: a weighted mean of them, and an offset in a frame that they span."""
 
-    Attributes:
-        parents: Indices of the n points.
-        weights: Their weights (n,), with the sum 1.
-        offset_frame: Offset (3,) in metres along the axes of the frame; 0 if the point is a mean of its parents.
-        corner_weights: Weights (3, n) of the points in the corners of the frame. Its first axis points from the first corner to
-            the second, its third is normal to the plane of the three. None for a mean.
-    """
-
-    parents: tuple[int, ...]
-    weights: Float[np.ndarray, " n"]
+    parents: tuple[int, ...]  # indices of the n points
+    weights: Float[np.ndarray, " n"]  # their weights (n,), with the sum 1
+    # Offset (3,) in metres along the axes of the frame; 0 if the point is a mean of its parents.
     offset_frame: Float[np.ndarray, "3"]
+    # Weights (3, n) of the points in the corners of the frame. Its first axis points from the first corner to the second, its
+    # third is normal to the plane of the three. None for a mean.
     corner_weights: Float[np.ndarray, "3 n"] | None = None
 
     @property

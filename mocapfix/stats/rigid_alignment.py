@@ -1,9 +1,4 @@
-"""Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment.
-
-Transforms along a tree of joints.
-
-Lengths of many vectors in space.
-"""
+"""Rigid alignment of point clouds over a take: cross-covariances, rotations, Procrustes alignment, transforms along a tree."""
 
 from typing import NamedTuple
 

@@ -1,9 +1,4 @@
-"""Statistics of sequences: runs in a mask, evenly spaced samples, rows that differ most, and the cheapest path (Viterbi).
-
-The smallest difference that the coordinates of a file resolve.
-
-The smoothest path near samples of different certainty: a banded linear system.
-"""
+"""Statistics of sequences: runs, evenly spaced samples, rows that differ most, cheapest and smoothest paths, resolution."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int

@@ -1,11 +1,8 @@
 """Calibration: one person's bone lengths and marker offsets, estimated from a take alone.
 
 The size of the average body is estimated first. Frames that show most markers and differ most in pose are then selected, and
-bones, marker offsets and poses are refined together (see `refinement`).
-
-Calibration frames: the best frames of one subject in one take, from which the person is calibrated together with other takes.
-
-They are all that a calibration needs of a take: a few hundred kilobytes instead of the file.
+bones, marker offsets and poses are refined together (see `refinement`). These frames are all that the calibration of a person
+from several takes needs of a take: a few hundred kilobytes instead of the file.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -263,17 +260,11 @@ def add_moved_markers(
 
 @dataclass(frozen=True)
 class Calibrated(SubjectInTake):
-    """A subject that was calibrated from a take, or is known, in this take.
+    """A subject that was calibrated from a take, or is known, in this take."""
 
-    Attributes:
-        marker_set: that of the joints that the inliers show.
-        detected: the faults of the take.
-        fit: the calibration; None for a known subject.
-    """
-
-    marker_set: MarkerSet
-    detected: Detected
-    fit: CalibrationFit | None
+    marker_set: MarkerSet  # that of the joints that the inliers show
+    detected: Detected  # the faults of the take
+    fit: CalibrationFit | None  # the calibration; None for a known subject
 
 
 def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject | None, previous: Calibrated | None) -> Calibrated:
@@ -281,7 +272,6 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
 
     Args:
         detected: the take and its faults.
-        marker_set: its marker set.
         subject: the subject if it is known: it is not calibrated.
         previous: the result of the round before. Its calibration goes on, unless labels were corrected since.
 

@@ -1,18 +1,13 @@
 """An initial marker set for markers without informative labels, from their rigid groups and the joints between these.
 
-The legs among the groups show which segments they are (`leg_chains`). Each segment gets axes from its joints and from the axis
-about which the knee bends, so that its markers have places on the average body.
+A functional joint is the point that is fixed in two rigid groups while both move: a place in the axes of each group such that
+both are at the same point in all frames (Ehrig et al. 2006, "A survey of formal methods for determining the centre of rotation
+of ball joints"). A hinge fixes it only across its axis; along it, it is the point nearest to both groups.
 
-Legs among rigid groups of markers: chains of groups with functional joints between them that move like a leg.
-
-Nothing is known of the labels. A chain of pelvis, thigh, shank and foot is a leg if the lengths between its joints, their order
-in height, and the direction in which the knee bends are those of a leg. Left and right follow from this direction, which must
-agree with that of the foot. Where two groups fit the same place of a chain, there is no leg.
-
-A functional joint is the point that is fixed in two rigid groups while both move: the two-sided method fits a place in the axes
-of each group such that both are at the same point in all frames (Ehrig et al. 2006, "A survey of formal methods for determining
-the centre of rotation of ball joints"). A hinge fixes it only across its axis; along it, it is the point nearest to
-both groups.
+A chain of pelvis, thigh, shank and foot is a leg if the lengths between its joints, their order in height, and the direction in
+which the knee bends are those of a leg. Left and right follow from this direction, which must agree with that of the foot.
+Where two groups fit the same place of a chain, there is no leg. Each segment gets axes from its joints and from the axis about
+which the knee bends, so that its markers have places on the average body.
 """
 
 from collections.abc import Sequence

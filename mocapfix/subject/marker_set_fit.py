@@ -1,13 +1,9 @@
 """Learning a marker set: from an initial guess for some markers of a take to the segment and offset of all of them.
 
-Two steps alternate until nothing changes: a person is calibrated on the markers whose segments are known so far, and every marker
-is attached to the segment of that person in whose axes it moves least.
-
-Marker attachment: the body segment that carries each marker.
-
-A marker on the skin stays nearly constant in the axes of its own segment and moves in those of others. Near a joint two segments
-fit equally well, and if a joint hardly turns in a take, they do everywhere. There the position on the body decides: markers are
-more likely where the known marker sets place one.
+Two steps alternate until nothing changes: a person is calibrated on the markers whose segments are known so far, and every
+marker is attached to the segment of that person in whose axes it moves least. Near a joint two segments fit equally well, and
+if a joint hardly turns in a take, they do everywhere. There the position on the body decides: markers are more likely where the
+known marker sets place one.
 """
 
 from dataclasses import dataclass, replace

@@ -3,12 +3,10 @@
 The parameters are the size, the principal components of body shape, the scale of each bone group, the length of each bone, the
 direction of each bone of the trunk, the marker offsets, and the take's mean pose.
 
-Hip joint centres from the landmarks of the pelvis: regression equations from images, as a part of the calibration's prior.
-
-Markers seldom determine the hip joints: in ordinary gait the thighs hardly move sideways, and skin and muscle slide over the
-thigh as it turns. Where a marker set has markers on the iliac spines, their distances from each other predict the centres:
-Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral palsy based on magnetic
-resonance imaging", J. Biomechanics 40 (2007) 595-602.
+Markers seldom determine the hip joints: in ordinary gait the thighs hardly move sideways, and skin and muscle slide over them.
+Where markers are on the iliac spines, their distances predict the centres: Harrington et al., "Prediction of the hip joint
+centre in adults, children, and patients with cerebral palsy based on magnetic resonance imaging", J. Biomechanics 40 (2007)
+595-602.
 """
 
 from dataclasses import dataclass, replace
@@ -55,23 +53,16 @@ class CalibrationParameters:
 
     They are P coefficients of deformations, the shifts of K markers (K, 3) in metres, and the rotation vectors (F, 3) in radians
     of the take's mean pose from the average, for the free joints below the root.
-
-    offsets         (J, 3) m: joint offsets at the start
-    marker_offsets  (K, 3) m: marker offsets at the start
-    free_joints     (J,) joints that turn
-    deformations    change of the offsets with each of the P coefficients
-    information     (Q, Q) inverse covariance of the unknowns about those expected, as the fit assumes it
-    variance_ratio  (Q,) actual variance of people over that which the fit assumes: 1 unless the fit holds an unknown firmly
-    expected        (Q,) the most likely values before the take is seen: 0 unless landmarks predict joints
     """
 
-    offsets: Float[np.ndarray, "J 3"]
-    marker_offsets: Float[np.ndarray, "K 3"]
-    free_joints: np.ndarray
-    deformations: ShapeDeformations
-    information: Float[np.ndarray, "Q Q"]
+    offsets: Float[np.ndarray, "J 3"]  # m: joint offsets at the start
+    marker_offsets: Float[np.ndarray, "K 3"]  # m: marker offsets at the start
+    free_joints: np.ndarray  # (J,) joints that turn
+    deformations: ShapeDeformations  # change of the offsets with each of the P coefficients
+    information: Float[np.ndarray, "Q Q"]  # inverse covariance of the unknowns about those expected, as the fit assumes it
+    # (Q,) actual variance of people over that which the fit assumes: 1 unless the fit holds an unknown firmly.
     variance_ratio: Float[np.ndarray, " Q"]
-    expected: Float[np.ndarray, " Q"]
+    expected: Float[np.ndarray, " Q"]  # the most likely values before the take is seen: 0 unless landmarks predict joints
 
     @property
     def gradient_covariance(self) -> Float[np.ndarray, "Q Q"]:

@@ -1,12 +1,9 @@
-"""People across the takes of a session: who is who, by names and checked by the body.
+"""People across the takes of a session: who is who, their calibration, and their subject files.
 
-Takes show the same person if they agree in the name: that in the session file, else the prefix of the labels, else the folder of
-the take. Names are checked by the body: distances of markers on one segment or on neighbouring ones, which do not depend on the
-pose and need neither detected faults nor a solved body. Subjects of one take are never the same person.
-
-The subject files of a calibrated person: one for all takes, and one for each take in which markers lie elsewhere.
-
-The calibration of people from a list of takes: of one person whom all takes show, or of several.
+Takes show the same person if they agree in the name: that in the session file, else the prefix of the labels, else the folder
+of the take. Names are checked by the body: distances of markers on one segment or on neighbouring ones, which do not depend on
+the pose. Subjects of one take are never the same person. A person has one subject file for all takes, and one for each take in
+which markers lie elsewhere.
 """
 
 import os
@@ -35,20 +32,13 @@ MIN_PAIR_LENGTH_M = 0.10  # median distance of a marker pair that is compared
 
 @dataclass(frozen=True)
 class BodyMeasurements:
-    """Distances between markers of one subject in a take.
+    """Distances between markers of one subject in a take."""
 
-    Attributes:
-        take: id of the take.
-        subject_name: name of the subject among several in the take; "" if it is the only one.
-        label_name: name of the person in the labels; "" if they have none.
-        marker_set: name of the marker set.
-        distances_m: median distance of markers on one segment or on neighbouring ones, by their labels joined with a space.
-    """
-
-    take: str
-    subject_name: str
-    label_name: str
-    marker_set: str
+    take: str  # id of the take
+    subject_name: str  # name of the subject among several in the take; "" if it is the only one
+    label_name: str  # name of the person in the labels; "" if they have none
+    marker_set: str  # name of the marker set
+    # Median distance of markers on one segment or on neighbouring ones, by their labels joined with a space.
     distances_m: dict[str, float]
 
 
