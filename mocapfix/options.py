@@ -144,14 +144,6 @@ class DetectOptions(StageOptions):
         0.005, "--detect-min-jitter", "MM", "least amplitude of jitter",
         job_key="detect.min_jitter_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
-    min_jitter_ratio: float = define_option(
-        6.0, "--detect-min-jitter-ratio", "X", "least amplitude of jitter relative to the marker's usual noise",
-        job_key="detect.min_jitter_ratio", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    min_jitter_duration_s: float = define_option(
-        0.1, "--detect-min-jitter-duration", "SECONDS", "least duration of jitter",
-        job_key="detect.min_jitter_duration_s", unit="s", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -216,33 +208,9 @@ class SolveOptions(StageOptions):
         "Geman-McClure scales, used in turn: markers farther from the body than the last one get little weight",
         job_key="solve.robust_scales_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
-    pose_persistence_s: float = define_option(
-        1.0, "--solve-pose-persistence", "SECONDS", "apply the prior once in this time instead of once a frame",
-        job_key="solve.pose_persistence_s", unit="s", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
     limit_sd_rad: float = define_option(
         0.1, "--solve-limit-sd", "RAD", "standard deviation of a rotation beyond its joint limits",
         job_key="solve.limit_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    gap_border_s: float = define_option(
-        0.05, "--solve-gap-border", "SECONDS", "ignore a marker for this long before and after its gaps",
-        job_key="solve.gap_border_s", unit="s", at_least=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    rotation_jitter_rad: float = define_option(
-        0.01, "--solve-rotation-jitter", "RAD", "frame-to-frame noise of a joint's rotation, in addition to its motion",
-        job_key="solve.rotation_jitter_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    root_jitter_m: float = define_option(
-        0.001, "--solve-root-jitter", "MM", "frame-to-frame noise of the root's position, in addition to its motion",
-        job_key="solve.root_jitter_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    rotation_tracking_sd_rad: float = define_option(
-        0.1, "--solve-rotation-tracking-sd", "RAD", "standard deviation of a joint's rotation about its smooth trajectory",
-        job_key="solve.rotation_tracking_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
-    )  # fmt: skip
-    root_tracking_sd_m: float = define_option(
-        0.03, "--solve-root-tracking-sd", "MM", "standard deviation of the root's position about its smooth trajectory",
-        job_key="solve.root_tracking_sd_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
 
 

@@ -169,7 +169,7 @@ def detect_sample_faults(
     )
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
     bursts = noise.detect_jitter(
-        measured, is_usable, options.min_jitter_m, options.min_jitter_ratio, options.min_jitter_duration_s, memory
+        measured, is_usable, options.min_jitter_m, noise.MIN_JITTER_RATIO, noise.MIN_JITTER_DURATION_S, memory
     )
     has_jitter = build_fault_mask(bursts, shape)
     # a marker with bursts of jitter is not reported as noisy as well

@@ -20,7 +20,6 @@ from mocapfix.errors import TakeError
 from mocapfix.keypoints.keypoint_file import KeypointDetector, Keypoints
 from mocapfix.model.motion import Motion, PoseUncertainty
 from mocapfix.model.skeleton import Skeleton
-from mocapfix.options import SolveOptions
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, minimise
 from mocapfix.solve.model_terms import PoseModelTerm
@@ -294,7 +293,7 @@ def smooth_film_poses(
         np.zeros((frames, 0)), np.zeros((frames, joints)), np.repeat(variance[:, None], joints, 1), variance
     )
     is_uncertain = np.repeat(~is_visible[:, None], joints, 1)
-    return smooth_poses(root, local.copy(), uncertainty, is_uncertain, np.ones(joints, bool), rate, SolveOptions())
+    return smooth_poses(root, local.copy(), uncertainty, is_uncertain, np.ones(joints, bool), rate)
 
 
 def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, Camera]:

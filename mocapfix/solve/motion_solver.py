@@ -219,7 +219,7 @@ def _solve_inferred_joints(
         rotations = np.empty((int(is_gap.sum()), 1, 3, 3))
         lie.store_joint_quaternions(trajectory[is_gap], 0, rotations)
         start[is_gap[frames], j] = rotations[:, 0]
-        weight[is_gap[frames], j] = smoothing.compute_tracking_weight(variance[is_gap, j], problem.options)
+        weight[is_gap[frames], j] = smoothing.compute_tracking_weight(variance[is_gap, j])
     tracking = TrackingTerm(start, weight, root_position, np.full(len(frames), FIXED_JOINT_WEIGHT))
     part = problem.pose_problem.select_frames(frames)
     unmarked = replace(part, solver_mask=np.zeros_like(part.solver_mask))

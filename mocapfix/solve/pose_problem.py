@@ -39,6 +39,10 @@ from mocapfix.solve.terms import (
 )
 from mocapfix.stats.sequences import find_runs
 
+GAP_BORDER_S = 0.05
+"""Time before and after its gaps for which a marker is ignored."""
+POSE_PERSISTENCE_S = 1.0
+"""Time in which the prior applies once, instead of once a frame."""
 MIN_GAP_DURATION_S = 0.025
 """Gaps up to this duration are flicker and have no borders."""
 
@@ -239,9 +243,9 @@ def build_pose_problem(
 ) -> PoseProblem:
     """Return the pose problem of a take: markers, prior and joint limits, with the arguments of `build_motion_problem`."""
     is_unobserved = find_unobserved_joints(take.visible, subject, body.free_joints)
-    is_border = find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, options.gap_border_s)
-    # neighbouring frames show the same pose, so the prior applies once in `pose_persistence_s`, not in every frame
-    frames_per_pose = options.pose_persistence_s * take.rate
+    is_border = find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, GAP_BORDER_S)
+    # neighbouring frames show the same pose, so the prior applies once in POSE_PERSISTENCE_S, not in every frame
+    frames_per_pose = POSE_PERSISTENCE_S * take.rate
     return PoseProblem(
         KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
         MarkerAttachment(subject.joints, subject.marker_offsets),

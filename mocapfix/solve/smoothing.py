@@ -18,10 +18,17 @@ from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import PoseUncertainty
-from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
 
+ROTATION_JITTER_SD_RAD = 0.01
+"""Noise of a joint's rotation from frame to frame, in addition to its motion: skin and cameras."""
+ROOT_JITTER_SD_M = 0.001
+"""The same of the root's position, per axis."""
+ROTATION_TRACKING_SD_RAD = 0.1
+"""Standard deviation of a joint's rotation about its smooth trajectory."""
+ROOT_TRACKING_SD_M = 0.03
+"""The same of the root's position, per axis."""
 ACCELERATION_STEP_S = 0.06
 """Step of the second differences that measure the acceleration."""
 SMOOTHING_POWER_WINDOW_S = 0.25
@@ -139,7 +146,6 @@ def track_across_gaps(
     variance: Float[np.ndarray, "T J"],
     is_uncertain: Bool[np.ndarray, "T J"],
     rate: float,
-    options: SolveOptions,
 ) -> tuple[TrackingTerm, Float[np.ndarray, "T J"]]:
     """Return a tracking term for uncertain joints that follows their smooth trajectories, and its variances in rad^2.
 
@@ -150,7 +156,7 @@ def track_across_gaps(
         joint = lie.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
         trajectory, gap_variance[:, j] = interpolate_quaternions(joint, variance[:, j], is_uncertain[:, j], rate)
         lie.store_joint_quaternions(trajectory, j, rotations)
-        tracking_variance = gap_variance[:, j] + options.rotation_tracking_sd_rad**2
+        tracking_variance = gap_variance[:, j] + ROTATION_TRACKING_SD_RAD**2
         weight[:, j] = np.where(is_uncertain[:, j], 1 / tracking_variance, 0.0)
     no_root, no_weight = np.zeros((len(local_rotations), 3)), np.zeros(len(local_rotations))
     return TrackingTerm(rotations, weight, no_root, no_weight), gap_variance
@@ -163,7 +169,6 @@ def smooth_poses(
     is_uncertain: Bool[np.ndarray, "T J"],
     free_joints: Bool[np.ndarray, " J"],
     rate: float,
-    options: SolveOptions,
 ) -> TrackingTerm:
     """Return a tracking term that follows the smooth trajectories of all free joints and the root.
 
@@ -175,9 +180,9 @@ def smooth_poses(
         variance = uncertainty.rotation_variance[:, j]
         trajectory = smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate)
         lie.store_joint_quaternions(trajectory, j, local_rotations)
-        weight[:, j] = compute_tracking_weight(variance, options)
+        weight[:, j] = compute_tracking_weight(variance)
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
-    return TrackingTerm(local_rotations, weight, smooth_root, 1 / (options.root_tracking_sd_m**2 + root_variance))
+    return TrackingTerm(local_rotations, weight, smooth_root, 1 / (ROOT_TRACKING_SD_M**2 + root_variance))
 
 
 def smooth_joint_rotations(
@@ -197,9 +202,9 @@ def smooth_joint_rotations(
     return smooth_path(joint_quaternions, variance, power, rate)
 
 
-def compute_tracking_weight(variance: Float[np.ndarray, "*T"], options: SolveOptions) -> Float[np.ndarray, "*T"]:
+def compute_tracking_weight(variance: Float[np.ndarray, "*T"]) -> Float[np.ndarray, "*T"]:
     """Return the weight in 1/rad^2 of tracking a smooth trajectory, from the variance in rad^2 of the smoothed rotations."""
-    return 1 / (options.rotation_tracking_sd_rad**2 + np.minimum(variance, MAX_TRACKING_SD_RAD**2))
+    return 1 / (ROTATION_TRACKING_SD_RAD**2 + np.minimum(variance, MAX_TRACKING_SD_RAD**2))
 
 
 def remove_pose_jitter(
@@ -209,7 +214,6 @@ def remove_pose_jitter(
     is_unobserved: Bool[np.ndarray, "T J"],
     tree: KinematicTree,
     rate: float,
-    options: SolveOptions,
 ) -> Float[np.ndarray, "T 3"]:
     """Remove the frame-to-frame jitter caused by skin and cameras from local_rotations, in place; return the root without it.
 
@@ -225,9 +229,9 @@ def remove_pose_jitter(
     _, world_rotations = kinematics.compute_tree_poses(tree, root_position, local_rotations)
     for j in np.flatnonzero(tree.free):
         joint = lie.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
-        lie.store_joint_quaternions(remove_jitter(joint, is_known[:, j], rate, options.rotation_jitter_rad), j, world_rotations)
+        lie.store_joint_quaternions(remove_jitter(joint, is_known[:, j], rate, ROTATION_JITTER_SD_RAD), j, world_rotations)
     write_local_rotations(world_rotations, tree, local_rotations)
-    return smooth_root_path(root_position, np.full(len(root_position), options.root_jitter_m**2), rate)[0]
+    return smooth_root_path(root_position, np.full(len(root_position), ROOT_JITTER_SD_M**2), rate)[0]
 
 
 def remove_jitter(

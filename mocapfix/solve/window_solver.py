@@ -449,7 +449,7 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
     alone = solve_uncertain_frames(window, poses)
     root_position, local_rotations = alone.poses
     tracking = smoothing.smooth_poses(
-        root_position, local_rotations.copy(), alone.uncertainty, window.is_uncertain, problem.tree.free, rate, options
+        root_position, local_rotations.copy(), alone.uncertainty, window.is_uncertain, problem.tree.free, rate
     )
     tracked = np.where(window.is_unobserved[..., None, None], tracking.rotations, local_rotations)
     solution = problem.minimise((root_position, tracked), options.robust_scales_m[-1:], tracking)
@@ -466,7 +466,7 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
     root_position, local_rotations = solution.poses
     anchor_position = root_position + kinematics.compute_anchor_offset(problem.tree, local_rotations)
     anchor_position = smoothing.remove_pose_jitter(
-        anchor_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate, options
+        anchor_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate
     )
     root_position[:] = anchor_position - kinematics.compute_anchor_offset(problem.tree, local_rotations)
     known = alone.uncertainty
@@ -496,9 +496,7 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> IndependentSo
     problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
     robust_scale_m = options.robust_scales_m[-1]
     uncertainty = problem.compute_uncertainty(poses, robust_scale_m)
-    tracking, gap_variance = smoothing.track_across_gaps(
-        poses[1], uncertainty.rotation_variance, is_uncertain, window.rate, options
-    )
+    tracking, gap_variance = smoothing.track_across_gaps(poses[1], uncertainty.rotation_variance, is_uncertain, window.rate)
     frames = np.flatnonzero(is_uncertain.any(1))
     if len(frames):  # only these are solved again, and have another uncertainty
         order = order_from_gap_ends(find_runs(np.any(is_uncertain, axis=1)), is_uncertain)
@@ -506,7 +504,7 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> IndependentSo
         solved_again = problem.select_frames(frames).compute_uncertainty((poses[0][frames], poses[1][frames]), robust_scale_m)
         for values, new_values in zip(uncertainty, solved_again, strict=True):
             values[frames] = new_values
-    tracked_variance = gap_variance + options.rotation_tracking_sd_rad**2
+    tracked_variance = gap_variance + smoothing.ROTATION_TRACKING_SD_RAD**2
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
     )

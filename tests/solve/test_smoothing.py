@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.model.motion import PoseUncertainty
-from mocapfix.options import SolveOptions
 from mocapfix.solve import smoothing
 from mocapfix.stats.sequences import smooth_path
 
@@ -117,7 +116,7 @@ def test_strike_of_a_joint_that_shares_its_twist_is_tracked():
     rotations[:, 1] = Rotation.from_quat(measured).as_matrix()
     uncertainty = PoseUncertainty(np.zeros((300, 0)), np.zeros((300, 2)), np.full((300, 2), 0.16**2), np.full(300, 1e-6))
     tracking = smoothing.smooth_poses(
-        np.zeros((300, 3)), rotations, uncertainty, np.zeros((300, 2), bool), np.array([True, True]), RATE, SolveOptions()
+        np.zeros((300, 3)), rotations, uncertainty, np.zeros((300, 2), bool), np.array([True, True]), RATE
     )
     truth = Rotation.from_rotvec(angle[:, None] * [[0.0, 0.6, 0.8]])
     deviation = (Rotation.from_matrix(tracking.rotations[:, 1]) * truth.inv()).magnitude()
