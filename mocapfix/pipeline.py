@@ -80,11 +80,18 @@ def clean(
     Raises:
         MocapfixError: with a sentence for a technician. Nothing is written.
     """
-    options = requested = options.change(**changed_options)
-    load_pose_model = build_pose_model_loader(options.prior.name_used)
+    options = options.change(**changed_options)
     timer = StageTimer(report_progress=progress)
     with timer("read"):
         capture = read_capture(path, options.read)
+    return clean_capture(capture, options, timer)
+
+
+@limit_blas_threads
+def clean_capture(capture: Take | Animation, options: CleanOptions, timer: StageTimer) -> CleaningResult:
+    """Clean a capture that is read, as `clean` does; the timer has the seconds of reading it."""
+    requested = options
+    load_pose_model = build_pose_model_loader(options.prior.name_used)
     if isinstance(capture, Animation):
         return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
     reject_hierarchy(capture, options.subject)

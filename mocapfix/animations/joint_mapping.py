@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import list_path
 from mocapfix.errors import format_name_list
@@ -331,6 +330,8 @@ def _compute_uprightness(positions: Float[np.ndarray, "T J 3"], file_joints: Int
 
 def _compute_axis_rotations(pose: _StandingPose) -> Float[np.ndarray, "31 3 3"]:
     """Compute A from an upright pose, the identity for joints without counterparts."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     model = load_cmu31_body().skeleton
     leftward = pose.compute_vector("RightUpLeg", "LeftUpLeg")
     facing = Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
@@ -449,6 +450,8 @@ def _list_sharing_joints(joint: int, ancestor: int, skeleton: Skeleton) -> list[
 
 def _scale_rotations(rotations: Float[np.ndarray, "T 3 3"], fraction: float) -> Float[np.ndarray, "T 3 3"]:
     """Return rotations about the same axes by a fraction of the angles, NaN where the rotations are."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
     scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * fraction).as_matrix()
     return scaled

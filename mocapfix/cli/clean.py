@@ -79,17 +79,18 @@ def run_clean(
 
     Writes the cleaned file, a BVH, the list of changes, a report and a before/after recording.
     """
-    from mocapfix.io.output_formats import list_output_formats
-
     if not takes:
         return print_usage_error("clean: name at least one take.")
     parsed = parse_options(options)
     if parsed.review.review_files and len(takes) > 1:
         return print_usage_error("--changes is for one take; clean the others separately.")
-    try:
-        list_output_formats(parsed.output)
-    except MocapfixError as error:
-        return print_usage_error(str(error))
+    if parsed.output.extra_formats or parsed.output.rigs or parsed.output.characters:
+        from mocapfix.io.output_formats import list_output_formats
+
+        try:
+            list_output_formats(parsed.output)
+        except MocapfixError as error:
+            return print_usage_error(str(error))
     return clean_takes(takes, output_folder, parsed, overwrite=overwrite, as_json=as_json)
 
 
@@ -107,8 +108,8 @@ def clean_takes(
 
     Returns the exit status.
     """
-    from mocapfix import pipeline
-    from mocapfix.result import check_outputs_free
+    from mocapfix.io.capture import read_capture
+    from mocapfix.report.stage_timer import StageTimer
 
     reports: list[Report] = []
     written: set[Path] = set()
@@ -119,10 +120,15 @@ def clean_takes(
             folder = output_folder or choose_output_folder(take)
             if folder / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
-            targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
-            check_takes_kept(takes, targets)
             with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
-                result = pipeline.clean(take, options, progress=import_while_solving(progress))
+                timer = StageTimer(report_progress=import_while_solving(progress))
+                with timer("read"):
+                    capture = read_capture(take, options.read)
+                from mocapfix import pipeline  # after a file that cannot be read is refused: this takes longer than reading it
+                from mocapfix.result import check_outputs_free
+
+                check_takes_kept(takes, check_outputs_free(folder, take.stem, overwrite, take, options.output))
+                result = pipeline.clean_capture(capture, options, timer)
                 result.write(folder, overwrite, progress, options.output)
             written.add(folder / take.stem)
             for each in result.subject_results or (result,):

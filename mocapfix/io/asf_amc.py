@@ -17,7 +17,6 @@ from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError, WriteError, format_name_list
@@ -199,6 +198,8 @@ class _AsfParser:
 
     def parse_rotation(self, words: list[str]) -> Float[np.ndarray, "3 3"]:
         """Return the rotation given by three angles and the order of their axes, the innermost first."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         *angles, order = words or [""]
         if sorted(order.upper()) != ["X", "Y", "Z"]:
             self.raise_error(f"{order!r} is not an order of the axes X, Y, Z")
@@ -570,6 +571,8 @@ def _build_hierarchy(skeleton: Skeleton, names: list[str]) -> Iterator[str]:
 
 def _build_frames(names: list[str], is_rotating: list[bool], motion: Motion, rate: float, first_frame: int) -> bytes:
     """Return the AMC: for every frame its number and a line for each bone that rotates."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     columns = [[f"{frame}\n".encode() for frame in range(first_frame, first_frame + motion.frame_count)]]
     for joint, name in enumerate(names):
         if is_rotating[joint]:

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field, PositiveFloat
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
@@ -214,6 +213,8 @@ def _compute_pose_positions(
 
 def _round_to_degrees(rotations: Float[np.ndarray, "1 J 3 3"], order: str) -> Float[np.ndarray, "1 J 3 3"]:
     """Round the angles of a pose to whole degrees, by which readers of CMU's files distinguish the T-pose from the motion."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     angles = Rotation.from_matrix(rotations[0]).as_euler(order, degrees=True)
     return Rotation.from_euler(order, np.round(angles), degrees=True).as_matrix()[None]
 

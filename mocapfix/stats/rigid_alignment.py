@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.rigid_registration import compute_cross_covariance_frames, fit_rotation_frames, transform_point_frames
 
@@ -59,6 +58,8 @@ def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.nd
     """
     if not (np.linalg.norm(before) > 0 and np.linalg.norm(after) > 0):
         return np.eye(3)
+    from scipy.spatial.transform import Rotation  # slow to import
+
     return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import solveh_banded
 
 from mocapfix.kernels.viterbi import compute_cheapest_states
 
@@ -121,6 +120,8 @@ def smooth_path(
     variance            per component
     acceleration_power  in squared units of the path / s^3
     """
+    from scipy.linalg import solveh_banded  # slow to import
+
     frames = len(path)
     if frames < 3:
         return path
