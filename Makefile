@@ -15,7 +15,7 @@ demo: $(VENV)/installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile \
 	--durations 20
 test: $(VENV)/installed-dev
-	$(VENV)/bin/python -m mocapfix.kernels.precompilation
+	$(VENV)/bin/python -m mocapfix.kernels.compilation
 	$(PYTEST) --ignore tests/lab
 
 # The tests of benchmarks, training and fuzzing; test-lab-slice is the part of them that every change must pass.

@@ -1,5 +1,6 @@
 """The installed package: built from the sdist, installed outside the checkout, run in another folder."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from mocapfix.cli.app import LAB_PACKAGES
-from mocapfix.kernels.compilation_cache import find_cache_folder
+from mocapfix.kernels.compilation import CACHE_FOLDER
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -37,6 +38,17 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return next(folder.glob("*.tar.gz")), next(folder.glob("*.whl"))
 
 
+def copy_compiled_kernels(kernels: Path) -> None:
+    """Copy the checkout's compiled kernels to another installation, where Numba names its folders after the modules' folders."""
+    assert CACHE_FOLDER
+    for path in [each for each in CACHE_FOLDER.rglob("*") if each.is_file()]:
+        source = kernels / "terms" if path.parent.name.startswith("terms_") else kernels
+        name = f"{source.name}_{hashlib.sha1(str(source).encode(), usedforsecurity=False).hexdigest()}"
+        target = kernels / "__pycache__" / CACHE_FOLDER.name / (name if path.parent != CACHE_FOLDER else "") / path.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, target)
+
+
 @pytest.fixture(scope="module")
 def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the scripts folder of a new environment that contains the wheel and the libraries of the running environment.
@@ -53,8 +65,7 @@ def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
         text = f"raise ModuleNotFoundError('not installed', name={name!r})"
         (Path(paths["purelib"]) / f"{name}.py").write_text(text, encoding="utf-8")
     (Path(paths["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
-    if find_cache_folder().exists():
-        shutil.copytree(find_cache_folder(), Path(paths["purelib"]) / "mocapfix" / "kernels" / "__pycache__", dirs_exist_ok=True)
+    copy_compiled_kernels(Path(paths["purelib"]) / "mocapfix" / "kernels")
     return Path(paths["scripts"])
 
 

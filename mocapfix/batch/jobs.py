@@ -215,7 +215,7 @@ def load_everything() -> None:
 
     from mocapfix import pipeline, synthetic
     from mocapfix.io.output_formats import list_output_formats
-    from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
+    from mocapfix.kernels.compilation import is_precompiled, precompile_kernels
     from mocapfix.solve.parallel import get_thread_pool
 
     for name in PRELOADED_MODULES:

@@ -68,7 +68,7 @@ def compile_kernels_first(show: Callable[[str], None]) -> None:
 
     On a terminal the number rises; in a pipe one line says what is happening.
     """
-    from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
+    from mocapfix.kernels.compilation import is_precompiled, precompile_kernels
 
     if is_precompiled():
         return

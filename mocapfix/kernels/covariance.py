@@ -6,7 +6,7 @@ Exact to second order at the pose, in time linear in joints and markers.
 import numpy as np
 
 from mocapfix.kernels import low_rank, sweep
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.small_matrices import clear_array

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, store_matrix, transpose_matrix
 
 MIN_GIMBAL_COSINE = 1e-7  # cosine of the middle angle; below it only the sum or difference of the outer angles is known

@@ -5,7 +5,7 @@ A median is the lower one of an even number of values; values that are NaN do no
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 # Standard deviation of a normal distribution in multiples of its median absolute deviation.
 SD_PER_MEDIAN_DEVIATION = 1.5
@@ -134,7 +134,7 @@ def screen_pairs(own, others, max_misfit_m, min_ratio):
     return result
 
 
-@compile_inner_kernel
+@compile_kernel
 def _fit_vectors(target, basis, size, prior, rounds, workspace):
     """Return the median distance (metres) of a target (F, 3) from combinations of vectors, basis (F, 3, at least `size`).
 

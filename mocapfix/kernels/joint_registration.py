@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import compute_exponential, compute_logarithm
 from mocapfix.kernels.rigid_registration import accumulate_cross_covariance, compute_nearest_rotation, compute_weighted_means
 from mocapfix.kernels.small_matrices import (

@@ -6,7 +6,7 @@ and `distances` a `mocapfix.stats.marker_distances.MarkerDistances`.
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 # Mismatch of two samples that noise and skin cause in an arbitrarily short time.
 LEAP_TOLERANCE_M = 0.010

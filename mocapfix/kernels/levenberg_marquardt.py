@@ -10,7 +10,7 @@ import math
 from numba import njit
 
 from mocapfix.kernels import low_rank, sweep
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.small_matrices import copy_array

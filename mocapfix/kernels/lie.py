@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import load_matrix, store_matrix
 
 MIN_TILT_SINE = 1e-3  # radians: a body closer to upside down than this has no tilt axis; x is taken

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 from mocapfix.kernels.small_matrices import clear_array, copy_array, factor_cholesky, solve_cholesky
 
 

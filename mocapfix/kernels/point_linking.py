@@ -8,7 +8,7 @@ alone, or two links exchanged) costs more by a margin. Otherwise the trajectory 
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 # Scale of the deviation from the extrapolated position in an arbitrarily short time.
 LINK_NOISE_M = 0.0015

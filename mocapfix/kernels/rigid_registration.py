@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
 from mocapfix.kernels.small_matrices import multiply_matrices, store_matrix, transpose_matrix
 
@@ -51,7 +51,7 @@ def accumulate_cross_covariance(points, model, weight, mean_points, mean_model, 
                     cross[a, b] += lever * (model[k, b] - mean_model[b])
 
 
-@compile_inner_kernel
+@compile_kernel
 def compute_nearest_rotation(cross, m, vectors, out):
     """Write into `out` (3, 3) the rotation that maximises trace(out' cross).
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
 from mocapfix.kernels.normal_equations import linearise_terms

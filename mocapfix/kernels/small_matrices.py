@@ -5,7 +5,7 @@ A tuple lives in registers and needs no allocation, unlike an array.
 
 import math
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 
 SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # allow the compiler to reorder and vectorise long sums of products
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import (
     clear_array,
     copy_array,
@@ -66,7 +66,7 @@ def allocate_factors(joints, unknowns):
     )  # fmt: skip
 
 
-@compile_inner_kernel
+@compile_kernel
 def factorise_tree(tree, equations, damping, factors):
     """Eliminate every joint's rotation, the root's twist and the shared unknowns, in this order, into `factors`.
 
@@ -216,7 +216,7 @@ def eliminate_root(damping, lower, cross, root_gain, h_shared):
     factor_cholesky(h_shared)
 
 
-@compile_inner_kernel
+@compile_kernel
 def solve_tree(tree, equations, factors, g, g_joint, step):
     """Minimise 1/2 x'Hx + gradient'x with the factors from `factorise_tree`, into `step`.
 

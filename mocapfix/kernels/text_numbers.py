@@ -8,7 +8,7 @@ last decimal is that of the exact product, with halves rounded to even.
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 MAX_EXACT_DIGITS = 15  # digits of a whole number that a double represents exactly
 POWERS_OF_TEN = 10.0 ** np.arange(23)  # those that a double represents exactly

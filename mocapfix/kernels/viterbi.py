@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 BEND_TOLERANCE_M_PER_S2 = 200.0
 BEND_TOLERANCE_M = 0.010

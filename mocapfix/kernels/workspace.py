@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 from mocapfix.kernels.forward_kinematics import FramePose, allocate_pose
 from mocapfix.kernels.low_rank import RowResponses, allocate_row_responses
 from mocapfix.kernels.normal_equations import NormalEquations, allocate_equations

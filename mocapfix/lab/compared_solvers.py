@@ -31,9 +31,9 @@ from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIs
 from scipy.optimize import least_squares
 
 from mocapfix.kernels import levenberg_marquardt
+from mocapfix.kernels.compilation import THREADS_VARIABLE, count_cores
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.normal_equations import allocate_equations, linearise_terms
-from mocapfix.kernels.precompilation import THREADS_VARIABLE, count_cores
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms import PointTerm, TrackingTerm
 from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace

@@ -33,7 +33,7 @@ from mocapfix import synthetic
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
-from mocapfix.kernels.precompilation import count_cores
+from mocapfix.kernels.compilation import count_cores
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.hybrik_tables import (
     NO_TWISTS,

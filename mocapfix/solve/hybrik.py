@@ -24,12 +24,14 @@ from mocapfix.kernels.hybrik import (
     HYBRIK_ADAPTIVE,
     HYBRIK_NAIVE,
     HYBRIK_X,
+    BoneLines,
     HybrikObservations,
     HybrikSkeleton,
+    compute_bone_direction_frames,
+    evaluate_layer_frames,
     solve_hybrik_frames,
 )
 from mocapfix.kernels.joint_registration import RootPoints, register_root_frames
-from mocapfix.kernels.twist_network import BoneLines, compute_bone_direction_frames, evaluate_layer_frames
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body, load_cmu31_skeleton
 from mocapfix.model.subject import Subject

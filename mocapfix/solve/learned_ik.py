@@ -25,9 +25,9 @@ from mocapfix.kernels.pose_transfer import (
     TransferredPoses,
     TransferTree,
     correct_pose_frames,
+    smooth_position_joints,
     transfer_pose_frames,
 )
-from mocapfix.kernels.position_smoothing import smooth_position_joints
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import run_over_frames

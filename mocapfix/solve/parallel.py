@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from mocapfix.errors import MocapfixError
-from mocapfix.kernels.precompilation import THREADS_VARIABLE, count_cores
+from mocapfix.kernels.compilation import THREADS_VARIABLE, count_cores
 
 
 class SolveOrder(NamedTuple):

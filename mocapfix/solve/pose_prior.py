@@ -3,7 +3,7 @@
 A pose is given as rotation vectors that lead from a reference pose to the pose, in the axes of each joint's parent. The root's
 vector is its tilt: position and heading are not part of the pose. A code has P numbers that are independent and standard normal
 under the prior, so the cost of a code is half its sum of squares. A pose is normally distributed around the decoded pose of its
-code with the standard deviation `residual_sd_rad`. `kernels.terms.latent` uses this interface in the solver.
+code with the standard deviation `residual_sd_rad`. `kernels.terms.latent_code` uses this interface in the solver.
 
 Gaussian pose models: linear ones, and mixtures.
 

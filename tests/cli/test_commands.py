@@ -12,7 +12,7 @@ import pytest
 
 from mocapfix.cli.clean import describe_laboratory
 from mocapfix.cli.console import COMPILATION_MESSAGE
-from mocapfix.kernels import precompilation
+from mocapfix.kernels import compilation
 from mocapfix.option import parse_frames, parse_subject_files
 from mocapfix.options import build_clean_options
 from tests.c3d_files import c3d_bytes
@@ -340,8 +340,8 @@ def test_invalid_file_is_named_and_leaves_nothing_behind(mocapfix, brief, tmp_pa
 
 def test_kernels_are_compiled_only_once_the_take_is_read(mocapfix, brief, tmp_path, monkeypatch):
     compilations = []
-    monkeypatch.setattr(precompilation, "is_precompiled", lambda: bool(compilations))
-    monkeypatch.setattr(precompilation, "precompile_kernels", lambda report_progress: compilations.append(report_progress(1, 2)))
+    monkeypatch.setattr(compilation, "is_precompiled", lambda: bool(compilations))
+    monkeypatch.setattr(compilation, "precompile_kernels", lambda report_progress: compilations.append(report_progress(1, 2)))
     cut_off = tmp_path / "cut off.c3d"
     cut_off.write_bytes(FILES["cut off"][0](brief))
     check_refused(mocapfix("clean", cut_off), cut_off.name, FILES["cut off"][1])

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.robust_registration import (
+from mocapfix.kernels.belief_propagation import (
     BODY_CENTROID_INDEX,
     INFORMATION_INDEX,
     ROTATION_INDEX,

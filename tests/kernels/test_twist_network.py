@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.hybrik import compute_swing, compute_twist
-from mocapfix.kernels.twist_network import evaluate_layer_frames
+from mocapfix.kernels.hybrik import compute_swing, compute_twist, evaluate_layer_frames
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.solve.hybrik import build_twist_spans, compute_span_directions
 from tests.kernels import random_terms

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import MocapfixError, OptionError, TakeError
-from mocapfix.kernels.precompilation import count_cores
+from mocapfix.kernels.compilation import count_cores
 from mocapfix.solve.parallel import map_in_processes, run_over_frames
 
 

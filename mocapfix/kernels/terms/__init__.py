@@ -1,20 +1,22 @@
 """The terms of the pose solve; the solver takes a tuple of them.
 
-points           measured positions of markers and joints
-orientations     measured directions of bones and orientations of bodies
-reprojection     points in camera images
-joint_rotations  tracking of a pose, a prior about a mean pose, joint limits
-latent_code      joint rotations decoded from a latent code
-coupling         distances between points, also of different bodies, and a scalar function of all joints
-contract         the interface of a term, and the robust losses
+observations  measured positions, directions and orientations of bodies, points in camera images
+constraints   tracking of a pose, a prior about a mean pose, joint limits, distances between points, a function of all joints
+latent_code   joint rotations decoded from a latent code
+contract      the interface of a term, and the robust losses
 """
 
+from mocapfix.kernels.terms.constraints import (
+    DistanceTerm,
+    JointLimitTerm,
+    PosePriorTerm,
+    ScalarTerm,
+    TrackingTerm,
+    count_rows,
+)
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, HUBER
-from mocapfix.kernels.terms.coupling import DistanceTerm, ScalarTerm, count_rows
-from mocapfix.kernels.terms.joint_rotations import JointLimitTerm, PosePriorTerm, TrackingTerm
 from mocapfix.kernels.terms.latent_code import LatentCodeTerm
-from mocapfix.kernels.terms.orientations import DirectionTerm, OrientationTerm
-from mocapfix.kernels.terms.points import PointTerm, ReprojectionTerm, normalise_pixels
+from mocapfix.kernels.terms.observations import DirectionTerm, OrientationTerm, PointTerm, ReprojectionTerm, normalise_pixels
 
 __all__ = [
     "GEMAN_MCCLURE",

@@ -23,7 +23,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 
 GEMAN_MCCLURE = 0  # losses of `compute_robust_loss`
 HUBER = 1

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm, compute_tilt
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_rows, multiply_vector, transpose_matrix
 from mocapfix.kernels.terms.contract import register_term, select_frame

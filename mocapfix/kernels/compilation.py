@@ -1,0 +1,247 @@
+"""How kernels are compiled, where compiled kernels are kept from one run to the next, and which are compiled first.
+
+Numba's cache compares the source of a compiled function's module with that of the cached one, but not the sources of the
+functions that it calls. So the folder's name contains a digest of the sources of all kernels and of Numba's version. Folders of
+other digests are removed once a new one is made.
+
+`kernel_signatures.json` lists the kernels that cleaning a take calls, with the types of their arguments. Before the first take is
+cleaned, several processes compile them; `python -m mocapfix.kernels.compilation` does that without cleaning anything. A kernel or
+a type that is not in the list is compiled when it is used. `docs/generate_kernel_signatures.py` writes the list.
+
+A type is a name of Numba's (`int64`), an array's (`float64[3C]`: its type, dimensions and layout; `readonly` after it), a list
+for a tuple, or an object with the name of a named tuple's class and its fields' types. Types that occur in several are written
+once, under `types`, and referred to by `$` and their number.
+"""
+
+import gc
+import hashlib
+import importlib
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext, suppress
+from functools import cache, partial
+from graphlib import TopologicalSorter
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+from numba import njit, types
+from numba.extending import register_jitable
+
+config: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
+
+PACKAGE_FOLDER = Path(__file__).parent.parent
+KERNELS_FOLDER = Path(__file__).parent
+SIGNATURES_FILE = KERNELS_FOLDER / "kernel_signatures.json"
+ARRAY_PATTERN = re.compile(r"(\w+)\[(\d+)([CFA])\](?: (readonly))?")
+DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
+FOLDER_PREFIX = "compiled-"
+OUTDATED_PATTERNS = (f"{FOLDER_PREFIX}*", "mocapfix.*-*", "*.nb[ic]")  # the last two are of earlier versions
+MAX_PROCESSES = 8  # more would wait for the longest chain of kernels that call one another
+THREADS_VARIABLE = "MOCAPFIX_NUM_THREADS"  # of the environment
+
+
+@cache
+def compute_kernels_digest() -> str:
+    """Return a digest of Numba's version and of the sources of all kernels and of what they import."""
+    files = sorted([*KERNELS_FOLDER.rglob("*.py"), PACKAGE_FOLDER / "model" / "motion.py"])
+    return _compute_digest(b"\0".join([numba.__version__.encode(), *(file.read_bytes() for file in files if file.exists())]))
+
+
+def choose_cache_folder() -> Path | None:
+    """Return the folder for compiled kernels, in the first of several folders that is writable; None if none is.
+
+    They are the folder that NUMBA_CACHE_DIR names, the package's, the user's cache folder and the temporary folder. Outside the
+    package its installations have different folders.
+    """
+    installation = Path("mocapfix", f"kernels-{_compute_digest(str(PACKAGE_FOLDER).encode())}")
+    candidates = [KERNELS_FOLDER / "__pycache__"]
+    if config.CACHE_DIR:
+        candidates.insert(0, Path(config.CACHE_DIR) / installation)
+    with suppress(RuntimeError):  # no home
+        candidates.append(_find_user_cache_folder() / installation)
+    candidates.append(Path(tempfile.gettempdir()) / installation)
+    for candidate in candidates:
+        folder = candidate / f"{FOLDER_PREFIX}{compute_kernels_digest()}"
+        is_new = not folder.is_dir()
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            if is_new:
+                remove_outdated_files(folder)
+            return folder
+    return None
+
+
+def _find_user_cache_folder() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _compute_digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:DIGEST_LENGTH]
+
+
+def remove_outdated_files(folder: Path) -> None:
+    """Remove what earlier versions of this installation's kernels have left beside their new folder."""
+    for each in [path for pattern in OUTDATED_PATTERNS for path in folder.parent.glob(pattern) if path != folder]:
+        if each.is_dir():
+            shutil.rmtree(each, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                each.unlink()
+
+
+CACHE_FOLDER = choose_cache_folder()
+"""Where compiled kernels are kept; None if nothing can be written."""
+if CACHE_FOLDER:
+    config.CACHE_DIR = str(CACHE_FOLDER)
+
+
+def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function that Python or several kernels call, as `numba.njit` does, and cache it. A decorator.
+
+    Args:
+        function: the function.
+        options: of `numba.njit`.
+    """
+    if function is None:
+        return partial(compile_kernel, **options)
+    jit: Any = njit  # without its types, which do not have all options
+    return jit(cache=CACHE_FOLDER is not None, no_cfunc_wrapper=True, **options)(function)  # nothing needs kernels' addresses
+
+
+def compile_inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function as part of each kernel that calls it; a call from Python is not compiled. A decorator."""
+    if function is None:
+        return partial(compile_inner_kernel, **options)
+    return register_jitable(**options)(function) if options else register_jitable(function)
+
+
+class ListedKernel(NamedTuple):
+    """A kernel that is compiled first.
+
+    Attributes:
+        callees: Names of the listed kernels that it calls, directly or not.
+        signatures: The types of its arguments, several times if it is called with several.
+    """
+
+    callees: tuple[str, ...]
+    signatures: list[tuple]
+
+
+@cache
+def read_kernel_list() -> dict[str, ListedKernel]:
+    """Return the listed kernels by module and function, after `mocapfix.kernels.`, those that take longest first."""
+    data = json.loads(SIGNATURES_FILE.read_text(encoding="utf-8"))
+    shared = []
+    for each in data["types"]:
+        shared.append(parse_type(each, shared))
+    kernels = {each["kernel"]: ListedKernel(tuple(each["callees"]), []) for each in data["kernels"]}
+    for each in data["kernels"]:
+        kernels[each["kernel"]].signatures.append(tuple(parse_type(argument, shared) for argument in each["arguments"]))
+    return kernels
+
+
+def find_kernel(name: str) -> Any:
+    """Return the kernel of a name such as `viterbi.find_cheapest_chain`."""
+    module, _, function = name.rpartition(".")
+    return getattr(importlib.import_module(f"mocapfix.kernels.{module}"), function)
+
+
+def parse_type(description: Any, shared: list) -> Any:
+    """Return the type of a description; `shared` are those that it may refer to."""
+    if isinstance(description, list):
+        return types.BaseTuple.from_types(tuple(parse_type(each, shared) for each in description))
+    if isinstance(description, dict):
+        ((name, fields),) = description.items()
+        module, _, class_name = name.rpartition(".")
+        named_tuple = getattr(importlib.import_module(f"mocapfix.{module}"), class_name)
+        return types.BaseTuple.from_types(tuple(parse_type(each, shared) for each in fields), named_tuple)
+    if description.startswith("$"):
+        return shared[int(description[1:])]
+    if array := ARRAY_PATTERN.fullmatch(description):
+        return types.Array(getattr(types, array[1]), int(array[2]), array[3], readonly=bool(array[4]))
+    return getattr(types, description)
+
+
+def is_precompiled() -> bool:
+    """Return whether `precompile_kernels` has been run for the present sources of the kernels, or cannot keep anything."""
+    return CACHE_FOLDER is None or _get_stamp_path(CACHE_FOLDER).exists()
+
+
+def _get_stamp_path(folder: Path) -> Path:
+    return folder / f"precompiled.{sys.implementation.cache_tag}-{_compute_digest(SIGNATURES_FILE.read_bytes())}"
+
+
+def precompile_kernels(report_progress: Callable[[int, int], None], processes: int | None = None) -> None:
+    """Compile the listed kernels, those that others call first; wait while another process does so.
+
+    Args:
+        report_progress: Is called with the number of kernels that are compiled and of all.
+        processes: How many compile; by default one for each core that this process may use.
+    """
+    from filelock import FileLock  # slow to import
+
+    kernels, folder = read_kernel_list(), CACHE_FOLDER
+    with FileLock(folder / ".lock", fallback_to_soft=False) if folder else nullcontext():
+        if is_precompiled():
+            return
+        try:
+            _compile_in_processes(kernels, processes or min(count_cores(), MAX_PROCESSES), report_progress)
+        except (OSError, BrokenProcessPool):  # no interpreter, as inside another program
+            for name in kernels:
+                compile_listed_kernel(name)
+        if folder:
+            _get_stamp_path(folder).touch()
+
+
+def _compile_in_processes(kernels: dict[str, ListedKernel], processes: int, report_progress: Callable[[int, int], None]) -> None:
+    waiting: list[str] = []
+    running: dict[Future[None], str] = {}
+    order, sorter = list(kernels), TopologicalSorter({name: each.callees for name, each in kernels.items()})
+    sorter.prepare()
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=gc.disable) as pool:
+        compiled = 0
+        while sorter.is_active():
+            waiting = sorted([*waiting, *sorter.get_ready()], key=order.index)
+            while waiting and len(running) < processes:
+                name = waiting.pop(0)
+                running[pool.submit(compile_listed_kernel, name)] = name
+            for each in wait(running, return_when=FIRST_COMPLETED).done:
+                each.result()
+                sorter.done(running.pop(each))
+                compiled += 1
+                report_progress(compiled, len(kernels))
+
+
+def compile_listed_kernel(name: str) -> None:
+    """Compile a kernel for its listed types, or load it from the cache. What fails is reported where the kernel is used.
+
+    One process compiles a kernel for all types: the index of its files in Numba's cache is for one writer at a time.
+    """
+    with suppress(Exception):
+        for each in read_kernel_list()[name].signatures:
+            find_kernel(name).compile(each)
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use, at most as many as the variable MOCAPFIX_NUM_THREADS says."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get(THREADS_VARIABLE, "")
+    return max(1, min(cores, int(limit))) if limit.isdecimal() else cores
+
+
+if __name__ == "__main__":
+    precompile_kernels(lambda done, total: None)

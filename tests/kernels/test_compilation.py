@@ -1,0 +1,216 @@
+"""Where compiled kernels are kept, that what is out of date is neither used nor left behind, and what is compiled first."""
+
+import inspect
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from numba import types
+
+from mocapfix.kernels import compilation
+from mocapfix.kernels.compilation import (
+    KERNELS_FOLDER,
+    compile_inner_kernel,
+    find_kernel,
+    parse_type,
+    precompile_kernels,
+    read_kernel_list,
+)
+from mocapfix.kernels.forward_kinematics import KinematicTree
+
+KERNEL_SOURCES = {
+    "kernels/inner.py": """
+        from typing import NamedTuple
+        from mocapfix.kernels.compilation import compile_inner_kernel
+
+        class Pair(NamedTuple):
+            a: float
+            b: float
+
+        @compile_inner_kernel
+        def add(pair):
+            return pair.a + pair.b
+        """,
+    "kernels/outer.py": """
+        from mocapfix.kernels.compilation import compile_kernel
+        from mocapfix.kernels.inner import Pair, add
+
+        @compile_kernel
+        def add_twice(pair):
+            return add(pair) + add(pair)
+        """,
+    "kernels/__init__.py": "",
+    "__init__.py": "",
+}
+RUN_CODE = """
+from mocapfix.kernels.outer import Pair, add_twice
+print(add_twice(Pair(1.0, 2.0)), sum(add_twice.stats.cache_hits.values()))
+"""
+DEMO_CODE = """
+import sys
+from pathlib import Path
+from mocapfix import pipeline, synthetic
+from mocapfix.kernels.compilation import read_kernel_list
+
+take = Path(sys.argv[1]) / "demo.c3d"
+synthetic.write_synthetic_take(take, synthetic.compose_take(seed=0, seconds=4))
+pipeline.clean(take).write(take.with_suffix(".mocapfix"))
+listed = {(name, arguments) for name, each in read_kernel_list().items() for arguments in each.signatures}
+for name, module in list(sys.modules.items()):
+    if name.startswith("mocapfix.kernels."):
+        for kernel in vars(module).values():
+            if hasattr(kernel, "py_func") and kernel.py_func.__module__ == name:
+                for arguments in kernel.signatures:
+                    full_name = f"{name}.{kernel.py_func.__name__}".removeprefix("mocapfix.kernels.")
+                    if (full_name, arguments) not in listed:
+                        print(full_name, arguments)
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package named mocapfix with two modules of kernels, one of which calls the other's, and the present cache."""
+    folder = tmp_path / "mocapfix"
+    for name, source in KERNEL_SOURCES.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(textwrap.dedent(source))
+    shutil.copy(inspect.getfile(compilation), folder / "kernels")
+    return folder
+
+
+def start_run(package: Path, **environment: str) -> "subprocess.Popen[str]":
+    """Start a process that calls the outer kernel."""
+    cleared = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN_CODE],
+        env={**cleared, "PYTHONPATH": str(package.parent), **environment},
+        cwd=package.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def run(package: Path, **environment: str) -> tuple[float, int]:
+    """Call the outer kernel in a process of its own; return the result, and how often the cache had it."""
+    process = start_run(package, **environment)
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    result, hits = output.split()
+    return float(result), int(hits)
+
+
+def list_cache_folders(package: Path) -> list[Path]:
+    return list((package / "kernels" / "__pycache__").glob("compiled-*"))
+
+
+def test_a_changed_callee_is_compiled_again_with_its_callers_and_the_old_files_are_removed(package: Path) -> None:
+    assert run(package) == (6.0, 0)
+    assert run(package) == (6.0, 1)
+    (before,) = list_cache_folders(package)
+    inner = package / "kernels" / "inner.py"
+    inner.write_text(inner.read_text().replace("pair.a + pair.b", "pair.a - pair.b"))
+    assert run(package) == (-2.0, 0)
+    (after,) = list_cache_folders(package)
+    assert before != after
+
+
+def test_a_read_only_package_uses_the_folder_of_the_user(package: Path, tmp_path: Path) -> None:
+    (package / "kernels" / "__pycache__").write_bytes(b"")  # a file where the folder would be
+    caches = {"XDG_CACHE_HOME": str(tmp_path / "user"), "LOCALAPPDATA": str(tmp_path / "user"), "HOME": str(tmp_path / "home")}
+    assert run(package, **caches) == (6.0, 0)
+    assert run(package, **caches) == (6.0, 1)
+
+
+def test_kernels_work_where_nothing_can_be_written(package: Path, tmp_path: Path) -> None:
+    (package / "kernels" / "__pycache__").write_bytes(b"")
+    blocked = tmp_path / "blocked"
+    blocked.write_bytes(b"")
+    names = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME", "NUMBA_CACHE_DIR")
+    (package / "__init__.py").write_text(f"import tempfile; tempfile.gettempdir = lambda: {str(blocked)!r}\n")
+    assert run(package, **dict.fromkeys(names, str(blocked))) == (6.0, 0)
+
+
+def test_the_folder_of_numba_cache_dir_is_used(package: Path, tmp_path: Path) -> None:
+    assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == (6.0, 0)
+    assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == (6.0, 1)
+    assert list_cache_folders(package) == []
+
+
+def test_processes_may_start_at_once(package: Path) -> None:
+    processes = [start_run(package) for _ in range(2)]
+    assert [process.communicate()[0].split()[0] for process in processes] == ["6.0", "6.0"]
+    assert run(package) == (6.0, 1)
+
+
+def test_the_digest_covers_what_the_kernels_import() -> None:
+    imported = [line for path in KERNELS_FOLDER.rglob("*.py") for line in path.read_text(encoding="utf-8").splitlines()]
+    others = {line.split()[1] for line in imported if line.startswith("from mocapfix.") and ".kernels" not in line}
+    assert others == {"mocapfix.model.motion"}
+
+
+def test_inner_kernels_can_be_called_from_python() -> None:
+    @compile_inner_kernel
+    def double(x: float) -> float:
+        return 2 * x
+
+    assert [double(1), double(1.5)] == [2, 3.0]
+
+
+def test_descriptions_of_types() -> None:
+    tree = {"kernels.forward_kinematics.KinematicTree": ["float64[1C]"] * len(KinematicTree._fields)}
+    fields = (types.Array(types.float64, 1, "C"),) * len(KinematicTree._fields)
+    tree_type = types.BaseTuple.from_types(fields, KinematicTree)
+    assert parse_type("none", []) == types.none
+    assert parse_type("uint8[1C] readonly", []) == types.Array(types.uint8, 1, "C", readonly=True)
+    assert parse_type(["int64", tree], []) == types.BaseTuple.from_types((types.int64, tree_type))
+    assert parse_type("$0", [tree_type]) == tree_type
+
+
+def test_listed_kernels_exist() -> None:
+    kernels = read_kernel_list()
+    assert kernels
+    for name, each in kernels.items():
+        assert {len(arguments) for arguments in each.signatures} == {find_kernel(name).py_func.__code__.co_argcount}
+        assert set(each.callees) < set(kernels)
+
+
+def test_the_list_has_every_kernel_that_the_demo_calls(tmp_path: Path) -> None:
+    """If it has not, docs/generate_kernel_signatures.py must be run."""
+    done = subprocess.run([sys.executable, "-c", DEMO_CODE, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+
+
+@pytest.fixture
+def short_list(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Only the smallest kernels of the list, and no kernels compiled."""
+    name = "rigid_registration.transform_point_frames"
+    small = {name: read_kernel_list()[name]._replace(callees=())}
+    monkeypatch.setattr(compilation, "read_kernel_list", lambda: small)
+    monkeypatch.setattr(compilation, "CACHE_FOLDER", tmp_path)
+
+
+def test_listed_kernels_are_compiled_once(short_list: None) -> None:
+    assert not compilation.is_precompiled()
+    counts: list[tuple[int, int]] = []
+    for _ in range(2):
+        precompile_kernels(lambda done, total: counts.append((done, total)), processes=1)
+    assert counts == [(1, 1)]
+    assert compilation.is_precompiled()
+
+
+def test_kernels_are_compiled_where_no_process_can_be_started(
+    short_list: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(*_arguments: object) -> None:
+        raise FileNotFoundError
+
+    monkeypatch.setattr(compilation, "_compile_in_processes", fail)
+    precompile_kernels(lambda done, total: None)
+    assert compilation.is_precompiled()
