@@ -13,7 +13,7 @@ from mocapfix.io.conventions import Convention, DeclaredConvention, decide_conve
 from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP
 from mocapfix.model.take import TableLayout
 from mocapfix.options import ReadOptions
-from tests.io.test_up_axis import LABELS, LEGS, MOTIONS, build_points
+from tests.io.test_coordinates import LABELS, LEGS, MOTIONS, build_points
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 with_data = pytest.mark.skipif(not SHARED.is_dir(), reason="no captures beside the repository")
