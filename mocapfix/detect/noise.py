@@ -164,6 +164,8 @@ MEDIAN_NORM_SD = 1.538  # median norm of a vector of three independent standard 
 # Smallest noise level of a noisy marker, relative to the median of the other markers and absolute.
 MIN_NOISE_RATIO = 5.0
 MIN_NOISE_M = 0.001
+MIN_JITTER_RATIO = 6.0  # smallest noise in a burst of jitter, in multiples of the median over the take
+MIN_JITTER_DURATION_S = 0.1  # duration of the shortest burst
 CUBIC_RESIDUAL_M_PER_S2 = 30.0  # part of a body's motion that the cubic may leave. It matters at low frame rates only.
 
 
