@@ -8,14 +8,14 @@ MAX_ROOT_DISPLACEMENT_M at most: a place that a leg does not reach from there is
 While no marker shows a held foot, it is as certain as where it stood before and after, up to its rolling.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet, StandingBody
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_displacements import compute_foot_displacements
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
@@ -280,22 +280,6 @@ MIN_HOLDING_SHARE = 0.5
 PARTIAL_ROUNDS = 3
 """Rounds in which a foot is held in part where it moved visible markers too far; afterwards it is not held there."""
 MAX_YIELD_ROUNDS = 8
-
-
-@dataclass(frozen=True)
-class StandingBody:
-    """A body with its contacts, whose standing feet are held.
-
-    Attributes:
-        fit: the body.
-        contacts: when its joints are in contact with the floor, and the events of gait.
-        filling_motion: the motion from which lost markers are filled: its standing feet are held also where those of the body
-            yield to visible markers.
-    """
-
-    fit: BodyFit
-    contacts: BodyContacts
-    filling_motion: Motion
 
 
 def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:

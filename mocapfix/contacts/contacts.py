@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.motion import Motion
 from mocapfix.options import FEET_OFF
 from mocapfix.stats.sequences import find_runs
 
@@ -245,3 +247,19 @@ class ContactPositions(NamedTuple):
     position: Float[np.ndarray, "T C 3"]
     sd: Float[np.ndarray, "T C"]
     rate: float
+
+
+@dataclass(frozen=True)
+class StandingBody:
+    """A body with its contacts, whose standing feet are held.
+
+    Attributes:
+        fit: the body.
+        contacts: when its joints are in contact with the floor, and the events of gait.
+        filling_motion: the motion from which lost markers are filled: its standing feet are held also where those of the body
+            yield to visible markers.
+    """
+
+    fit: BodyFit
+    contacts: BodyContacts
+    filling_motion: Motion

@@ -11,7 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MovingAxes
+from mocapfix.fill.fill_methods import (
+    CLUSTER_SATURATION_S,
+    FillMethod,
+    GapEstimate,
+    GapWindow,
+    MovingAxes,
+    compute_variation_growth,
+)
 from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, build_hermite_map, fit_edge_parabola
 
 DAMPED_VELOCITY_S = 0.12
@@ -48,8 +55,6 @@ MIN_EXPECTED_SD_M = 0.0003
 """Smallest expected standard deviation in the middle of a gap."""
 WORLD_SATURATION_S = 0.8
 """Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
-CLUSTER_SATURATION_S = 0.4
-"""The same for errors in moving axes."""
 ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
 """Powers of the duration, until then, with which the errors of the straight, damped and cubic methods grow."""
 
@@ -119,18 +124,6 @@ def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluste
     if len(window.before) and len(window.after):
         return middle_sd * 2 * np.sqrt(share * (1 - share))
     return middle_sd * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)
-
-
-def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rate: float) -> float:
-    """Return the factor, at least one, by which a marker varies more in a gap than while it is visible, relative to others.
-
-    A marker that is visible for a shorter time than the gap shows less of its motion. Each visible frame shows the time until the
-    next one, up to CLUSTER_SATURATION_S.
-    """
-    steps_s = np.diff(np.flatnonzero(is_shown)) / rate
-    shown_s = 1 / rate + float(np.minimum(steps_s, CLUSTER_SATURATION_S).sum())
-    shown, hidden = (duration_s / (CLUSTER_SATURATION_S + duration_s) for duration_s in (shown_s, gap_s))
-    return max(hidden / shown, 1.0)
 
 
 def keep_known_context(window: GapWindow, is_known: Bool[np.ndarray, " T"]) -> GapWindow:

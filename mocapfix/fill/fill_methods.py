@@ -23,6 +23,9 @@ from mocapfix.fill.spline_fill import (
 from mocapfix.io.changes_file import Correction, RequestedFill
 from mocapfix.model.detected import MarkerEpochs
 
+CLUSTER_SATURATION_S = 0.4
+"""Time scale in which the error of an interpolation in moving axes stops growing."""
+
 
 class FillMethod(IntEnum):
     """How a sample was filled."""
@@ -366,3 +369,15 @@ def explain_requested_fills(
         reason = EMPTY_REASON if each.method == "empty" else NO_ESTIMATE_REASON.format(method=each.method)
         reasons[each.samples] = np.where(is_without_estimate[each.samples], reason, reasons[each.samples])
     return reasons
+
+
+def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rate: float) -> float:
+    """Return the factor, at least one, by which a marker varies more in a gap than while it is visible, relative to others.
+
+    A marker that is visible for a shorter time than the gap shows less of its motion. Each visible frame shows the time until the
+    next one, up to CLUSTER_SATURATION_S.
+    """
+    steps_s = np.diff(np.flatnonzero(is_shown)) / rate
+    shown_s = 1 / rate + float(np.minimum(steps_s, CLUSTER_SATURATION_S).sum())
+    shown, hidden = (duration_s / (CLUSTER_SATURATION_S + duration_s) for duration_s in (shown_s, gap_s))
+    return max(hidden / shown, 1.0)

@@ -5,7 +5,6 @@ of the gap, its rigid cluster, a spline, and a Gaussian process over all markers
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +31,7 @@ from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_estimates
 from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
-from mocapfix.model.changes import UnfilledRun, compute_editable_mask, expand_unfilled_reasons
+from mocapfix.model.changes import Filled, UnfilledRun, compute_editable_mask, expand_unfilled_reasons
 from mocapfix.model.detected import Detected
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
@@ -223,27 +222,6 @@ class FilledTake(NamedTuple):
     take: Take
     unfilled: tuple[UnfilledRun, ...]
     method: Int[np.ndarray, "T M"]
-
-
-@dataclass(frozen=True)
-class Filled:
-    """A take with every gap and faulty sample filled or emptied, before decisions are applied.
-
-    Attributes:
-        detected: its faults.
-        take: the filled take.
-        unfilled_reasons: the reason why each sample stays empty, else "".
-        methods: for each filled sample the name of its fill method, else "".
-        body_markers: metres: where the solved body carries the markers; None without a body.
-        rigid_groups: groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
-    """
-
-    detected: Detected
-    take: Take
-    unfilled_reasons: Shaped[np.ndarray, "T M"]
-    methods: Shaped[np.ndarray, "T M"]
-    body_markers: Float[np.ndarray, "T M 3"] | None
-    rigid_groups: tuple[RigidGroup, ...] = ()
 
 
 def fill_gaps(

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.edge_interpolation import compute_variation_growth
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow
+from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, compute_variation_growth
 from mocapfix.stats.gaussian_process import GaussianProcess, HeldOutPrediction, StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import align_to_common_shape, align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames

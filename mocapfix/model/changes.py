@@ -9,9 +9,11 @@ from typing import TypedDict, cast
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Decision, Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
+from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import compute_lengths
 
 # The frame and the marker of each of N samples.
@@ -277,3 +279,34 @@ def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, 
         numbers = take.first_frame + np.arange(take.frame_count)
         is_editable &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
     return is_editable
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A take with every gap and faulty sample filled or emptied, before decisions are applied.
+
+    Attributes:
+        detected: its faults.
+        take: the filled take.
+        unfilled_reasons: the reason why each sample stays empty, else "".
+        methods: for each filled sample the name of its fill method, else "".
+        body_markers: metres: where the solved body carries the markers; None without a body.
+        rigid_groups: groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
+    """
+
+    detected: Detected
+    take: Take
+    unfilled_reasons: Shaped[np.ndarray, "T M"]
+    methods: Shaped[np.ndarray, "T M"]
+    body_markers: Float[np.ndarray, "T M 3"] | None
+    rigid_groups: tuple[RigidGroup, ...] = ()
+
+
+@dataclass(frozen=True)
+class Decided:
+    """A cleaned take, with every change that was considered and its decision, and the runs of samples that stay empty."""
+
+    filled: Filled
+    take: Take
+    changes: tuple[Change, ...]
+    unfilled_runs: tuple[UnfilledRun, ...]

@@ -10,11 +10,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.contacts.body_contacts import StandingBody
-from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent, StandingBody
 from mocapfix.errors import join_words
 from mocapfix.labels.label_summary import build_labelling_section
-from mocapfix.model.changes import UnfilledRun, serialize_changes
+from mocapfix.model.changes import Decided, UnfilledRun, serialize_changes
 from mocapfix.model.detected import MarkerEpochs
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.motion import FrameStatus, Motion
@@ -41,7 +40,6 @@ from mocapfix.report.report import (
     UnfilledEntry,
 )
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
-from mocapfix.review.apply_decisions import Decided
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.solve.motion_solver import PREVIEW_NOTE
 from mocapfix.stats.marker_distances import RigidGroup

@@ -5,8 +5,7 @@ from collections.abc import Collection, Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.contacts.body_contacts import StandingBody
-from mocapfix.contacts.contacts import PLATE_SOURCE
+from mocapfix.contacts.contacts import PLATE_SOURCE, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.detected import Detected, MarkerEpochs

@@ -1,16 +1,15 @@
 """The last stage: decide which changes are applied, revert the others, and record all of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.fill.gap_filling import Filled
 from mocapfix.io.changes_file import Review, ReviewIndex, list_label_corrections
 from mocapfix.labels.fragments import relabel_samples
 from mocapfix.model.changes import (
-    Change,
-    UnfilledRun,
+    Decided,
+    Filled,
     affects_labels,
     build_affected_mask,
     build_changes,
@@ -37,16 +36,6 @@ from mocapfix.options import CleanOptions
 # A fill of another program stays as it is if it agrees with the estimate within either of these.
 MAX_AGREEMENT_SD = 3.0
 MAX_AGREEMENT_DISTANCE_M = 0.010
-
-
-@dataclass(frozen=True)
-class Decided:
-    """A cleaned take, with every change that was considered and its decision, and the runs of samples that stay empty."""
-
-    filled: Filled
-    take: Take
-    changes: tuple[Change, ...]
-    unfilled_runs: tuple[UnfilledRun, ...]
 
 
 def apply_decisions(original: Take, filled: Filled, review: Review, options: CleanOptions, *, is_smoothed: bool) -> Decided:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.fill.edge_interpolation import MethodRatios, compute_variation_growth, estimate_from_edges, keep_known_context
-from mocapfix.fill.fill_methods import measure_velocity_variation
+from mocapfix.fill.edge_interpolation import MethodRatios, estimate_from_edges, keep_known_context
+from mocapfix.fill.fill_methods import compute_variation_growth, measure_velocity_variation
 from mocapfix.fill.gap_estimates import NeighbourActivity, choose_hidden_stretches, measure_neighbour_errors
 
 RATE = 100.0

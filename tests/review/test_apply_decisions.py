@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.contacts.body_contacts import hold_standing_feet
-from mocapfix.fill.gap_filling import Filled, fill_gaps
+from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io import capture, changes_file
 from mocapfix.io.changes_file import Review
 from mocapfix.io.patches import patch_c3d
-from mocapfix.model.changes import compare_samples, serialize_changes
+from mocapfix.model.changes import Filled, compare_samples, serialize_changes
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerShift
 from mocapfix.model.take import Take
