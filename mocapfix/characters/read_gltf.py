@@ -6,13 +6,8 @@ their inverse bind matrices, in which the mesh has its original shape. Exporters
 to the first frame of an animation. The nodes are used nevertheless: bones without skin and preset characters have no other
 pose, and bones that an animation leaves out are in this pose in every program. Meshes are not decoded.
 
-Pack a glTF with embedded or side files into one GLB, and check the lists of its document that a writer extends.
-
-The bytes of buffers and images are kept. A GLB without buffers in other files stays as it is.
-
-The humanoid bones that a VRM file names, as the segments of a body.
-
-Sources: VRM Consortium, VRM 0.0 (extension VRM) and VRM 1.0 (extension VRMC_vrm), section humanoid.
+Embedded and side files are packed into one GLB, to which an animation can be added; the bytes of buffers and images are kept. A
+VRM names its humanoid bones (VRM Consortium, VRM 0.0, extension VRM, and VRM 1.0, extension VRMC_vrm, section humanoid).
 """
 
 import base64

@@ -1,16 +1,10 @@
-"""Read a BVH file: any hierarchy, with the channels of each joint in any order.
+"""Read a BVH file, any hierarchy with the channels of each joint in any order, and write one.
 
 Source: Meredith and Maddock 2001, "Motion capture file formats explained". Where programs differ, the usage of most is
 assumed: position channels of any joint replace its offset.
 
-The HIERARCHY section of a BVH file: joints, offsets, channels and end sites.
-
-Write a tree of joints and its motion as the text of a BVH.
-
-Write a motion as BVH.
-
-By default: Y up, facing +Z in the rest pose, in centimetres (BVH has no unit). The root has six channels, every other joint
-three. All rotations are Z Y X in degrees, R = Rz Ry Rx, continuous over time. A rig may have another unit and order.
+By default a written file has Y up, facing +Z in the rest pose, in centimetres (BVH has no unit). The root has six channels, every
+other joint three. All rotations are Z Y X in degrees, R = Rz Ry Rx, continuous over time. A rig may have another unit and order.
 """
 
 import re

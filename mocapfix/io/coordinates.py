@@ -1,8 +1,6 @@
-"""Coordinates in files: units of length, codes for missing points, and the up axis.
+"""Coordinates in files: units of length, codes for missing points, and which axis points up, from what a body does.
 
-Estimate which axis of a file points up, from what a body does: where its head, its feet and the floor are, and how it falls.
-
-The direction is the one of the six with the most evidence. Each kind of evidence adds to or subtracts from its score, as a
+The up direction is the one of the six with the most evidence. Each kind of evidence adds to or subtracts from its score, as a
 logarithm of odds: a head above the feet is likely for an upright person and unlikely for one who lies, and the lowest markers of
 most captures are on a floor at the height 0.
 """

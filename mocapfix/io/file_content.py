@@ -1,7 +1,4 @@
-"""Contents of input files: raw bytes, and text with any encoding and line ends.
-
-Tokens of a text and the numbers that they spell, scanned in one pass: a long animation has a million.
-"""
+"""Contents of input files: raw bytes, text with any encoding and line ends, and the tokens of a text, scanned in one pass."""
 
 import codecs
 import csv

@@ -1,12 +1,8 @@
 """Marker tables: text files with one line per frame and three fields per point, as most text formats have them.
 
-The module of each format finds the table and its columns; this module reads it.
-
-Cells of a text table: numbers, missing values, units, rates, and the number format of the file.
-
-This is not left to a library: the available ones (kineticstoolkit, pyomeca, trc-data-reader) depend on pandas, report
-neither the line of an error nor the spelling of missing values, and lose the place of each number, which a patched copy of
-the file needs.
+The module of each format finds the table and its columns; this module reads it. That is not left to a library: the available ones
+(kineticstoolkit, pyomeca, trc-data-reader) depend on pandas, report neither the line of an error nor the spelling of missing
+values, and lose the place of each number, which a patched copy of the file needs.
 """
 
 import re

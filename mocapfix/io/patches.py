@@ -1,11 +1,9 @@
 """Changed copies of source files: the bytes of the original with only the changed values replaced.
 
-The files are animations (BVH, AMC), C3D files, and text tables, of which only the fields of the changed samples are replaced.
-
-Comparison of a cleaned copy with its input before it is moved into place.
-
-Whatever the code that writes the copy does, a difference that no change of a sample accounts for ends in an error, and nothing is
-written. Both files are read again; which samples differ is asked of the takes.
+The files are animations (BVH, AMC), C3D files, and text tables, of which only the fields of the changed samples are replaced. A
+copy is compared with its input before it is moved into place: whatever the code that writes it does, a difference that no change
+of a sample accounts for ends in an error, and nothing is written. Both files are read again; which samples differ is asked of the
+takes.
 """
 
 import io

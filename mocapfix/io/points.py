@@ -1,12 +1,8 @@
-"""Types of points and samples in a file: markers, model outputs, unlabelled trajectories, computed samples.
-
-Computed points: trajectories that a program computed from markers, recognised by their names and the lists of the file.
+"""The points of a file by type: markers, unlabelled trajectories, model outputs, and points that a program computed from markers.
 
 Joint centres, bone axes, virtual markers, centres of mass and the outputs of models are positions that no camera measured. They
-are kept in the file and are no evidence of where markers are. Points that are exact functions of markers are recognised by their
-trajectories instead (`mocapfix.stats.point_function_search`).
-
-Takes of the points of a file by type: markers, unlabelled trajectories, and points that a program computed from markers.
+are kept in the file and are no evidence of where markers are. They are recognised by their names and the lists of the file;
+points that are exact functions of markers by their trajectories (`mocapfix.stats.point_function_search`).
 """
 
 import re

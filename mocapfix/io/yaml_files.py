@@ -1,7 +1,4 @@
-"""Strict models of the YAML files that users write and edit, and the one YAML writer.
-
-Types of values in YAML files that describe bodies: joint names and vectors.
-"""
+"""Strict models of the YAML files that users write and edit, their types, and the one YAML writer."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Marker takes: the trajectories of one recorded performance.
-
-Where the samples of a marker file lie in its bytes or lines: created by the readers, used by the patches.
-"""
+"""Marker takes: the trajectories of one recorded performance, and where their samples lie in the bytes or lines of a file."""
 
 import re
 from collections import Counter

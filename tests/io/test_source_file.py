@@ -26,10 +26,8 @@ def test_rows_of_usual_numbers_equal_those_of_python(numbers):
     assert format_rows(np.array([numbers]), 6) == format_with_python([numbers], 6)
 
 
-def test_separator_and_line_end():
-    assert (
-        format_rows(np.array([[1.0, -2.5], [3.25, 4.0]]), 1, separator=",\t", line_end="\r\n") == b"1.0,\t-2.5\r\n3.2,\t4.0\r\n"
-    )
+def test_numbers_are_separated_by_blanks_and_rows_by_line_feeds():
+    assert format_rows(np.array([[1.0, -2.5], [3.25, 4.0]]), 1) == b"1.0 -2.5\n3.2 4.0\n"
     assert format_rows(np.empty((2, 0)), 6) == b"\n\n"
 
 
