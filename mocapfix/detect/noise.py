@@ -255,7 +255,7 @@ def detect_jitter(
         memory.recall(("usual residual", m), samples, lambda noise=noise: noise.usual_m)  # for `estimate_noise_levels`
         for burst in noise.bursts:
             partners = estimate_distances(take.markers).partner if partners is None else partners
-            if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0]], burst, noise.threshold_m):
+            if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, noise.threshold_m):
                 continue
             duration_s = (burst.last - burst.first + 1) / take.rate
             reason = (
