@@ -35,7 +35,7 @@ from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
-from mocapfix.result import CleaningResult
+from mocapfix.result import CleaningResult, merge_results
 from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.solve.initial_motion import initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
@@ -100,7 +100,7 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     check_fill_options(capture, options.fill)
     takes, reviews, exchanges = split_corrected_subjects(capture, options)
     results = clean_subjects(takes, reviews, options, load_pose_model, timer)
-    result = results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
+    result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))
     return replace(result, requested=requested)
 
 

@@ -4,13 +4,13 @@ Sentences of the report about the files that are written.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.contacts.plate_contacts import is_file_event_wrong
@@ -29,11 +29,12 @@ from mocapfix.io.output_formats import (
     write_cleaned_copy,
 )
 from mocapfix.io.resampling import is_frame_subset
-from mocapfix.model.changes import Change, UnfilledRun
-from mocapfix.model.faults import Faults
+from mocapfix.labels.subject_exchanges import SubjectExchanges
+from mocapfix.model.changes import Change, UnfilledRun, serialize_changes
+from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
-from mocapfix.model.take import C3dLayout, TableLayout, Take
+from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take
 from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
@@ -321,3 +322,95 @@ def list_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: 
         options = options.change(subject=f"{stem}.subject.yaml")
     named = options.map_files(lambda name: name_file(Path(name)) if Path(name).is_file() else name)
     return [name_file(path), *format_arguments(named)]
+
+
+def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
+    """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
+
+    The labels that subjects exchanged are changes of the subject of the first marker of each exchange. Where two subjects took
+    samples from the same unlabelled trajectory, the first one keeps them.
+    """
+    take = exchanges.original_take
+    parts = [(take.find_marker_indices(each.input_take), each) for each in subject_results]
+    residual_m = np.full(take.visible.shape, np.nan)
+    faults, unfilled, donors = list(exchanges.faults), [], list[int]()
+    for markers, each in parts:
+        trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
+        faults += [_map_fault_indices(fault, trajectories) for fault in each.faults.items]
+        unfilled += [replace(run, marker=trajectories[run.marker]) for run in each.unfilled_runs]
+        donors += [trajectories[donor] for donor in each.fragment_donors]
+        if each.residual_m is not None:
+            residual_m[:, markers] = each.residual_m
+    cleaned = _insert_parts(exchanges.take, [(markers, each.take) for markers, each in parts])
+    relabelled = _insert_parts(exchanges.take, [(markers, each.relabelled_take) for markers, each in parts])
+    changes = exchanges.build_changes(cleaned)
+    subject_results = tuple(_add_changes(each, changes.get(each.input_take.subject_name, [])) for each in subject_results)
+    return CleaningResult(
+        input_take=take,
+        relabelled_take=relabelled,
+        take=cleaned,
+        faults=Faults().add_faults(faults),
+        changes=tuple(change for each in subject_results for change in each.changes),
+        unfilled_runs=tuple(sorted(unfilled, key=lambda run: (run.marker, run.first))),
+        fragment_donors=tuple(sorted(donors)),
+        residual_m=residual_m,
+        report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
+        subject_results=subject_results,
+    )
+
+
+def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResult:
+    """Return the result of one subject with further changes before its own."""
+    if not changes:
+        return result
+    changes = [*changes, *result.changes]
+    return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
+
+
+def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " M"], Take]]) -> Take:
+    """Return the whole take with the markers of its parts, at their indices, and with the unlabelled trajectories of the last."""
+
+    def insert(get: Callable[[Take], np.ndarray]) -> np.ndarray:
+        merged = get(whole).copy()
+        for marker_indices, part in parts:
+            merged[:, marker_indices] = get(part)
+        return merged
+
+    computed_points = whole.computed_points
+    for _, part in parts:
+        computed_points = _merge_computed_points(computed_points, part.computed_points)
+    return replace(
+        whole,
+        markers=insert(lambda take: take.markers),
+        relabelled_points=insert(lambda take: take.source_points),
+        sample_sd=insert(_get_sample_sd),
+        computed=insert(lambda take: take.visible & ~take.measured),
+        unlabelled=parts[-1][1].unlabelled,
+        computed_points=computed_points,
+    )
+
+
+def _merge_computed_points(whole: ComputedPoints | None, part: ComputedPoints | None) -> ComputedPoints | None:
+    """Return the computed points of the whole take with those samples that were updated in a part of it."""
+    if whole is None or part is None or part.take.sample_sd is None:
+        return whole
+    is_updated = ~np.isnan(part.take.sample_sd)
+    markers = np.where(is_updated[..., None], part.take.markers, whole.take.markers)
+    sample_sd = np.where(is_updated, part.take.sample_sd, _get_sample_sd(whole.take))
+    return replace(whole, take=whole.take.replace_markers(markers, sample_sd))
+
+
+def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:
+    return np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd
+
+
+def _count_unlabelled(take: Take) -> int:
+    return len(take.unlabelled.labels) if take.unlabelled else 0
+
+
+def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:
+    """Return a fault of a part as one of the whole take. `trajectories` are the indices of the part's trajectories there."""
+    mapped = replace(fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers))
+    if isinstance(mapped, Fragment) and isinstance(fault, Fragment) and fault.donor >= 0:
+        return replace(mapped, donor=trajectories[fault.donor])
+    return mapped

@@ -87,7 +87,7 @@ def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[Bo
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
-    capture = label_take(capture, load_requested_subject(options.subject))
+    capture = label_take(capture, load_requested_subject(options.subject), options.read)
     takes = split_known_subjects(capture, options.subject)
     choices = [identify_subject(take, options.subject) for take in takes]
     found = [

@@ -5,7 +5,6 @@ The format is detected from the content of a file, not from its extension.
 
 import codecs
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,8 +70,7 @@ def read_capture_bytes(path: Path, data: bytes, options: ReadOptions = DEFAULT_R
     head = extract_head(data)
     for file_format in FILE_FORMATS:
         if file_format.matches(head):
-            capture = file_format.read(path, data, options)
-            return replace(capture, read_options=options) if isinstance(capture, Take) else capture
+            return file_format.read(path, data, options)
     names = ", ".join(file_format.name for file_format in FILE_FORMATS)
     raise ReadError(f"{path}: has no format that mocapfix reads; export the capture as one of: {names}.")
 

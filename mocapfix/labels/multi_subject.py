@@ -1,25 +1,21 @@
-"""Several subjects in one file: split into one take for each, and their results merged again.
+"""Several subjects in one file: split into one take for each (`result.merge_results` merges them again).
 
 Labels name the subject ("Jim:LFHD"). A file with one body, whole or in part, or with none is cleaned as one take: markers
 that are not the body's (such as a prop) are filled from markers that move with them. Of a file with several bodies each is
 cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from mocapfix.errors import TakeError, format_name_list, join_names
 from mocapfix.io.changes_file import Review, read_changes_files
 from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_labels
-from mocapfix.model.changes import Change, serialize_changes
-from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.take import ComputedPoints, Take
+from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
-from mocapfix.result import CleaningResult
 from mocapfix.subject.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject, select_subject
 
 MIN_UNASSIGNED_MARKERS = 3  # the number of unassigned markers visible in one frame that is needed to fill them from each other
@@ -128,95 +124,3 @@ def is_same_data(one: Take | None, other: Take | None) -> bool:
     if one is None or other is None or one is other:
         return one is other
     return one.labels == other.labels and np.array_equal(one.markers, other.markers, equal_nan=True)
-
-
-def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
-    """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
-
-    The labels that subjects exchanged are changes of the subject of the first marker of each exchange. Where two subjects took
-    samples from the same unlabelled trajectory, the first one keeps them.
-    """
-    take = exchanges.original_take
-    parts = [(take.find_marker_indices(each.input_take), each) for each in subject_results]
-    residual_m = np.full(take.visible.shape, np.nan)
-    faults, unfilled, donors = list(exchanges.faults), [], list[int]()
-    for markers, each in parts:
-        trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
-        faults += [_map_fault_indices(fault, trajectories) for fault in each.faults.items]
-        unfilled += [replace(run, marker=trajectories[run.marker]) for run in each.unfilled_runs]
-        donors += [trajectories[donor] for donor in each.fragment_donors]
-        if each.residual_m is not None:
-            residual_m[:, markers] = each.residual_m
-    cleaned = _insert_parts(exchanges.take, [(markers, each.take) for markers, each in parts])
-    relabelled = _insert_parts(exchanges.take, [(markers, each.relabelled_take) for markers, each in parts])
-    changes = exchanges.build_changes(cleaned)
-    subject_results = tuple(_add_changes(each, changes.get(each.input_take.subject_name, [])) for each in subject_results)
-    return CleaningResult(
-        input_take=take,
-        relabelled_take=relabelled,
-        take=cleaned,
-        faults=Faults().add_faults(faults),
-        changes=tuple(change for each in subject_results for change in each.changes),
-        unfilled_runs=tuple(sorted(unfilled, key=lambda run: (run.marker, run.first))),
-        fragment_donors=tuple(sorted(donors)),
-        residual_m=residual_m,
-        report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
-        subject_results=subject_results,
-    )
-
-
-def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResult:
-    """Return the result of one subject with further changes before its own."""
-    if not changes:
-        return result
-    changes = [*changes, *result.changes]
-    return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
-
-
-def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " M"], Take]]) -> Take:
-    """Return the whole take with the markers of its parts, at their indices, and with the unlabelled trajectories of the last."""
-
-    def insert(get: Callable[[Take], np.ndarray]) -> np.ndarray:
-        merged = get(whole).copy()
-        for marker_indices, part in parts:
-            merged[:, marker_indices] = get(part)
-        return merged
-
-    computed_points = whole.computed_points
-    for _, part in parts:
-        computed_points = _merge_computed_points(computed_points, part.computed_points)
-    return replace(
-        whole,
-        markers=insert(lambda take: take.markers),
-        relabelled_points=insert(lambda take: take.source_points),
-        sample_sd=insert(_get_sample_sd),
-        computed=insert(lambda take: take.visible & ~take.measured),
-        unlabelled=parts[-1][1].unlabelled,
-        computed_points=computed_points,
-    )
-
-
-def _merge_computed_points(whole: ComputedPoints | None, part: ComputedPoints | None) -> ComputedPoints | None:
-    """Return the computed points of the whole take with those samples that were updated in a part of it."""
-    if whole is None or part is None or part.take.sample_sd is None:
-        return whole
-    is_updated = ~np.isnan(part.take.sample_sd)
-    markers = np.where(is_updated[..., None], part.take.markers, whole.take.markers)
-    sample_sd = np.where(is_updated, part.take.sample_sd, _get_sample_sd(whole.take))
-    return replace(whole, take=whole.take.replace_markers(markers, sample_sd))
-
-
-def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:
-    return np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd
-
-
-def _count_unlabelled(take: Take) -> int:
-    return len(take.unlabelled.labels) if take.unlabelled else 0
-
-
-def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:
-    """Return a fault of a part as one of the whole take. `trajectories` are the indices of the part's trajectories there."""
-    mapped = replace(fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers))
-    if isinstance(mapped, Fragment) and isinstance(fault, Fragment) and fault.donor >= 0:
-        return replace(mapped, donor=trajectories[fault.donor])
-    return mapped

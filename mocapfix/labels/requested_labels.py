@@ -162,6 +162,7 @@ class FilePoints:
     positions: Float[np.ndarray, "T C 3"]  # metres, Y up, NaN where missing
     columns: Int[np.ndarray, " C"]  # their indices among the points of the file
     replaced_labels: tuple[str, ...] = ()  # the labels without a meaning; empty if the points have none
+    read_options: ReadOptions = DEFAULT_READ_OPTIONS  # those with which the file was read
 
 
 def collect_unlabelled_points(take: Take) -> FilePoints | None:
@@ -202,13 +203,13 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
     else:
         data = build_labelled_table(take, gather_positions(take, columns), columns.labels)
     assert take.path is not None
-    known = replace(take.read_options or DEFAULT_READ_OPTIONS, accept_contradictions=True)
+    known = replace(points.read_options, accept_contradictions=True)
     labelled = read_capture_bytes(take.path, data, known)
     assert isinstance(labelled, Take)
     assert take.layout is not None
     labelled = change_convention(labelled, take.layout.unit_m, take.layout.rotation_y_up_file, take.up_axis)
     confidence = gather_confidence(points, point_labels, columns)[:, labelled.point_indices]
-    return replace(labelled, labelled_file=data, label_confidence=confidence, read_options=take.read_options)
+    return replace(labelled, labelled_file=data, label_confidence=confidence)
 
 
 def list_point_names(take: Take) -> list[str]:
@@ -283,10 +284,10 @@ def label_capture(
             return labelled, options.change(like=None)
         subject = calibrate([Path(requested.like)], CleanOptions(read=options.read))
         options = options.change(subject=subject, like=None)
-    return label_take(take, load_requested_subject(options.subject)), options
+    return label_take(take, load_requested_subject(options.subject), options.read), options
 
 
-def label_take(take: Take, request: SubjectChoice) -> Take:
+def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) -> Take:
     """Return a take with labels if its points have none, or none with a meaning, and with the prefixes of its subjects.
 
     They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
@@ -302,6 +303,7 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
         if request.marker_set is None or not are_labels_arbitrary(take.labels, request.marker_set):
             return take
         points = collect_labelled_points(take)
+    points = replace(points, read_options=read_options)
     count = points.positions.shape[1]
     tracklets = find_file_tracklets(points, take.rate)
     if request.marker_set is None:
@@ -353,7 +355,7 @@ def label_take_like(take: Take, path: Path, options: ReadOptions) -> Take | None
             f"{take.name}: only {count} of the {len(labels)} markers of {other.name} were found in its points; "
             "check that both takes show the same person with the same markers."
         )
-    labelled = apply_labels(take, points, found, labels)
+    labelled = apply_labels(take, replace(points, read_options=options), found, labels)
     bare_labels = tuple(label.rpartition(":")[2] for label in labels)
     note = f"No shipped marker set fits {other.name}: the points were labelled by the distances of its markers."
     return replace(labelled, notes=(*labelled.notes, note, *describe_labelling(labelled, bare_labels)))

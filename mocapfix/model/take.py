@@ -6,16 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
+from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.stats.point_functions import PointFunction
-
-if TYPE_CHECKING:
-    from mocapfix.options import ReadOptions
-
 
 # C3D processor types: byte order and floating-point format of the file.
 INTEL_PROCESSOR = 84  # little endian, IEEE floats
@@ -187,7 +183,6 @@ class Take:
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
         up_axis: The axis of the file that points up; None if there is no file.
-        read_options: The options with which the file was read; None if there is no file.
         point_kind: "joint" if the points are the joints of an animation (see mocapfix.animations.joint_mapping).
     """
 
@@ -212,7 +207,6 @@ class Take:
     subject_name: str = ""
     notes: tuple[str, ...] = ()
     up_axis: UpAxis | None = None
-    read_options: "ReadOptions | None" = None
     point_kind: Literal["marker", "joint"] = "marker"
 
     @property

@@ -18,9 +18,9 @@ from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_
 from mocapfix.model.changes import UnfilledRun
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.take import C3dLayout, Take
-from mocapfix.options import CleanOptions, OutputOptions
+from mocapfix.options import DEFAULT_READ_OPTIONS, CleanOptions, OutputOptions
 from mocapfix.report.stage_timer import StageTimer, omit_stage_times
-from mocapfix.result import CleaningResult
+from mocapfix.result import CleaningResult, merge_results
 from mocapfix.subject import library
 from mocapfix.subject.library import SubjectChoice, find_subject_prefixes, load_marker_set, load_shipped_marker_sets
 from tests.conftest import build_c3d
@@ -58,7 +58,7 @@ def test_the_subject_is_in_the_label_or_is_the_only_one_of_the_file():
 def test_names_of_subjects_may_end_in_other_separators(names, separator):
     more = (f"box{separator}1", f"box{separator}2", "loose")
     labels = (*(f"{name}{separator}{label}" for name in names for label in CMU41), *more)
-    take = label_take(build_take(labels), SubjectChoice(None, None))
+    take = label_take(build_take(labels), SubjectChoice(None, None), DEFAULT_READ_OPTIONS)
     assert take.labels == labels
     assert take.marker_subjects == (*(name for name in names for _ in CMU41), "", "", "")
     assert take.bare_labels == (*CMU41 * len(names), *more)
@@ -193,7 +193,7 @@ def test_indices_of_subjects_become_indices_of_the_whole_take():
     fragment = Fragment("fragment", 1, 0, 3, 0.0, "", donor=2, relation="continues")
     of_jim = build_result(jim, relabelled, cleaned, (fragment,), (), (), {"j": 1})
 
-    whole = multi_subject.merge_results(SubjectExchanges(take, take), (of_ann, of_jim))
+    whole = merge_results(SubjectExchanges(take, take), (of_ann, of_jim))
     assert whole.take.unlabelled is not None
     assert whole.take.sample_sd is not None
     assert [(fault.markers, getattr(fault, "donor", None)) for fault in whole.faults.items] == [((0, 2), None), ((3,), 4)]
@@ -459,7 +459,7 @@ def test_samples_that_the_file_cannot_store_are_empty_in_the_report_of_their_sub
     sample_sd = np.where(markers[..., 0] == 1e4, 0.01, ann.take.sample_sd)
     far = replace(ann, take=ann.take.replace_markers(markers, sample_sd))
     take = two[0].input_take
-    outputs = multi_subject.merge_results(SubjectExchanges(take, take), (jim, far, others)).write(tmp_path)
+    outputs = merge_results(SubjectExchanges(take, take), (jim, far, others)).write(tmp_path)
     fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
     assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
     (run,) = fills["Ann"]["unfilled"]
