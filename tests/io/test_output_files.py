@@ -53,8 +53,8 @@ def test_a_full_disk_is_a_write_error(tmp_path):
 def test_a_new_file_has_the_usual_permissions(tmp_path):
     usual, target = tmp_path / "usual", tmp_path / "target"
     usual.touch()
-    with replace_atomically(target):
-        pass
+    with replace_atomically(target) as part:
+        part.touch()
     assert target.stat().st_mode == usual.stat().st_mode
 
 
