@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import LIMB_ENDS, SIDE_SEGMENTS, SIDES, Character, CharacterMotion, compute_character_poses
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations
 
 LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 """Directions of the arms in the standard pose."""
@@ -269,14 +269,6 @@ def keep_chain_direction(
     rest = compute_shortest_rotation(source_offsets.sum(0), offsets.sum(0))
     reached = np.einsum("tnij,nj->ti", rotations, offsets @ rest)
     return compute_shortest_rotations(reached, wanted)[:, None] @ rotations
-
-
-def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Return the smallest rotations from the directions of `before` to those of `after`; opposite directions are left."""
-    a, b = (each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), MIN_LENGTH_M) for each in (before, after))
-    quaternion = np.column_stack([np.cross(a, b), 1.0 + np.einsum("ti,ti->t", a, b)])
-    quaternion[quaternion[:, 3] < MIN_LENGTH_M] = [0.0, 0.0, 0.0, 1.0]
-    return Rotation.from_quat(quaternion).as_matrix()
 
 
 def turn_by_share(start: Float[np.ndarray, "T 3 3"], end: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:

@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.characters.body_frames import BodyFrame, SegmentMotion, compute_shortest_rotations
+from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.foot_displacements import compute_foot_displacements
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations
 
 Points = Float[np.ndarray, "T 3"]  # in the world, in metres
 Rotations = Float[np.ndarray, "T 3 3"]

@@ -34,7 +34,7 @@ from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories
-from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.rigid_alignment import compute_cross_covariance, compute_lengths, fit_rotations
 
 MIN_RESIDUAL_SD_M = 0.003  # smallest standard deviation of a residual per axis, even for a marker whose errors the body follows
 RESIDUAL_BLOCK_FRAMES = 256  # number of frames whose residuals are computed at once: so many fit into the processor's cache
@@ -231,10 +231,6 @@ def _detect_leaps(markers: np.ndarray, rate: float) -> np.ndarray:
     """Detect (T, K) the steps from the frame before that differ from the step before, the step after and their mean.
 
     If none of these is known, the step may be a leap and counts as one.
-
-    Args:
-        markers: World positions (T, K, 3) in metres, NaN where missing.
-        rate: Frame rate in Hz.
     """
     step = np.full((len(markers) + 2, *markers.shape[1:]), np.nan)
     step[1 : len(markers)] = np.diff(markers, axis=0)
@@ -321,7 +317,6 @@ def measure_leaps_from_neighbours(
     """Measure by how far a marker leaps relative to its neighbours between pairs of frames.
 
     Args:
-        markers: World positions in metres, NaN where missing.
         distances: The usual distances between the markers.
         ends: Pairs of frame indices, in both of which the marker is visible.
 
@@ -352,14 +347,11 @@ def carry_rigidly(
     if len(weight) < MIN_RIGID_NEIGHBOURS:
         return np.full(3, np.nan)
     share = weight / weight.sum()
-    centre_before, centre_after = share @ before, share @ after
-    start, end = before - centre_before, after - centre_after
-    extent_m = np.linalg.svd(np.sqrt(share)[:, None] * start, compute_uv=False)
+    extent_m = np.linalg.svd(np.sqrt(share)[:, None] * (before - share @ before), compute_uv=False)
     if extent_m[1] < MIN_NEIGHBOUR_WIDTH_M:
         return np.full(3, np.nan)
-    u, _, vt = np.linalg.svd((share[:, None] * start).T @ end)
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return (point - centre_before) @ rotation + centre_after
+    cross, mean_after, mean_before = compute_cross_covariance(after[None], before, share[None])
+    return mean_after[0] + fit_rotations(cross)[0] @ (point - mean_before[0])
 
 
 MAX_HOME_DISTANCE_SD = 4.5  # a marker within this distance, in standard deviations, is at its position
@@ -436,12 +428,12 @@ def _select_simultaneous(carried: list[CarriedMarker], outlier: BodyOutlier) -> 
     """Select from the markers carried by one label, ordered by first frame, those that overlap mostly with an outlier."""
     start = bisect_left(carried, outlier.first, key=lambda each: each.outlier.last)
     stop = bisect_right(carried, outlier.last, key=lambda each: each.outlier.first)
-    return [each for each in carried[start:stop] if _overlap_mostly(outlier, each.outlier)]
-
-
-def _overlap_mostly(one: BodyOutlier, other: BodyOutlier) -> bool:
-    common = min(one.last, other.last) - max(one.first, other.first) + 1
-    return common > MIN_OVERLAP_FRACTION * max(one.last - one.first + 1, other.last - other.first + 1)
+    selected: list[CarriedMarker] = []
+    for each in carried[start:stop]:
+        common = min(outlier.last, each.outlier.last) - max(outlier.first, each.outlier.first) + 1
+        longer = max(outlier.last - outlier.first, each.outlier.last - each.outlier.first) + 1
+        selected += [each] if common > MIN_OVERLAP_FRACTION * longer else []
+    return selected
 
 
 def _build_body_swap_fault(cycle: tuple[CarriedMarker, ...], is_smooth: np.ndarray, take: Take) -> Fault:

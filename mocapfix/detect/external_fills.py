@@ -53,7 +53,6 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
     """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
 
     Args:
-        path: World positions in metres, NaN where missing.
         degree: Degree of the polynomial.
         length: Smallest number of samples.
         resolution: Resolution of the coordinates in metres.
@@ -235,7 +234,6 @@ def detect_frozen(
     """Detect stretches in which a marker keeps one value while its neighbours move.
 
     Args:
-        take: The measured samples.
         min_duration_s: Duration of the shortest stretch.
         min_neighbour_travel_m: Distance that each compared neighbour travels.
         memory: What earlier rounds on the same positions found.
@@ -291,10 +289,6 @@ def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) 
 
     Unlike the standard deviation of a distance, this ignores a marker that moves on its segment once, and responds to
     joints and skin.
-
-    Args:
-        markers: World positions in metres, NaN where missing or not an inlier.
-        rate: Frame rate in Hz.
 
     Returns:
         The usual change in metres. Infinite for markers that are hardly ever visible together, and for a marker and itself.

@@ -36,7 +36,7 @@ def _build_gap_faults(take: Take, marker: int, gaps: list[tuple[int, int]]) -> l
     label, flicker_count = take.bare_labels[marker], kinds.count("flicker")
     faults: list[Fault] = []
     for kind, (first, last) in zip(kinds, gaps, strict=True):
-        travel_m = _measure_marker_travel(take, marker, first, last)
+        travel_m = _measure_travel(take, [marker], first, last)
         reason = f"{label} {_describe_gap(kind, last - first + 1, take.rate, travel_m, flicker_count)}"
         faults.append(Fault(kind, marker, first, last, travel_m, reason))
     return faults
@@ -52,13 +52,6 @@ def _classify_gap(take: Take, first: int, last: int) -> FaultKind:
             return "trailing gap"
         case _:
             return "flicker" if last - first + 1 <= max(1, MAX_FLICKER_DURATION_S * take.rate) else "gap"
-
-
-def _measure_marker_travel(take: Take, marker: int, first: int, last: int) -> float:
-    """Measure the distance in metres between the samples before and after a gap, NaN at the ends of the take."""
-    if first == 0 or last == take.frame_count - 1:
-        return float("nan")
-    return float(np.linalg.norm(take.markers[last + 1, marker] - take.markers[first - 1, marker]))
 
 
 def _describe_gap(kind: FaultKind, frame_count: int, rate: float, travel_m: float, flicker_count: int) -> str:
@@ -120,11 +113,11 @@ def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: 
         reason = (
             f"All markers of {name} are missing {time} ({labels}): its pose is estimated from its neighbours and the pose prior."
         )
-    travel_m = _measure_part_travel(take, markers, first, last)
+    travel_m = _measure_travel(take, markers, first, last)
     return Fault("segment lost", markers[0], first, last, travel_m, reason, 1.0, tuple(markers[1:]))
 
 
-def _measure_part_travel(take: Take, markers: list[int], first: int, last: int) -> float:
+def _measure_travel(take: Take, markers: list[int], first: int, last: int) -> float:
     """Measure the median distance in metres between the samples before and after, NaN if no marker has both."""
     if first == 0 or last == take.frame_count - 1:
         return float("nan")

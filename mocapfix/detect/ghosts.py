@@ -91,7 +91,6 @@ def _compute_ghost_costs(
         leaps: The leap (N,) to each sample.
         contradiction: The contradiction (N,) of each sample.
         is_consecutive: Whether (N,) a sample follows the one before without a gap.
-        rate: Frame rate in Hz.
 
     Returns:
         The costs (N, 2, 2) of the step into each sample's state, and the costs (N, 2) of the state.
@@ -117,7 +116,6 @@ def _measure_displacement(
     """Measure the deviation from the distances to the steadiest partners.
 
     Args:
-        markers: World positions (T, M, 3) in metres.
         distances: The usual distances.
         visible: The frames (N,) in which the marker is visible.
         interval: Indices into these, of the first and the last sample of the displacement.

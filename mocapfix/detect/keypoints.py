@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import uniform_filter1d
 
 from mocapfix.detect import gaps
 from mocapfix.labels.label_swaps import undo_label_exchanges
@@ -27,7 +26,7 @@ from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE
+from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE, average_acceleration_power
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_cheapest_states, find_runs, smooth_path
 
 THIRD_DIFFERENCE_VARIANCE = 20.0  # variance of the third difference of white noise, relative to that of the noise
@@ -72,9 +71,7 @@ def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float,
     """Smooth the trajectory of one keypoint.
 
     Args:
-        path: Positions in metres, NaN where missing.
         noise_sd_m: Standard deviation of the noise per axis.
-        rate: Frames a second.
         point_sd_m: Standard deviation per axis that the marker set states.
     """
     is_known, smooth, is_outlier = ~np.isnan(path[:, 0]), path.copy(), np.zeros(len(path), bool)
@@ -127,16 +124,12 @@ def _estimate_power(
     h = max(1, round(KEYPOINT_ACCELERATION_STEP_S * rate))
     if len(path) < 4 * h:
         return np.ones(len(path))
-    second = ((path[2 * h :] - 2 * path[h:-h] + path[: -2 * h]) ** 2).mean(axis=1)
     is_used = is_sound[2 * h :] & is_sound[h:-h] & is_sound[: -2 * h]
     if not is_used.any():
         return np.ones(len(path))
     window = max(1, round(KEYPOINT_POWER_WINDOW_S * rate))
-    total = uniform_filter1d(np.where(is_used, second, 0.0), window, mode="nearest")
-    share = uniform_filter1d(is_used.astype(float), window, mode="nearest")
-    usable = np.flatnonzero(share > 1 / window)
-    scale = 2 / 3 * (h / rate) ** 3
-    power = np.maximum(total[usable] / share[usable] - 6 * noise_variance, 0.0) / scale
+    usable, power, _ = average_acceleration_power(path, is_used, rate, h, window, 1 / window)
+    power = np.maximum(power - 6 * noise_variance / (2 / 3 * (h / rate) ** 3), 0.0)
     smallest = max(MIN_ACCELERATION_POWER, MIN_POWER_SHARE * float(power.mean()))
     return np.maximum(np.interp(np.arange(len(path)), usable + h, power), smallest)
 

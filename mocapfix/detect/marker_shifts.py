@@ -41,8 +41,6 @@ def regress_out(
 
     Args:
         features: Features of each frame.
-        path: Positions in metres.
-        frames: Frame indices.
         ridge: Variation of a feature that is insignificant.
     """
     count = len(features)
@@ -164,12 +162,7 @@ class _MarkerPath(NamedTuple):
 
 
 def detect_marker_shifts(residuals: BodyResiduals, subject: Subject, motion: Motion, rate: float) -> list[ShiftEstimate]:
-    """Detect markers that seem to move on their segments, ordered by marker; at most one change of each.
-
-    Args:
-        residuals: Residuals of the subject's markers from the solved body.
-        rate: Frame rate in Hz.
-    """
+    """Detect markers that seem to move on their segments, ordered by marker; at most one change of each."""
     step = max(1, round(rate / SHIFT_SAMPLE_RATE_HZ))
     rotvecs_by_joint = {
         joint: _sample_joint_rotations(subject.skeleton, motion, joint, step) for joint in set(subject.joints.tolist())
@@ -205,14 +198,7 @@ def build_shift_fault(shift: ShiftEstimate, take: Take) -> MarkerShift:
     reason = f"{label} {motion} and keeps a new position on its segment: {size}."
     kind, confidence = ("drift" if duration_s else "moved"), shift.relative_ratio / (1 + shift.relative_ratio)
     return MarkerShift(
-        kind,
-        shift.marker,
-        shift.first,
-        take.frame_count - 1,
-        shift.size_m,
-        reason,
-        confidence,
-        settled_frame=shift.settled_frame,
+        kind, shift.marker, shift.first, take.frame_count - 1, shift.size_m, reason, confidence, settled_frame=shift.settled_frame
     )
 
 

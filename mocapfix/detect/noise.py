@@ -128,8 +128,6 @@ def compute_weighted_deviations(
     """Compute the deviations of markers in some frames from weighted means of their positions in other frames.
 
     Args:
-        markers: World positions in metres, NaN where missing.
-        frames: Frame indices.
         fitted_frames: For each of these, S other frame indices.
         weight: The weights of the positions there; their sum is 1.
 
@@ -234,7 +232,6 @@ def detect_jitter(
     """Detect the bursts in which a marker is much noisier than in the rest of the take.
 
     Args:
-        take: The measured samples.
         is_usable: The samples without spikes.
         min_amplitude_m: Smallest noise in a burst, in metres.
         min_ratio: Smallest noise in a burst, in multiples of the marker's median over the take.
@@ -322,7 +319,6 @@ def _is_shared_burst(
     """Return whether a marker's noise in a burst is that of its neighbours.
 
     Args:
-        take: The measured samples.
         is_usable: The samples (T, M) without spikes.
         markers_compared: Indices of the marker and its neighbours.
         min_residual_m: Smallest noise of a burst.
@@ -373,7 +369,7 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
         excursion = memory.recall(
             ("excursions", m, min_distance_m, max_duration_s),
             take.visible[:, m],
-            lambda m=m: _find_excursions(_get_path(take, m), min_distance_m, max_duration_s),
+            lambda m=m: _find_excursions(take, m, min_distance_m, max_duration_s),
         )
         if not len(excursion.frames):
             continue
@@ -383,19 +379,6 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
         distance_m[excursion.frames[is_spike]] = np.linalg.norm(excursion.deviation[is_spike], axis=-1)
         faults += [_build_spike_fault(label, m, first, distance_m[first : last + 1]) for first, last in find_runs(distance_m > 0)]
     return faults
-
-
-class _Path(NamedTuple):
-    """The visible samples of a marker: frame indices (N,), world positions (N, 3) in metres, frame rate in Hz."""
-
-    frames: np.ndarray
-    points: np.ndarray
-    rate: float
-
-
-def _get_path(take: Take, marker: int) -> _Path:
-    frames = np.flatnonzero(take.visible[:, marker])
-    return _Path(frames, np.ascontiguousarray(take.markers[frames, marker]), take.rate)
 
 
 def _build_spike_fault(label: str, marker: int, first: int, distance_m: np.ndarray) -> Fault:
@@ -413,9 +396,10 @@ class _Excursions(NamedTuple):
     weight: np.ndarray  # weights (N, S) of the positions there, with the sum 1: their weighted mean is the position on the path
 
 
-def _find_excursions(path: _Path, min_distance_m: float, max_duration_s: float) -> _Excursions:
+def _find_excursions(take: Take, marker: int, min_distance_m: float, max_duration_s: float) -> _Excursions:
     """Find the samples that lie more than `min_distance_m` off the cheapest chain, for at most `max_duration_s`."""
-    frames, points, rate = path
+    frames, rate = np.flatnonzero(take.visible[:, marker]), take.rate
+    points = np.ascontiguousarray(take.markers[frames, marker])
     is_kept = np.ones(len(frames), bool)
     if len(frames) >= 3:
         is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))

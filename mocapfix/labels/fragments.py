@@ -137,15 +137,7 @@ def _build_fragment(
     relation: FragmentRelation, segment: TrajectorySegment, marker: int, severity: float, confidence: float, reason: str
 ) -> Fragment:
     return Fragment(
-        "fragment",
-        marker,
-        segment.first,
-        segment.last,
-        severity,
-        reason,
-        confidence,
-        donor=segment.donor,
-        relation=relation,
+        "fragment", marker, segment.first, segment.last, severity, reason, confidence, donor=segment.donor, relation=relation
     )
 
 
@@ -256,10 +248,7 @@ def find_matches(
     """Evaluate a segment as each of the receivers that are missing at that time.
 
     Args:
-        markers: World positions in metres, NaN where missing.
         is_missing: Whether the positions are NaN.
-        rate: Frame rate in Hz.
-        signatures: The signatures of these markers.
         receivers: Indices of the markers with which the segment is compared.
     """
     is_possible = is_missing[np.ix_(segment.frames, receivers)].any(0)

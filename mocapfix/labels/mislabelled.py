@@ -10,7 +10,6 @@ that is wrong throughout cannot shift the expected position of its marker.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -82,13 +81,6 @@ class RelabelStep:
         return self.permutation != np.arange(len(self.permutation))
 
 
-class _Misplacement(NamedTuple):
-    """Distances (N, K) in metres of the markers from the body, before and after the exchanges are undone."""
-
-    before_m: np.ndarray
-    after_m: np.ndarray
-
-
 def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> list[Fault]:
     """Detect the cycles of labels that are exchanged over the whole take.
 
@@ -96,7 +88,6 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     exchange that occurs equally on both sides is not a fault but a naming convention of the studio.
 
     Args:
-        marker_set: The marker set of its labels.
         subject: The subject, if known; otherwise the average body is used.
 
     Returns:
@@ -121,11 +112,9 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     misfit = compute_marker_misfit(relabelled, predicted_after)
     if misfit.sum() > MAX_MEAN_MISFIT * (~np.isnan(relabelled[..., 0])).sum():
         return []
-    misplacement = _Misplacement(
-        np.linalg.norm(markers - predicted_before, axis=-1), np.linalg.norm(relabelled - predicted_after, axis=-1)
-    )
+    before_m, after_m = (np.linalg.norm(a - b, axis=-1) for a, b in ((markers, predicted_before), (relabelled, predicted_after)))
     cycles = select_one_sided_cycles(find_permutation_cycles(order), find_twins(marker_set))
-    faults = [_build_mislabelled_fault(take, columns, order, cycle, steps, misplacement) for cycle in cycles]
+    faults = [_build_mislabelled_fault(take, columns, order, cycle, steps, (before_m, after_m)) for cycle in cycles]
     return [fault for fault in faults if fault is not None]
 
 
@@ -143,7 +132,6 @@ def find_correct_labels(
     """Search the correct labels by undoing one exchange after the other, each time the one with the largest gain.
 
     Args:
-        markers: World positions in metres, NaN where missing.
         permutations: Exchanges that are tried in addition to those of two markers.
 
     Returns:
@@ -159,8 +147,7 @@ def find_correct_labels(
         if not candidates:
             break
         best = max(
-            (_evaluate_permutation(current, body, misfit, permutation) for permutation in candidates),
-            key=lambda step: step.gain,
+            (_evaluate_permutation(current, body, misfit, permutation) for permutation in candidates), key=lambda step: step.gain
         )
         if best.gain < MIN_EXCHANGE_GAIN:
             break
@@ -232,9 +219,12 @@ def _build_mislabelled_fault(
     order: np.ndarray,
     cycle: tuple[int, ...],
     steps: list[RelabelStep],
-    misplacement: _Misplacement,
+    misplacement: tuple[np.ndarray, np.ndarray],
 ) -> Fault | None:
-    """Build the fault of a cycle; None if undoing it brings the markers no nearer to the body."""
+    """Build the fault of a cycle; None if undoing it brings the markers no nearer to the body.
+
+    misplacement  distances (N, K) in metres of the markers from the body, before and after the exchanges are undone
+    """
     own_steps = [step for step in steps if step.is_exchanged[list(cycle)].any()]
     gain = sum(step.gain for step in own_steps)
     exchanged = np.flatnonzero(np.any([step.is_exchanged for step in own_steps], axis=0))

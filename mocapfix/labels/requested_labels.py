@@ -89,7 +89,6 @@ def plan_columns(
         columns: Indices of the unlabelled points among them.
         marker_indices: Index of the marker to which each of their samples belongs, -1 for none.
         is_visible: (T, C) which samples are present.
-        labels: Labels of the markers.
     """
     frame_count = len(marker_indices)
     own = [np.unique(marker_indices[is_visible[:, c], c]) for c in range(len(columns))]
@@ -178,11 +177,6 @@ def collect_unlabelled_points(take: Take) -> FilePoints | None:
     )
 
 
-def collect_labelled_points(take: Take) -> FilePoints:
-    """Return the points of a take whose labels have no meaning."""
-    return FilePoints(take.markers, take.point_indices, take.labels)
-
-
 def find_file_tracklets(points: FilePoints, rate: float) -> UnlabelledPoints:
     """Divide the points of a take into tracklets; a trajectory with a label is one."""
     if not points.replaced_labels or are_points_unordered(points.positions):
@@ -201,14 +195,19 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
     if isinstance(take.layout, C3dLayout):
         data = build_labelled_c3d(take, columns)
     else:
-        data = build_labelled_table(take, gather_positions(take, columns), columns.labels)
+        parts = _list_parts(take)
+        points_of_file = np.concatenate([part.point_indices for part in parts])
+        positions = np.moveaxis(np.concatenate([part.markers for part in parts], axis=1), -1, 0)
+        gathered = np.stack([_gather(points_of_file, coordinate, columns) for coordinate in positions], axis=-1)
+        data = build_labelled_table(take, gathered, columns.labels)
     assert take.path is not None
     known = replace(points.read_options, accept_contradictions=True)
     labelled = read_capture_bytes(take.path, data, known)
     assert isinstance(labelled, Take)
     assert take.layout is not None
     labelled = change_convention(labelled, take.layout.unit_m, take.layout.rotation_y_up_file, take.up_axis)
-    confidence = gather_confidence(points, point_labels, columns)[:, labelled.point_indices]
+    known_confidence = np.where(point_labels.marker_indices >= 0, point_labels.confidence, np.nan)
+    confidence = _gather(points.columns, known_confidence, columns)[:, labelled.point_indices]
     return replace(labelled, labelled_file=data, label_confidence=confidence)
 
 
@@ -224,19 +223,6 @@ def list_point_names(take: Take) -> list[str]:
         for point, label in zip(part.point_indices.tolist(), part.labels, strict=True):
             names[point] = label
     return names
-
-
-def gather_positions(take: Take, columns: LabelledColumns) -> Float[np.ndarray, "T P 3"]:
-    """Return the positions in metres in the columns of a labelled file."""
-    parts = _list_parts(take)
-    positions = np.concatenate([part.markers for part in parts], axis=1)
-    points = np.concatenate([part.point_indices for part in parts])
-    return np.stack([_gather(points, positions[..., axis], columns) for axis in range(3)], axis=-1)
-
-
-def gather_confidence(points: FilePoints, labels: PointLabels, columns: LabelledColumns) -> Float[np.ndarray, "T P"]:
-    """Return the confidence of the labels in the columns of a labelled file, NaN for points that got none."""
-    return _gather(points.columns, np.where(labels.marker_indices >= 0, labels.confidence, np.nan), columns)
 
 
 def _list_parts(take: Take) -> list[Take]:
@@ -302,7 +288,7 @@ def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) ->
     if points is None:
         if request.marker_set is None or not are_labels_arbitrary(take.labels, request.marker_set):
             return take
-        points = collect_labelled_points(take)
+        points = FilePoints(take.markers, take.point_indices, take.labels)
     points = replace(points, read_options=read_options)
     count = points.positions.shape[1]
     tracklets = find_file_tracklets(points, take.rate)
@@ -344,7 +330,7 @@ def label_take_like(take: Take, path: Path, options: ReadOptions) -> Take | None
     if points is None:
         if len(set(take.labels).intersection(other.labels)) > MAX_COMMON_LABEL_SHARE * len(take.labels):
             return None
-        points = collect_labelled_points(take)
+        points = FilePoints(take.markers, take.point_indices, take.labels)
     shown = np.flatnonzero((other.visible & other.measured).mean(0) >= MIN_REFERENCE_SHARE)
     labels = tuple(other.labels[m] for m in shown)
     reference = build_reference_markers(other.masked(other.measured).markers[:, shown], labels)

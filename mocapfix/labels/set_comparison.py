@@ -48,10 +48,10 @@ RARE_MARKER_COST = 3.9  # negative logarithm of the probability that a required 
 class MarkerEvidence(NamedTuple):
     """The evidence of the labelled points of a body that was found in some frames."""
 
-    sampled: SampledPoints  # the points in these frames
-    poses: Poses  # the poses of the body
+    sampled: SampledPoints  # in these frames
+    poses: Poses
     log_evidence: float  # logarithm of how much more probable the points are at their markers than anywhere on the body
-    marker_count: int  # number of markers that were found
+    marker_count: int  # that were found
 
     @property
     def per_marker(self) -> float:
@@ -144,15 +144,10 @@ class SetComparison(NamedTuple):
         return self.log_evidence / max(1, len(np.unique(self.markers[self.markers >= 0])))
 
 
-class SetAssumption(NamedTuple):
-    """The marker set that is assumed, None if none fits clearly, and a sentence with the reason."""
-
-    marker_set: MarkerSet | None
-    reason: str
-
-
-def assume_marker_set(points: UnlabelledPoints, marker_sets: Sequence[MarkerSet], find_body: BodyFinder) -> SetAssumption:
-    """Return the set that fits the points of one person.
+def assume_marker_set(
+    points: UnlabelledPoints, marker_sets: Sequence[MarkerSet], find_body: BodyFinder
+) -> tuple[MarkerSet | None, str]:
+    """Return the set that fits the points of one person, None if none fits clearly, and a sentence with the reason.
 
     Of several sets of which none is clearly better, it is the one whose required markers are the most points, if the others have
     nearly all points at the same places of the body, by whatever names. Of two such sets, one with markers that the other lacks
@@ -161,28 +156,26 @@ def assume_marker_set(points: UnlabelledPoints, marker_sets: Sequence[MarkerSet]
     """
     found = compare_marker_sets(points, marker_sets, find_body)
     if not found:
-        return SetAssumption(None, "No shipped marker set with about as many markers fits the points.")
+        return (None, "No shipped marker set with about as many markers fits the points.")
     near = [each for each in found if is_nearly_as_good(each, found[0])]
     most = max(each.required_share for each in near)
     best = next(each for each in near if each.required_share >= most - EQUAL_LABELLED_SHARE)
     name, share = best.marker_set.name, f"{best.labelled_share:.0%} of the points"
     nearest = f"The nearest shipped marker set is {name}, but it does not fit:"
     if best.labelled_share < MIN_LABELLED_SHARE:
-        return SetAssumption(None, f"{nearest} only {share} would get labels.")
+        return (None, f"{nearest} only {share} would get labels.")
     if best.evidence_per_point < MIN_EVIDENCE_PER_POINT:
-        return SetAssumption(None, f"{nearest} the points are too far from its places on the body.")
+        return (None, f"{nearest} the points are too far from its places on the body.")
     others = [(each, compute_agreement(best, each)) for each in near if each is not best]
     if differing := [other.marker_set.name for other, _ in others if compute_place_agreement(best, other) < MIN_AGREEING_SHARE]:
-        return SetAssumption(
-            None, f"Several shipped marker sets fit with different labels: {format_name_list([name, *differing])}."
-        )
+        return (None, f"Several shipped marker sets fit with different labels: {format_name_list([name, *differing])}.")
     reason = f"The marker set {name} was assumed: {share} get labels"
     if others:
         also = format_name_list([f"{other.marker_set.name} ({agreement:.0%} the same labels)" for other, agreement in others])
-        return SetAssumption(best.marker_set, f"{reason}. Also possible: {also}; name the right set with --marker-set.")
+        return (best.marker_set, f"{reason}. Also possible: {also}; name the right set with --marker-set.")
     second = next((each for each in found if each is not best), None)
     rest = f"; the next, {second.marker_set.name}, fits clearly worse" if second else ""
-    return SetAssumption(best.marker_set, f"{reason}{rest}.")
+    return (best.marker_set, f"{reason}{rest}.")
 
 
 def is_nearly_as_good(one: SetComparison, best: SetComparison) -> bool:

@@ -108,7 +108,6 @@ def _exchange_subtrees(
         side: 1 or -1 for each tracklet.
         order: the tracklets of the tree in depth-first order, so that each subtree is an interval of it.
         parents: the parent of each tracklet in the tree.
-        relations: the evidence.
     """
     position = np.full(len(side), -1)
     position[order] = np.arange(len(order))
@@ -411,8 +410,6 @@ def correct_subject_labels(
     """Find the labels that subjects exchanged, and exchange them back.
 
     Args:
-        take: The take of all subjects.
-        parts: The takes of the subjects.
         reviews: The review of each part: exchanges that it declined are left as they are.
         options: `detect.repair_kinds`, `fill.keep` and `fill.frames` restrict what is changed.
     """

@@ -99,17 +99,14 @@ class SampledPoints:
 
 def sample_points(points: UnlabelledPoints) -> SampledPoints:
     """Return the points at regular steps, and in a few more frames for short tracklets."""
-    frames = np.unique(np.r_[_select_regular_frames(points), _select_tracklet_frames(points)])
+    step = max(1, round(SAMPLE_STEP_S * points.rate))
+    frames = np.unique(np.r_[np.arange(0, len(points.positions), step), _select_tracklet_frames(points)])
     indices = points.tracklet_indices[frames]
     order = np.argsort(indices < 0, axis=1, kind="stable")[:, : max(1, int((indices >= 0).sum(1).max(initial=0)))]
     rows = np.arange(len(frames))[:, None]
     return SampledPoints(
         frames, points.positions[frames][rows, order], indices[rows, order], points.tracklet_count, frames / points.rate
     )
-
-
-def _select_regular_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
-    return np.arange(0, len(points.positions), max(1, round(SAMPLE_STEP_S * points.rate)))
 
 
 def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
@@ -138,13 +135,6 @@ class TrackletDistances(NamedTuple):
     # left out. NaN if there is no other frame.
     squared_m2: np.ndarray
     frame_count: np.ndarray  # (N,) frames that were compared
-
-
-class TrackletLabels(NamedTuple):
-    """The marker (N,) of each tracklet, -1 for none, and the probability (N,) of this assignment."""
-
-    markers: Int[np.ndarray, " N"]
-    confidence: Float[np.ndarray, " N"]
 
 
 def assign_points(squared_distance: Float[np.ndarray, "V K"], gate_m: float) -> tuple[Int[np.ndarray, " V"], float]:
@@ -260,29 +250,20 @@ MIN_UNORDERED_SHARE = 0.5
 
 
 def find_tracklets(positions: Float[np.ndarray, "T C 3"], rate: float) -> UnlabelledPoints:
-    """Divide the points of a take into tracklets, whether or not each column is a trajectory.
-
-    Args:
-        positions: metres, NaN where missing.
-        rate: frames per second.
-    """
+    """Divide the points of a take into tracklets, whether or not each column is a trajectory."""
     return link_points(positions, rate) if are_points_unordered(positions) else cut_columns(positions, rate)
-
-
-def link_points(positions: Float[np.ndarray, "T C 3"], rate: float) -> UnlabelledPoints:
-    """Divide points in no order into tracklets. Arguments as for `find_tracklets`."""
-    return _link(positions, rate, column_gain=0.0)
 
 
 def cut_columns(positions: Float[np.ndarray, "T C 3"], rate: float) -> UnlabelledPoints:
     """Divide columns, each of which is a trajectory or several, into tracklets: at leaps and at long gaps.
 
-    A tracklet may change its column where a trajectory goes on in another one. Arguments as for `find_tracklets`.
+    A tracklet may change its column where a trajectory goes on in another one.
     """
-    return _link(positions, rate, column_gain=COLUMN_GAIN)
+    return link_points(positions, rate, COLUMN_GAIN)
 
 
-def _link(positions: np.ndarray, rate: float, column_gain: float) -> UnlabelledPoints:
+def link_points(positions: Float[np.ndarray, "T C 3"], rate: float, column_gain: float = 0.0) -> UnlabelledPoints:
+    """Divide points in no order into tracklets; with a gain, links within a column are preferred."""
     points, max_frames = np.ascontiguousarray(positions, float), max(1, round(MAX_MISSING_S * rate))
     forward = link_in_order(points, float(rate), max_frames, LINK_MARGIN, column_gain)
     backward = link_in_order(np.ascontiguousarray(points[::-1]), float(rate), max_frames, LINK_MARGIN, column_gain)

@@ -11,7 +11,7 @@ few of them as possible and document which arguments they overwrite.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from mocapfix.kernels import lie
@@ -74,16 +74,27 @@ def estimate_acceleration_power(
     frames, h = len(path), max(1, round(ACCELERATION_STEP_S * rate))
     if frames < 4 * h:
         return np.ones(frames)
-    second = ((path[2 * h :] - 2 * path[h:-h] + path[: -2 * h]) ** 2).mean(1) / (2 / 3 * (h / rate) ** 3)
     is_known = variance[2 * h :] + 4 * variance[h:-h] + variance[: -2 * h] < 6 * max_sd**2
     window = max(1, round(SMOOTHING_POWER_WINDOW_S * rate))
-    total = uniform_filter1d(np.where(is_known, second, 0.0), window, mode="nearest")
-    share = uniform_filter1d(is_known.astype(float), window, mode="nearest")
-    usable = np.flatnonzero(share > MIN_WINDOW_SHARE)
+    usable, power, second = average_acceleration_power(path, is_known, rate, h, window, MIN_WINDOW_SHARE)
     if is_known.sum() < 4 * h or not len(usable):
         return np.ones(frames)
-    power = np.interp(np.arange(frames), usable + h, total[usable] / share[usable])
+    power = np.interp(np.arange(frames), usable + h, power)
     return np.maximum(PEAK_POWER_RATIO * np.maximum(power, MIN_POWER_SHARE * second[is_known].mean()), MIN_ACCELERATION_POWER)
+
+
+def average_acceleration_power(
+    path: Float[np.ndarray, "T C"], is_used: Bool[np.ndarray, " S"], rate: float, step: int, window: int, min_share: float
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"], Float[np.ndarray, " S"]]:
+    """Return the windows of second differences over `step` frames of which enough are used, the power in each, and by difference.
+
+    The power is that of a random acceleration, per component, averaged over the differences of a window that are used.
+    """
+    second = ((path[2 * step :] - 2 * path[step:-step] + path[: -2 * step]) ** 2).mean(1) / (2 / 3 * (step / rate) ** 3)
+    total = uniform_filter1d(np.where(is_used, second, 0.0), window, mode="nearest")
+    share = uniform_filter1d(is_used.astype(float), window, mode="nearest")
+    usable = np.flatnonzero(share > min_share)
+    return usable, total[usable] / share[usable], second
 
 
 def estimate_rotation_power(

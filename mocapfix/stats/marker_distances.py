@@ -47,7 +47,6 @@ def estimate_distances(
     """Estimate the distances that markers keep over a fraction of the take.
 
     Args:
-        markers: World positions in metres, NaN where missing.
         min_correct_fraction: Fraction of the frames in which the distances are assumed to be correct.
     """
     count = markers.shape[1]

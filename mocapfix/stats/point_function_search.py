@@ -80,7 +80,6 @@ def find_exactly_rigid_points(
     the whole take was solved, and its markers are all alike.
 
     Args:
-        points: Positions in metres, NaN where missing.
         resolution_m: Smallest difference that the coordinates resolve.
         partners: The points in few frames, compared by `compare_points`, by which pairs are screened.
     """
@@ -165,7 +164,6 @@ def find_point_functions(
     with the steadiest distances, whose midpoints can be corners of the frame as well. A point that is a function is no parent.
 
     Args:
-        points: Positions in metres, NaN where missing.
         resolution_m: Smallest difference that the coordinates resolve.
         is_candidate: Points that may be functions.
         is_parent: Points that may be parents. Those of them that keep exact distances to others are tried last.

@@ -9,6 +9,7 @@ from mocapfix.kernels.rigid_registration import compute_cross_covariance_frames,
 
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
+MIN_DIRECTION_M = 1e-9  # shorter vectors have no direction
 ALIGNMENT_ROUNDS = 6  # in which poses and shape are estimated in turn
 
 
@@ -61,6 +62,16 @@ def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.nd
     from scipy.spatial.transform import Rotation  # slow to import
 
     return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
+
+
+def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the smallest rotations from the directions of `before` to those of `after`; opposite directions are left."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    a, b = (each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), MIN_DIRECTION_M) for each in (before, after))
+    quaternion = np.column_stack([np.cross(a, b), 1.0 + np.einsum("ti,ti->t", a, b)])
+    quaternion[quaternion[:, 3] < MIN_DIRECTION_M] = [0.0, 0.0, 0.0, 1.0]
+    return Rotation.from_quat(quaternion).as_matrix()
 
 
 class CommonShape(NamedTuple):

@@ -84,20 +84,14 @@ def read_calibration_frames(path: Path) -> CalibrationFrames:
         raise ReadError(
             f"{path}: is not an archive of calibration frames ({error}); remove it and survey the take again."
         ) from error
-    return CalibrationFrames(
-        take=str(arrays["take"]),
-        subject_name=str(arrays["subject_name"]),
-        marker_set=str(arrays["marker_set"]),
-        labels=tuple(str(label) for label in arrays["labels"]),
-        joints=arrays["joints"],
-        marker_offsets=arrays["marker_offsets"],
-        marker_spread=arrays["marker_spread"],
-        size_ratio=float(arrays["size_ratio"]),
-        times_s=arrays["times_s"],
-        markers=arrays["markers"].astype(float),
-        root_position=arrays["root_position"].astype(float),
-        local_rotations=arrays["local_rotations"].astype(float),
-    )
+    return CalibrationFrames(**{name: _restore(array) for name, array in arrays.items()})
+
+
+def _restore(array: np.ndarray) -> Any:
+    """Return the value of a field: a word or a number, words, or an array in double precision."""
+    if array.ndim == 0:
+        return array.item()
+    return tuple(array.tolist()) if array.dtype.kind == "U" else array.astype(float) if array.dtype.kind == "f" else array
 
 
 MIN_CALIBRATION_MARKERS = 3  # visible markers that at least one frame must have; fewer do not determine the pose of any segment

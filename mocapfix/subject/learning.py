@@ -186,9 +186,7 @@ def measure_distant_motion(segment_distance: Int[np.ndarray, "K K"], distance_sp
 
 
 def find_contradicted_markers(
-    segment_distance: Int[np.ndarray, "K K"],
-    distance_spread: Float[np.ndarray, "K K"],
-    position_spread: Float[np.ndarray, " K"],
+    segment_distance: Int[np.ndarray, "K K"], distance_spread: Float[np.ndarray, "K K"], position_spread: Float[np.ndarray, " K"]
 ) -> Bool[np.ndarray, " K"]:
     """Find the markers that keep their distance to a marker on a distant segment, though both move."""
     spread = np.where(position_spread > MIN_TRAVEL_SPREAD_M, distance_spread, np.inf)

@@ -43,18 +43,15 @@ def find_props(
         return ()
     spread = measure_distance_spread(take.markers)
     known = _find_known_props(take, is_free, spread, known_props)
+
+    def is_at_rest(group: RigidGroup) -> bool:  # without other markers, against which it would move, everything is rigid
+        return not (np.nanstd(take.markers[:, list(group.markers)], axis=0) > MIN_GROUP_MOTION_M).any()
+
     is_taken = is_on_body.copy()
     is_taken[[m for group in known for m in group.markers]] = True
-    found = [group for group in find_prop_groups(spread, is_taken) if not _is_at_rest(take, group)]
+    found = [group for group in find_prop_groups(spread, is_taken) if not (np.isnan(group.motion_m) and is_at_rest(group))]
     names = _name_groups([[take.labels[m] for m in group.markers] for group in found], [group.name for group in known])
     return (*known, *(replace(group, name=name) for group, name in zip(found, names, strict=True)))
-
-
-def _is_at_rest(take: Take, group: RigidGroup) -> bool:
-    """Return whether a group without other markers, against which it would move, is at rest; at rest everything is rigid."""
-    if not np.isnan(group.motion_m):
-        return False
-    return not (np.nanstd(take.markers[:, list(group.markers)], axis=0) > MIN_GROUP_MOTION_M).any()
 
 
 def _find_known_props(

@@ -30,12 +30,7 @@ from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_no_joint_limits, build_pose_prior_term
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF, evaluate_matern
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.subject.parameters import (
-    CalibratedBody,
-    CalibrationParameters,
-    add_hip_regression,
-    build_calibration_parameters,
-)
+from mocapfix.subject.parameters import CalibratedBody, CalibrationParameters, add_hip_regression, build_calibration_parameters
 
 SKIN_CORRELATION_S = 0.3  # time after which the correlation of a marker's motion with the skin has fallen to 1/e
 MIN_SKIN_SD_M = 0.001  # smallest estimate of the residual's standard deviation

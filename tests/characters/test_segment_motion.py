@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 from mocapfix.characters.body_frames import (
     build_body_frame,
     compute_segment_motion,
-    compute_shortest_rotations,
     keep_chain_direction,
     resample_chain,
     turn_by_share,
 )
 from mocapfix.characters.character import CharacterMotion, compute_character_poses
+from mocapfix.stats.rigid_alignment import compute_shortest_rotations
 from tests.characters.walking_body import load_walk, turn_axes
 
 
