@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.gaussian_process import interpolate_residual
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
 from mocapfix.stats.sequences import find_runs, sample_evenly
@@ -38,8 +39,6 @@ CLUSTER_RESIDUAL_FADE_S = 0.3
 """Time scale of the correlation of the residual."""
 CLUSTER_RESIDUAL_REACH_S = 0.1
 """Time on either side of a gap that is used."""
-CLUSTER_SAMPLE_NOISE_M = 0.0005
-"""Noise of a sample."""
 MIN_CLUSTER_RESIDUAL_M = 0.001
 """Smallest standard deviation of the residual."""
 
@@ -144,13 +143,13 @@ def fill_gap_from_cluster(
         rate,
         time_scale_s=CLUSTER_RESIDUAL_FADE_S,
         margin_s=CLUSTER_RESIDUAL_REACH_S,
-        noise_sd=CLUSTER_SAMPLE_NOISE_M,
+        noise_sd=SAMPLE_NOISE_M,
         min_sd=max(error, MIN_CLUSTER_RESIDUAL_M),
     )
     rows = n + np.searchsorted(frames, gap_frames)
     local = predicted[rows] + interpolated[is_gap]
     positions = np.einsum("tab,tb->ta", cluster.rotation[rows], local) + cluster.centre[rows]
-    return positions, np.sqrt(variance[is_gap] * inflation[rows] ** 2 + CLUSTER_SAMPLE_NOISE_M**2)
+    return positions, np.sqrt(variance[is_gap] * inflation[rows] ** 2 + SAMPLE_NOISE_M**2)
 
 
 def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]) -> AlignedCluster:

@@ -19,7 +19,8 @@ from mocapfix.fill.fill_methods import (
     MovingAxes,
     compute_variation_growth,
 )
-from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, build_hermite_map, fit_edge_parabola
+from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, MIN_FILL_SD_M, build_hermite_map, fit_edge_parabola
+from mocapfix.model.take import SAMPLE_NOISE_M
 
 DAMPED_VELOCITY_S = 0.12
 """Time in which the velocity at an edge decays, in the damped method."""
@@ -37,8 +38,6 @@ DAMPED_ERROR_RATIO = 1.1
 """Expected error of the damped method, relative to the straight one."""
 DAMPED_ERROR_TIME_S = 5.0
 """Duration of a gap in which this ratio is larger by one, in moving axes."""
-EDGE_SAMPLE_NOISE_M = 0.0005
-"""Noise of a sample, which a method that extrapolates velocities amplifies."""
 CUBIC_ERROR_TIME_S = 1.0
 """Duration of a gap in which the expected error of the cubic method is twice that of the straight one."""
 WORLD_RATIO_POWER = 0.6
@@ -51,8 +50,6 @@ ACTIVITY_POWER = 0.5
 """Power with which the motion relative to neighbours grows with their own."""
 ONE_EDGE_ERROR_RATIO = 2.0
 """Expected error in a gap with one edge, relative to a gap with two."""
-MIN_EXPECTED_SD_M = 0.0003
-"""Smallest expected standard deviation in the middle of a gap."""
 WORLD_SATURATION_S = 0.8
 """Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
 ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
@@ -120,7 +117,7 @@ def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluste
         middle_sd = WORLD_ERROR_RATIO * speed_m_s * gap_s**WORLD_ERROR_GROWTH
     else:
         middle_sd = CLUSTER_ERROR_RATIO * cluster_sd_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
-    middle_sd = max(middle_sd, MIN_EXPECTED_SD_M)
+    middle_sd = max(middle_sd, MIN_FILL_SD_M)
     if len(window.before) and len(window.after):
         return middle_sd * 2 * np.sqrt(share * (1 - share))
     return middle_sd * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)
@@ -181,7 +178,7 @@ def estimate_from_edges(
             position = np.einsum("tab,tb->ta", axes.rotation[frames], position) + axes.origin[frames]
             error = np.einsum("ksab,ksb->ksa", axes.rotation[hidden_frames], error)
         method = FillMethod.CLUSTER if axes else FillMethod.SPLINE
-        noise = EDGE_SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
+        noise = SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
         estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd * factor, noise), axes_number))
     return estimates
 

@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter1d
 
 from mocapfix.fill.cluster_fill import fill_from_clusters
 from mocapfix.fill.spline_fill import (
-    MIN_SPLINE_SD_M,
+    MIN_FILL_SD_M,
     SPLINE_CONTEXT_S,
     build_hermite_map,
     group_gap_patterns,
@@ -348,7 +348,7 @@ def fill_run_with_spline(
             error = measure_spline_error(path, is_visible, spline_map, context)
             if error is None:
                 error = _compare_with_estimate(position[gap], estimate, gap, request.column)
-            sd[gap] = np.maximum(error, MIN_SPLINE_SD_M)
+            sd[gap] = np.maximum(error, MIN_FILL_SD_M)
     return position[request.first : request.last + 1], sd[request.first : request.last + 1]
 
 

@@ -27,7 +27,7 @@ from mocapfix.fill.fill_methods import (
 from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
 from mocapfix.fill.marker_processes import fill_from_gaussian_process
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
-from mocapfix.fill.spline_fill import fill_with_splines
+from mocapfix.fill.spline_fill import MIN_FILL_SD_M, fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_estimates
 from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
@@ -35,7 +35,7 @@ from mocapfix.model.changes import Filled, UnfilledRun, compute_editable_mask, e
 from mocapfix.model.detected import Detected
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
-from mocapfix.model.take import Take
+from mocapfix.model.take import SAMPLE_NOISE_M, Take
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.gaussian_process import interpolate_residual
@@ -44,8 +44,6 @@ from mocapfix.stats.sequences import find_runs
 
 GAUSSIAN_PROCESS_CORRELATION = 0.8
 """The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
-MIN_COMBINED_SD_M = 0.0003
-"""Smallest standard deviation of a fill."""
 MAX_SPLINE_GAP_S = 0.5
 """Duration of the longest gap that is filled by splines."""
 SETTLED_SPLINE_SD_M = 0.001
@@ -65,7 +63,7 @@ def combine_with_partial_body(
     """
     widened = body_estimate._replace(sd=body_estimate.sd * PARTIAL_BODY_SD_RATIO)
     combined, ratio = combine_estimates([estimate.select(is_missing), widened.select(is_missing)])
-    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_COMBINED_SD_M)).expand(is_missing)
+    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_FILL_SD_M)).expand(is_missing)
 
 
 def estimate_missing_samples(
@@ -88,7 +86,7 @@ def estimate_missing_samples(
     process = _select_plausible(filled, is_inlier, context, FillMethod.GAUSSIAN_PROCESS)
     del filled
     estimate, process_ratio = combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
-    estimate = estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_COMBINED_SD_M))
+    estimate = estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_FILL_SD_M))
     return estimate.expand(context.is_missing)
 
 
@@ -154,8 +152,6 @@ BODY_RESIDUAL_FADE_S = 0.2
 """Time scale of the correlation of a marker's residual."""
 BODY_RESIDUAL_REACH_S = 0.3
 """Time on either side of a gap that is used."""
-BODY_SAMPLE_NOISE_M = 0.0005
-"""Noise of a sample, caused by the cameras."""
 MIN_BODY_RESIDUAL_M = 0.002
 """Smallest standard deviation of the residual."""
 MIN_BODY_FILL_SD_M = 0.0005
@@ -195,7 +191,7 @@ def fill_from_body(
             rate,
             time_scale_s=BODY_RESIDUAL_FADE_S,
             margin_s=BODY_RESIDUAL_REACH_S,
-            noise_sd=BODY_SAMPLE_NOISE_M,
+            noise_sd=SAMPLE_NOISE_M,
             min_sd=MIN_BODY_RESIDUAL_M,
         )
         filled[wanted, k] = predicted[wanted] + np.einsum("tab,tb->ta", rotation[wanted], interpolated[wanted])
@@ -362,7 +358,7 @@ def join_gap_estimates(estimate: MarkerEstimate, markers: Float[np.ndarray, "T M
     is_used = ~is_settled & (is_precise | np.isnan(estimate.sd))
     in_gaps = in_gaps._replace(sd=np.where(is_used, sd, np.nan))
     combined, ratio = combine_estimates([estimate.select(is_missing), in_gaps.select(is_missing)])
-    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_COMBINED_SD_M)).expand(is_missing)
+    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_FILL_SD_M)).expand(is_missing)
 
 
 def find_gaps_below(

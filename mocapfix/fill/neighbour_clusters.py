@@ -20,7 +20,6 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.cluster_fill import (
     CLUSTER_RESIDUAL_FADE_S,
-    CLUSTER_SAMPLE_NOISE_M,
     MAX_CLUSTER_MARKERS,
     MAX_CLUSTER_TRAINING_FRAMES,
     MIN_CLUSTER_FRAMES,
@@ -31,6 +30,7 @@ from mocapfix.fill.cluster_fill import (
     compute_column_percentiles,
 )
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MovingAxes
+from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, build_residual_map, estimate_roughness
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import sample_evenly
@@ -187,7 +187,7 @@ def estimate_by_regression(
         error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[rows[:, split:]], local_error)
     novelty = min(1 + 2 * w.length / len(path[~np.isnan(path[:, 0])]), MAX_CLUSTER_INFLATION)
     decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
-    expected_sd = np.sqrt((regression.cross_validate() * novelty) ** 2 * decay + CLUSTER_SAMPLE_NOISE_M**2)
+    expected_sd = np.sqrt((regression.cross_validate() * novelty) ** 2 * decay + SAMPLE_NOISE_M**2)
     return GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)
 
 
@@ -204,13 +204,13 @@ def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, 
     w = window
     known = residual[~np.isnan(residual[:, 0])]
     power = max(float(np.median(known**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
-    roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, CLUSTER_SAMPLE_NOISE_M, power)
+    roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
     sides = (np.arange(len(w.before))[::-1], len(w.before) + np.arange(len(w.after)))
     used = np.concatenate([side[sample_evenly(len(side), MAX_RESIDUAL_SAMPLES)] if len(side) else side for side in sides])
     maps = [
         build_residual_map(
             np.concatenate([w.before, after])[used] / rate, points / rate,
-            time_scale_s=CLUSTER_RESIDUAL_FADE_S, roughness=roughness, noise_ratio=CLUSTER_SAMPLE_NOISE_M**2 / power,
+            time_scale_s=CLUSTER_RESIDUAL_FADE_S, roughness=roughness, noise_ratio=SAMPLE_NOISE_M**2 / power,
         )
         for after, points in ((w.after, np.arange(w.length)), (w.hidden_after, w.hidden_points))
     ]  # fmt: skip

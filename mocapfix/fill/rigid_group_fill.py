@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
+from mocapfix.fill.spline_fill import MIN_FILL_SD_M
 from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, CommonShape, align_to_shape, fit_common_shape
 from mocapfix.stats.sequences import find_runs, sample_evenly
@@ -21,8 +22,6 @@ MAX_SHAPE_FRAMES = 600
 """Evenly spread frames in which the shape of a group is measured."""
 MIN_SHAPE_FRAMES = 10
 """Frames in which a marker must be visible with three others of the group to have a place in its shape."""
-MIN_GROUP_MARKER_SD_M = 0.0003
-"""Standard deviation per axis of a marker about the shape, at least."""
 MAX_POSE_SD_RATIO = 10.0
 """Error of a pose at a missing marker relative to that of one marker, above which the visible ones are nearly on one line."""
 MAX_POSE_CONDITION = 1e6
@@ -109,7 +108,7 @@ def measure_group_shape(markers: Float[np.ndarray, "T K 3"]) -> tuple[CommonShap
     count = is_visible[frames].sum(0)
     coordinates = 3 * counts[frames].mean()
     freedom = coordinates / (coordinates - 6)  # of which six determine the pose
-    sd = np.sqrt(np.maximum(shape.variance * freedom, MIN_GROUP_MARKER_SD_M**2))
+    sd = np.sqrt(np.maximum(shape.variance * freedom, MIN_FILL_SD_M**2))
     return shape, np.where((count >= MIN_SHAPE_FRAMES) & np.isfinite(shape.positions[:, 0]), sd, np.nan)
 
 

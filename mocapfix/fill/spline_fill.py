@@ -22,8 +22,8 @@ MIN_TRIAL_STRETCHES = 8
 """Complete stretches that measuring the error requires."""
 MAX_TRIAL_STARTS = 20_000
 """Evenly spaced frames that are examined to find complete stretches."""
-MIN_SPLINE_SD_M = 0.0003
-"""Smallest standard deviation of a fill."""
+MIN_FILL_SD_M = 0.0003
+"""Smallest standard deviation per axis of a fill, and of an estimate of one."""
 
 GapPattern = tuple[int, tuple[int, ...], tuple[int, ...]]
 """The length of a gap in frames, and which samples before and after it are visible, as distances from its edges."""
@@ -55,7 +55,7 @@ def fill_with_splines(
                 first = np.array(first_frames)[:, None]
                 gap = first + np.arange(length)
                 filled[gap, m] = spline_map @ path[first + context]
-                sd[gap, m] = np.maximum(error, MIN_SPLINE_SD_M)
+                sd[gap, m] = np.maximum(error, MIN_FILL_SD_M)
     return filled, sd
 
 

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int8
 
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MarkerEstimate
+from mocapfix.fill.spline_fill import MIN_FILL_SD_M
 
-MIN_ESTIMATE_SD_M = 0.0003
-"""Smallest standard deviation of an estimate."""
 EXPECTED_WEIGHT = 2.0
 """Number of independent hidden stretches that the expected covariance is worth."""
 FIRST_STRETCH_DISCOUNT = 0.5
@@ -102,9 +101,9 @@ def shrink_covariances(
     variance = np.einsum("see->se", covariance)
     is_known = ~np.isnan(variance)
     measured_sd = np.sqrt(np.where(is_known, variance, 1.0))
-    log_sd = [np.log(np.maximum(sd, MIN_ESTIMATE_SD_M)) for sd in (measured_sd, expected_sd)]
+    log_sd = [np.log(np.maximum(sd, MIN_FILL_SD_M)) for sd in (measured_sd, expected_sd)]
     sd = np.exp(np.where(is_known, trust * log_sd[0] + (1 - trust) * log_sd[1], log_sd[1]))
-    scale = np.maximum(measured_sd, MIN_ESTIMATE_SD_M / 10)
+    scale = np.maximum(measured_sd, MIN_FILL_SD_M / 10)
     correlation = np.clip(covariance / scale[:, :, None] / scale[:, None], -1, 1)
     correlation = np.where(np.isnan(correlation), expected_correlation, correlation)
     shared_trust = np.sqrt(trust[:, None] * trust)
