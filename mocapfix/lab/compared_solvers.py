@@ -48,7 +48,7 @@ from mocapfix.lab.scope_scenes import (
     build_scope_experiments,
 )
 from mocapfix.solve.minimise import SolverSettings, minimise
-from mocapfix.solve.parallel import order_in_windows
+from mocapfix.solve.parallel import order_sequentially
 
 
 class TimedSolution(NamedTuple):
@@ -168,7 +168,7 @@ def solve_with_mocapfix(task: CommonTask, take_name: str, *, use_all_cores: bool
     tree, points, tracking = build_task_problem(task, take_name)
     frame_count, joint_count = len(points.measured), len(task.mean_angles)
     start = task.root_starts[take_name], np.tile(tracking.rotations, (frame_count, 1, 1, 1))
-    order = order_in_windows(frame_count, joint_count, round(WINDOW_S * task.rate_hz))
+    order = order_sequentially(np.arange(frame_count) % round(WINDOW_S * task.rate_hz) == 0, joint_count)
     settings = SolverSettings(max_iterations=MAX_FRAME_ITERATIONS, damping_ratio=WARM_START_DAMPING, order=order)
     clock = time.perf_counter if use_all_cores else time.process_time
     with patch.dict(os.environ, {} if use_all_cores else {THREADS_VARIABLE: "1"}):

@@ -51,14 +51,6 @@ def order_sequentially(has_own_pose: Bool[np.ndarray, " T"], joints: int) -> Sol
     return SolveOrder(frames, start_frame, np.ones((1, joints), bool), chain_starts)
 
 
-def order_in_windows(frames: int, joints: int, length: int) -> SolveOrder:
-    """Return the order in which each frame starts from the one before, except the first of each window of `length` frames.
-
-    Windows, not threads, are solved in parallel, so the result does not depend on the number of threads.
-    """
-    return order_sequentially(np.arange(frames) % length == 0, joints)
-
-
 def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
     """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
 

@@ -44,7 +44,7 @@ def test_independent_frames_start_from_their_own_poses():
     ],
 )
 def test_each_window_starts_from_its_first_frame(frames, chains):
-    order = parallel.order_in_windows(frames, 4, 3)
+    order = parallel.order_sequentially(np.arange(frames) % 3 == 0, 4)
     assert list_chains(order) == chains
     assert order.copied_joints.all()
 
@@ -134,7 +134,7 @@ def test_windows_copy_whole_poses():
     tree, terms, root, local = still(7, 4)
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
-    status, _ = solve_in_order(parallel.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    status, _ = solve_in_order(parallel.order_sequentially(np.arange(7) % 3 == 0, 4), tree, terms, PLAIN, root, local, shared)
     assert (status == FrameStatus.UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
@@ -150,7 +150,7 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
     terms, order = (
         random_terms.build_terms(joints, frames, tracking=tracking),
-        parallel.order_in_windows(frames, joints, frames),
+        parallel.order_sequentially(np.arange(frames) == 0, joints),
     )
     status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
     assert (status == FrameStatus.CONVERGED).all()
