@@ -1,8 +1,7 @@
 """The motion prior's prediction for a body, in the joints of the 31-joint skeleton."""
 
-from typing import cast
-
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.model.skeleton import load_cmu31_body
@@ -13,15 +12,16 @@ SKELETON = load_cmu31_body().skeleton
 RATE_HZ = 60.0
 
 
-class Recorder:
-    """A motion prior that returns a known motion, and keeps what it was given."""
+@pytest.fixture
+def record(monkeypatch):
+    """Return a function that lets motion priors return a known motion, and returns a list that gets what they are given."""
 
-    def __init__(self, motion):
-        self.motion = motion
+    def record_gaps(motion):
+        given = []
+        monkeypatch.setattr(MotionPrior, "predict_gap", lambda self, *arguments: given.extend(arguments) or motion)
+        return given
 
-    def predict_gap(self, *given):
-        self.given = given
-        return self.motion
+    return record_gaps
 
 
 def build_context(frame_count=300, first=140, last=170):
@@ -32,7 +32,7 @@ def build_context(frame_count=300, first=140, last=170):
     return GapContext(root, rotations, is_known, first, last, RATE_HZ)
 
 
-def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
+def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body(record):
     context, joints = build_context(), build_motion_tree().joints
     arm = SKELETON.find_joint("LeftArm")
     turn, raised = (Rotation.from_rotvec([0, 0, angle]).as_matrix() for angle in (0.3, 1.0))
@@ -40,12 +40,12 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
     predicted = np.tile(np.eye(3), (31, len(joints), 1, 1))
     predicted[:, joints == arm] = raised
     gap = predicted, np.full((31, len(joints)), 0.1), np.ones((31, 3)), np.full(31, 0.1)
-    prior = Recorder(PredictedGap(*gap))
-    found = motion_prior.predict_model_gap(cast(MotionPrior, prior), context, size_ratio=2.0)
+    given = record(PredictedGap(*gap))
+    found = motion_prior.predict_model_gap(MotionPrior({}), context, size_ratio=2.0)
     assert found is not None
-    np.testing.assert_allclose(prior.given[0], context.root_position / 2)
-    np.testing.assert_allclose(prior.given[1][0, arm], turn)
-    assert prior.given[2].shape == (300, len(joints))
+    np.testing.assert_allclose(given[0], context.root_position / 2)
+    np.testing.assert_allclose(given[1][0, arm], turn)
+    assert given[2].shape == (300, len(joints))
     np.testing.assert_allclose(turn @ found.rotations[0, arm], raised, atol=1e-12)
     assert np.isinf(found.variance[:, arm - 1]).all()
     np.testing.assert_allclose(found.variance[:, arm], 0.01)
@@ -53,5 +53,6 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
     np.testing.assert_allclose(found.root_variance, 0.04)
 
 
-def test_unpredicted_gap_is_none():
-    assert motion_prior.predict_model_gap(cast(MotionPrior, Recorder(None)), build_context()) is None
+def test_unpredicted_gap_is_none(record):
+    record(None)
+    assert motion_prior.predict_model_gap(MotionPrior({}), build_context()) is None
