@@ -19,8 +19,9 @@ os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp()  # before Numba is imported: 
 
 from numba import types
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.kernels.compilation import SIGNATURES_FILE
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 KERNELS_MODULE = "mocapfix.kernels."
 
@@ -85,7 +86,7 @@ def main() -> None:
     """Clean the demo's take and write the list with one kernel or type a line."""
     with tempfile.TemporaryDirectory() as folder:
         take = Path(folder) / "demo.c3d"
-        synthetic.write_synthetic_take(take, synthetic.compose_take(seed=0))
+        write_synthetic_take(take, compose_take(seed=0))
         pipeline.clean(take).write(take.with_suffix(".mocapfix"))
     content = describe_kernels(list_kernels())
     lines = {name: ",\n  ".join(json.dumps(entry) for entry in entries) for name, entries in content.items()}

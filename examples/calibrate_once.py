@@ -4,7 +4,7 @@ from pathlib import Path
 
 import mocapfix
 from mocapfix.subject.library import write_subject
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 range_of_motion, walk = Path("rom.c3d"), Path("walk.c3d")
 write_synthetic_take(range_of_motion, compose_take(seed=4, seconds=5.0))

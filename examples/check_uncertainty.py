@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import mocapfix
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path = Path("uncertainty.c3d")
 write_synthetic_take(path, compose_take(seed=8, seconds=3.0))

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import mocapfix
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 if len(sys.argv) > 1:
     path = Path(sys.argv[1])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import mocapfix
 from mocapfix.io.bvh import write_bvh
-from mocapfix.synthetic.synthetic_takes import compose_take
+from mocapfix.synthetic import compose_take
 
 truth, path = compose_take(seed=10, seconds=3.0), Path("animation.bvh")
 rotations = truth.motion.local_rotations.copy()

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import mocapfix
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 truth, path = compose_take(seed=7, seconds=4.0), Path("truth.c3d")
 write_synthetic_take(path, truth)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import mocapfix
 from mocapfix.options import OutputOptions
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path = Path("export.c3d")
 write_synthetic_take(path, compose_take(seed=11, seconds=2.0))

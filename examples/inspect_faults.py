@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import mocapfix
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path = Path("inspect.c3d")
 write_synthetic_take(path, compose_take(seed=3, seconds=3.0))

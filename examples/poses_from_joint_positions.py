@@ -4,7 +4,7 @@ import numpy as np
 
 from mocapfix.solve.hybrik import solve_hybrik
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
-from mocapfix.synthetic.synthetic_takes import compose_take
+from mocapfix.synthetic import compose_take
 
 truth = compose_take(seed=9, seconds=1.0)
 noise = np.random.default_rng(0).normal(0.0, 0.005, truth.joint_positions.shape)

@@ -6,7 +6,7 @@ import numpy as np
 
 from mocapfix.io.capture import read_capture
 from mocapfix.model.animation import Animation
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path = Path("numpy.c3d")
 write_synthetic_take(path, compose_take(seed=6, seconds=2.0))

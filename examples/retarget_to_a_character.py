@@ -7,7 +7,7 @@ from mocapfix.characters.character import build_cmu31_character, compute_charact
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.options import OutputOptions
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path = Path("retarget.c3d")
 write_synthetic_take(path, compose_take(seed=11, seconds=2.0))

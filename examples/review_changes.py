@@ -5,7 +5,7 @@ from pathlib import Path
 import yaml
 
 import mocapfix
-from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 path, folder = Path("review.c3d"), Path("review.mocapfix")
 write_synthetic_take(path, compose_take(seed=5, seconds=3.0))

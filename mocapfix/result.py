@@ -18,7 +18,16 @@ from mocapfix.errors import WriteError
 from mocapfix.io.c3d_events import add_c3d_events
 from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
-from mocapfix.io.output_formats import (
+from mocapfix.io.resampling import is_frame_subset
+from mocapfix.labels.subject_exchanges import SubjectExchanges
+from mocapfix.model.changes import Change, UnfilledRun, serialize_changes
+from mocapfix.model.faults import Fault, Faults, Fragment
+from mocapfix.model.motion import Motion
+from mocapfix.model.stage_timer import ProgressCallback, StageTimer
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take
+from mocapfix.options import CleanOptions, OutputOptions, format_arguments
+from mocapfix.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
     ExportedMotion,
@@ -28,18 +37,9 @@ from mocapfix.io.output_formats import (
     list_output_formats,
     write_cleaned_copy,
 )
-from mocapfix.io.resampling import is_frame_subset
-from mocapfix.labels.subject_exchanges import SubjectExchanges
-from mocapfix.model.changes import Change, UnfilledRun, serialize_changes
-from mocapfix.model.faults import Fault, Faults, Fragment
-from mocapfix.model.motion import Motion
-from mocapfix.model.subject import Subject
-from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take
-from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.sample_states import CleaningComparison
-from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.report.terms import get_point_terms
 
 

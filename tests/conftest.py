@@ -30,12 +30,12 @@ if os.environ.get("MOCAPFIX_CHECK_TYPES") != "0":
         TYPE_CHECKER,
     )
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.cli import app
 from mocapfix.io.patches import patch_c3d
 from mocapfix.pipeline import CleaningResult
 from mocapfix.subject import library
-from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic import SyntheticTake, compose_take, write_synthetic_take
 from tests import faulty_take
 from tests.c3d_files import c3d_bytes
 from tests.faulty_take import AXIS_PARAMETERS, FaultyTake
@@ -99,8 +99,8 @@ def damage_single_markers(truth: SyntheticTake) -> SyntheticTake:
 def cleaned(tmp_path_factory) -> CleanedTake:
     """Return a take of 6 s with gaps and spikes, cleaned."""
     folder = tmp_path_factory.mktemp("cleaned")
-    truth, path = damage_single_markers(synthetic.compose_take(seed=3, seconds=6.0)), folder / "walk.c3d"
-    synthetic.write_synthetic_take(path, truth)
+    truth, path = damage_single_markers(compose_take(seed=3, seconds=6.0)), folder / "walk.c3d"
+    write_synthetic_take(path, truth)
     result = pipeline.clean(path)
     return CleanedTake(truth, path, result, result.write(folder / "walk.mocapfix"))
 
@@ -123,7 +123,7 @@ def brief(cleaned, tmp_path_factory) -> BriefTake:
 def faulty(tmp_path_factory) -> FaultyTake:
     """Return a take of 3 s with one fault of every kind that a reviewer decides on, cleaned."""
     folder = tmp_path_factory.mktemp("faulty")
-    truth, path, output = synthetic.compose_take(seed=3, seconds=3.0), folder / "faulty.c3d", folder / "cleaned.c3d"
+    truth, path, output = compose_take(seed=3, seconds=3.0), folder / "faulty.c3d", folder / "cleaned.c3d"
     faulty_take.write_faulty_take(path, truth)
     result = pipeline.clean(path, subject=truth.subject)
     assert patch_c3d(output, result.input_take, result.take) == []

@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.io.capture import read_capture
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import OutputOptions
+from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d
 
 NAMES = load_cmu31_body().skeleton.names
@@ -42,7 +43,7 @@ MAX_ADDED_ERROR_MM = 4.0
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(seed=3, seconds=6.0)
+    return compose_take(seed=3, seconds=6.0)
 
 
 def write_part(path, truth, labels, *, keep_empty_labels=False):

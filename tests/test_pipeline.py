@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.errors import OptionError, TakeError, WriteError
 from mocapfix.io import capture, changes_file
 from mocapfix.io.patches import patch_c3d
@@ -20,7 +20,7 @@ from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import library
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic.demo_errors import compute_fill_errors
+from mocapfix.synthetic import compose_take, compute_fill_errors, write_synthetic_take
 from tests.conftest import FIRST_FRAME, build_c3d
 
 OUTPUT_SUFFIXES = {"c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd"}
@@ -252,7 +252,7 @@ def shifted(tmp_path_factory):
 
     T10 is hidden while it moves, once before, and once after.
     """
-    truth = synthetic.compose_take(seed=3, seconds=8.0, rate=60.0)
+    truth = compose_take(seed=3, seconds=8.0, rate=60.0)
     path, marker = tmp_path_factory.mktemp("shifted") / "shifted.c3d", truth.labels.index("T10")
     positions = truth.marker_positions.copy()
     rotations = kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[1]
@@ -374,12 +374,12 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, s
 
 
 def test_arm_with_jitter_on_all_markers_is_solved(tmp_path):
-    truth, path = synthetic.compose_take(seed=3, seconds=4.0), tmp_path / "jitter.c3d"
+    truth, path = compose_take(seed=3, seconds=4.0), tmp_path / "jitter.c3d"
     arm, positions = [truth.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")], truth.marker_positions.copy()
     positions[120:360, arm] += np.random.default_rng(0).normal(0, 0.02, (240, 4, 3))
     no_samples = np.zeros_like(truth.missing_mask)
     damaged = replace(truth, missing_mask=no_samples, damaged_positions=positions, spike_mask=no_samples)
-    synthetic.write_synthetic_take(path, damaged)
+    write_synthetic_take(path, damaged)
     result = pipeline.clean(path, subject=truth.subject)
     assert Counter(fault.kind for fault in result.faults.items) == {"jitter": 4}
     hand = truth.subject.skeleton.find_joint("LeftHand")

@@ -11,10 +11,10 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io import capture
-from mocapfix.io.output_formats import OPTIONAL_FORMATS, list_output_formats
 from mocapfix.io.trc_csv import write_trc
 from mocapfix.model.take import TableLayout
 from mocapfix.options import RIG_NAMES, OutputOptions, build_clean_options
+from mocapfix.output_formats import OPTIONAL_FORMATS, list_output_formats
 from mocapfix.result import CleaningResult, list_clean_arguments
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.conftest import FIRST_FRAME
@@ -43,7 +43,7 @@ def without_report_files(monkeypatch):
 
 
 def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path, monkeypatch):
-    monkeypatch.setattr("mocapfix.io.character_files.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.characters.character_files.find_blender", lambda: None)
     outputs = solved.write(tmp_path, options=ALL_FORMATS)
     assert set(outputs) == set(cleaned.outputs) | {
         "glb",

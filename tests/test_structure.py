@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
-MAX_ROOT_MODULES = 8
+MAX_ROOT_MODULES = 10
 MAX_PRODUCT_MODULES, MAX_PRODUCT_LINES = 232, 57_000
 MAX_LAB_MODULES, MAX_LAB_LINES = 50, 14_750
 MAX_MODULES_WITH_ONE_IMPORTER = 54

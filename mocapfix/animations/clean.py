@@ -47,13 +47,13 @@ from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions, SubjectOptions
 from mocapfix.report import build_report, notes
 from mocapfix.report.build_report import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report
-from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics

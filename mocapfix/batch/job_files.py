@@ -13,11 +13,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNeg
 
 from mocapfix.errors import MocapfixError, OptionError, SceneError
 from mocapfix.io.files import check_outputs_absent, make_output_folder
-from mocapfix.io.output_formats import list_output_formats
 from mocapfix.io.shipped import is_existing_file
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.option import Option
 from mocapfix.options import OPTIONS, PURPOSE_DEFAULTS, CleanOptions, build_clean_options
+from mocapfix.output_formats import list_output_formats
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 HeaderModel = TypeVar("HeaderModel", bound=StrictModel)

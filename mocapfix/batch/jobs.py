@@ -126,7 +126,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
     """
     from mocapfix import pipeline
     from mocapfix.batch.take_figures import measure_result
-    from mocapfix.report.stage_timer import omit_stage_times
+    from mocapfix.model.stage_timer import omit_stage_times
 
     started, start = format_now(), time.monotonic()
     with hold_take(request.output_folder, request.take) as attempts:
@@ -213,19 +213,20 @@ def load_everything() -> None:
     """Import what cleaning needs and load the compiled kernels and priors, by cleaning a short composed take. Run in a server."""
     from importlib import import_module
 
-    from mocapfix import pipeline, synthetic
-    from mocapfix.io.output_formats import list_output_formats
+    from mocapfix import pipeline
     from mocapfix.kernels.compilation import is_precompiled, precompile_kernels
+    from mocapfix.output_formats import list_output_formats
     from mocapfix.solve.parallel import get_thread_pool
+    from mocapfix.synthetic import compose_take, write_synthetic_take
 
     for name in PRELOADED_MODULES:
         import_module(name)
     if not is_precompiled():
         precompile_kernels(lambda done, total: None)
-    take = synthetic.compose_take(seconds=WARM_UP_DURATION_S, rate=WARM_UP_RATE_HZ)
+    take = compose_take(seconds=WARM_UP_DURATION_S, rate=WARM_UP_RATE_HZ)
     with TemporaryDirectory(prefix="mocapfix-") as folder:
         path = Path(folder) / "take.c3d"
-        synthetic.write_synthetic_take(path, take)
+        write_synthetic_take(path, take)
         result = pipeline.clean(path)
         content = result.build_content(None)
         for each in list_output_formats(CleanOptions().output):

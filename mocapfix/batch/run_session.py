@@ -1,25 +1,357 @@
-"""A batch: the stages in which the takes of a session are cleaned, each as jobs on a cluster, and what is resumed.
+"""A batch: the stages of a session, each as jobs on a cluster, and what is resumed.
 
-Records are the state: whatever ends the batch, the next one goes on with the takes that have no current record.
+Before takes are cleaned it is found out who is who, the takes of each person are surveyed, and each person is calibrated. What
+these stages write is in DIR/people: a subject file for each person, and one for each take in which markers lie elsewhere; in
+`.records` the measurements of the bodies in each take, and the calibration frames of takes whose person is in others too. All
+of it is used again while takes, options and version are the same. DIR/people.yaml names the people, their takes, and the
+markers that moved. Records are the state: whatever ends the batch, the next one goes on with the takes that have no current
+record.
 """
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, cast
+
+from pydantic import Field
 
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
-from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, sort_by_size, try_to_hash
-from mocapfix.batch.records import TakeRecord, get_record_path, lock_batch_folder, read_record, resolve_option_files
-from mocapfix.batch.session_people import assign_subjects, forget_results
+from mocapfix.batch.jobs import (
+    CLEAN_FUNCTION,
+    CleanRequest,
+    clean_take,
+    find_current_record,
+    get_version,
+    run_with_retries,
+    sort_by_size,
+    try_to_hash,
+)
+from mocapfix.batch.records import TakeRecord, get_record_path, hash_options, lock_batch_folder, read_record, resolve_option_files
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.errors import MocapfixError, WriteError
+from mocapfix.io.files import make_output_folder, replace_atomically
+from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 from mocapfix.options import CleanOptions
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from mocapfix.subject.people import Person
+    from mocapfix.surveys import BodyToCalibrate
+
+
+PEOPLE_FILE_NAME = "people.yaml"
+
+
+class PersonEntry(StrictModel):
+    """One person of a session. Paths are relative to the folder of the batch."""
+
+    name: str
+    basis: str = ""  # from what it is known which takes are this person's, in words such as "subject prefix" or "body"
+    takes: dict[str, str] = Field(default_factory=dict)  # by id of a take, the name of the subject in it; "" if it has only one
+    subject_file: str = ""  # calibrated from all takes
+    # by id of a take, the subject file with which it was cleaned, where marker places differ
+    take_files: dict[str, str] = Field(default_factory=dict)
+    moved_markers: tuple[str, ...] = ()  # a sentence for each marker that moved between takes
+    # by id of a take, why it is not this person's although the names agree
+    rejected: dict[str, str] = Field(default_factory=dict)
+
+
+class SessionPeople(StrictModel):
+    """All people of a session, and sentences on how takes were assigned to them."""
+
+    people: tuple[PersonEntry, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def write_people_file(output_folder: Path, people: SessionPeople) -> Path:
+    """Write people.yaml into the folder of a batch and return its path. Raises WriteError."""
+    path = output_folder / PEOPLE_FILE_NAME
+    with replace_atomically(path) as part:
+        part.write_text(dump_yaml(people.model_dump(mode="json")), encoding="utf-8")
+    return path
+
+
+def read_people_file(output_folder: Path) -> SessionPeople | None:
+    """Return the people of a batch, None if the session has no such file. Raises SceneError if it cannot be read."""
+    path = output_folder / PEOPLE_FILE_NAME
+    return read_yaml_model(SessionPeople, path) if path.exists() else None
+
+
+PEOPLE_FOLDER = "people"
+RECORDS_FOLDER = ".records"  # in that folder: hidden, so that no outputs of a take are there, whatever its name
+COMPARE_FUNCTION = "mocapfix.batch.run_session:measure_recorded_take"
+SURVEY_FUNCTION = "mocapfix.batch.run_session:survey_recorded_take"
+CALIBRATE_FUNCTION = "mocapfix.batch.run_session:calibrate_recorded_person"
+
+
+@dataclass(frozen=True)
+class SurveyRequest:
+    """A take to be surveyed."""
+
+    take: CleanRequest
+
+
+@dataclass(frozen=True)
+class PersonRequest:
+    """A person to be calibrated from the frames in files, in the sessions of these names."""
+
+    name: str
+    basis: str
+    frames: tuple[Path, ...]
+    sessions: tuple[str, ...]
+    output_folder: Path
+    key: str
+
+
+def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, Any] | str:
+    """Run a job of this module in a child process; return its result, or why there is none. Run by a worker.
+
+    The crash of a take, or a limit that it reached, is recorded: the job is repeated with other limits only.
+    """
+    outcome = run_with_retries(function, request, limits)
+    if isinstance(outcome.value, dict):
+        return cast("dict[str, Any]", outcome.value)
+    if function != CALIBRATE_FUNCTION and outcome.status in ("timeout", "memory", "crash"):
+        path, key = locate_record(request)
+        _write_record(
+            path, {"key": key, "files": [], "bodies": [], "subjects": {}, "error": outcome.error, "limits": asdict(limits)}
+        )
+    return outcome.error
+
+
+def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
+    """Measure the bodies in a take, unless they are known; return them. Run in a child.
+
+    A take without a body has none, and the sentence on it. A take that has to be labelled, or whose marker set has to be learned,
+    is surveyed at once, since that is most of the work.
+    """
+    from mocapfix import surveys
+    from mocapfix.subject.people import measure_body
+
+    def measure(key: str) -> dict[str, Any]:
+        try:
+            found = surveys.find_bodies_to_calibrate(request.path, request.options)
+            if any(body.is_learned or body.take.labelled_file is not None for body in found):
+                survey = SurveyRequest(request)
+                _use_record(*locate_record(survey), lambda survey_key: _write_surveys(survey, survey_key, found))
+        except MocapfixError as error:
+            return {"key": key, "files": [], "bodies": [], "error": str(error)}
+        bodies = [asdict(measure_body(request.take, body.take, body.marker_set)) for body in found]
+        return {"key": key, "files": [], "bodies": bodies, "error": ""}
+
+    return _use_record(*locate_record(request), measure)
+
+
+def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
+    """Write the calibration frames of each subject in a take, unless they are there; return their files. Run in a child.
+
+    A take whose frames do not suffice has no files, and the sentence on it.
+    """
+    from mocapfix import surveys
+
+    def survey(key: str) -> dict[str, Any]:
+        try:
+            return _write_surveys(request, key, surveys.find_bodies_to_calibrate(request.take.path, request.take.options))
+        except MocapfixError as error:
+            return {"key": key, "files": [], "subjects": {}, "error": str(error)}
+
+    return _use_record(*locate_record(request), survey)
+
+
+def _write_surveys(request: SurveyRequest, key: str, bodies: "Sequence[BodyToCalibrate]") -> dict[str, Any]:
+    """Write the calibration frames of the subjects of a take; return the record. Raises MocapfixError."""
+    from mocapfix import surveys
+    from mocapfix.subject.calibration import write_calibration_frames
+
+    path, take = locate_record(request)[0], request.take
+    found = [surveys.survey_subject(body, take.options, take.take) for body in bodies]
+    files = {frames.subject_name: str(path.with_suffix(f".{number}.npz")) for number, frames in enumerate(found)}
+    make_output_folder(path.parent)
+    for frames in found:
+        write_calibration_frames(Path(files[frames.subject_name]), frames)
+    return {"key": key, "files": list(files.values()), "subjects": files, "error": ""}
+
+
+def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
+    """Write the subject files of a person, unless they are there, and return the person's entry. Run in a child."""
+    from mocapfix.subject.calibration import read_calibration_frames
+    from mocapfix.subject.people import locate_person_files, write_person_files
+    from mocapfix.subject.person_calibration import calibrate_person
+
+    folder = request.output_folder / PEOPLE_FOLDER
+
+    def calibrate(key: str) -> dict[str, Any]:
+        frames = [read_calibration_frames(path) for path in request.frames]
+        person = calibrate_person(frames, request.sessions)
+        subject_name = {each.take: each.subject_name for each in frames}
+        files = locate_person_files(folder, request.name, person)
+        write_person_files(files, person)
+        entry = PersonEntry(
+            name=request.name,
+            basis=request.basis,
+            takes={take: subject_name[take] for take in sorted(person.takes)},
+            subject_file=files.main.relative_to(request.output_folder).as_posix(),
+            take_files={take: path.relative_to(request.output_folder).as_posix() for take, path in files.by_take.items()},
+            moved_markers=tuple(person.describe_moves()),
+            rejected=person.rejected,
+        )
+        return {"key": key, "files": [str(files.main)], "entry": entry.model_dump(mode="json")}
+
+    return _use_record(*locate_record(request), calibrate)
+
+
+def locate_record(request: CleanRequest | SurveyRequest | PersonRequest) -> tuple[Path, str]:
+    """Return the file with the result of a job, and the key of what the result depends on."""
+    if isinstance(request, PersonRequest):
+        return locate_records(request.output_folder) / f"{request.name}.json", f"{request.key} {request.basis}"
+    take, suffix = (request.take, ".survey.json") if isinstance(request, SurveyRequest) else (request, ".bodies.json")
+    key = f"{try_to_hash(take.path)} {hash_options(take.options)} {get_version()}"
+    return locate_records(take.output_folder) / "takes" / f"{take.take}{suffix}", key
+
+
+def locate_records(output_folder: Path) -> Path:
+    return output_folder / PEOPLE_FOLDER / RECORDS_FOLDER
+
+
+def read_people_record(path: Path, key: str) -> dict[str, Any] | None:
+    """Return what a file has under the same key and whose files exist; None without such a file."""
+    try:
+        record = cast("dict[str, Any]", json.loads(path.read_text(encoding="utf-8")))
+        return record if record["key"] == key and all(Path(each).is_file() for each in record["files"]) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _use_record(path: Path, key: str, compute: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+    """Return what a file has under the same key, else compute and write it. What another version wrote is computed again."""
+    if (known := read_people_record(path, key)) and "limits" not in known:
+        return known
+    make_output_folder(path.parent)
+    record = compute(key)
+    _write_record(path, record)
+    return record
+
+
+def _write_record(path: Path, record: dict[str, Any]) -> None:
+    make_output_folder(path.parent)
+    with replace_atomically(path) as part:
+        part.write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+
+COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE = "compare", "survey", "calibrate"
+MIN_PERSON_TAKES = 2  # takes of a person from which a subject is calibrated; a single take is calibrated while it is cleaned
+
+
+def assign_subjects(
+    connect: "Callable[[], Client]",
+    requests: Sequence[CleanRequest],
+    names: Mapping[str, Sequence[str]],
+    limits: JobLimits,
+    progress: BatchProgress,
+) -> list[CleanRequest]:
+    """Return the requests with the subjects calibrated from all takes of each person, and write people.yaml.
+
+    connect  opens the cluster, which is not needed where all was done before
+    names    by name of a person, the ids of takes
+
+    Takes that cannot be surveyed, and people with one take, keep their options.
+    """
+    from mocapfix.subject.people import BodyMeasurements, group_people
+
+    by_id = {request.take: request for request in requests}
+    measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)
+    bodies = [BodyMeasurements(**body) for found in measured.values() for body in found["bodies"]]
+    people = group_people(bodies, names)
+    shared = {body.take for person in people if len(person.takes) >= MIN_PERSON_TAKES for body in person.takes}
+    to_survey = {take: SurveyRequest(request) for take, request in by_id.items() if take in shared}
+    surveyed = _run_stage(connect, SURVEY_STAGE, SURVEY_FUNCTION, to_survey, limits, progress)
+    to_calibrate = {
+        request.name: request
+        for person in people
+        if (request := build_person_request(person, surveyed, requests[0].output_folder))
+    }
+    calibrated = _run_stage(connect, CALIBRATE_STAGE, CALIBRATE_FUNCTION, to_calibrate, limits, progress)
+    entries = [PersonEntry.model_validate(calibrated[name]["entry"]) for name in to_calibrate if name in calibrated]
+    single = [
+        PersonEntry(name=each.name, basis=each.reason, takes={take.take: take.subject_name for take in each.takes})
+        for each in people
+        if each.name not in calibrated
+    ]
+    notes = tuple(note for person in people for note in person.notes)
+    write_people_file(requests[0].output_folder, SessionPeople(people=(*entries, *single), notes=notes))
+    subjects: dict[str, dict[str, str]] = {}
+    for entry in entries:
+        for take, subject_name in entry.takes.items():
+            subjects.setdefault(take, {})[subject_name] = entry.take_files.get(take, entry.subject_file)
+    return [_add_subjects(request, subjects.get(request.take, {})) for request in requests]
+
+
+def build_person_request(person: "Person", surveyed: Mapping[str, dict[str, Any]], folder: Path) -> PersonRequest | None:
+    """Return the request to calibrate a person from the takes that were surveyed; None if they are too few.
+
+    surveyed  by id of a take, the record of its survey
+    folder    of the batch
+    """
+    paths = {
+        body.take: Path(surveyed[body.take]["subjects"][body.subject_name])
+        for body in person.takes
+        if body.take in surveyed and body.subject_name in surveyed[body.take]["subjects"]
+    }
+    if len(paths) < MIN_PERSON_TAKES:
+        return None
+    sessions = tuple(PurePosixPath(take).parent.as_posix() for take in paths)
+    key = hashlib.sha256("".join(surveyed[take]["key"] for take in paths).encode()).hexdigest()
+    return PersonRequest(person.name, person.reason, tuple(paths.values()), sessions, folder, key)
+
+
+def forget_results(folder: Path, *, failed_only: bool) -> None:
+    """Let the next batch survey the takes and calibrate the people of a folder again, or survey those whose survey failed."""
+    for path in locate_records(folder).rglob("*.json"):
+        if not failed_only or b'"limits"' in path.read_bytes():
+            path.unlink()
+
+
+def _add_subjects(request: CleanRequest, files: Mapping[str, str]) -> CleanRequest:
+    """Return the request with the subject files of a take, by the names of its subjects."""
+    if not files:
+        return request
+    paths = {name: request.output_folder / path for name, path in files.items()}
+    subject = paths[""] if set(paths) == {""} else tuple(paths.items())
+    return replace(request, options=request.options.change(subject=subject), subject_files=tuple(files.items()))
+
+
+def _run_stage(
+    connect: "Callable[[], Client]",
+    stage: str,
+    function: str,
+    requests: Mapping[str, Any],
+    limits: JobLimits,
+    progress: BatchProgress,
+) -> dict[str, dict[str, Any]]:
+    """Run a function on each request in child processes and return the results of those that succeeded, by name.
+
+    They are in the order of the requests, not in that in which the jobs end: people and their subjects depend on the order.
+    """
+    known = {name: read_people_record(*locate_record(request)) for name, request in requests.items()}
+    results = {name: found for name, found in known.items() if found and found.get("limits", asdict(limits)) == asdict(limits)}
+    waiting = {name: request for name, request in requests.items() if name not in results}
+    if not waiting:
+        return results
+    progress.start_stage(stage, len(requests), len(results))
+    tasks = (Task(name, (function, request, limits)) for name, request in waiting.items())
+    for task, result in run_tasks(connect(), run_people_job, tasks, progress.start_job, progress.show_message):
+        if isinstance(result, dict):
+            results[task.name] = cast("dict[str, Any]", result)
+        else:  # a take that can be cleaned alone has not failed
+            progress.show_message(f"{task.name}: not in the {stage} ({result}) It is cleaned without the person's other takes.")
+        progress.finish_job(task.name, "")
+    return {name: results[name] for name in requests if name in results}
+
 
 CLEAN_STAGE = "clean"
 DEFAULT_LIMITS = JobLimits()

@@ -21,7 +21,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.session_people import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, read_people_file
+from mocapfix.batch.run_session import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, read_people_file
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.errors import SceneError, join_words
 from mocapfix.io.files import replace_atomically

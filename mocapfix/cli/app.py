@@ -52,13 +52,13 @@ def run_demo(
     The take shows a person who walks, reaches, crouches and turns; markers are missing, those of an arm among them, and have
     spikes. It is written as demo.c3d and cleaned like any other file; the output files are in demo.mocapfix/.
     """
-    from mocapfix import pipeline, synthetic
+    from mocapfix import pipeline
     from mocapfix.io.files import make_output_folder
-    from mocapfix.synthetic.demo_errors import compute_fill_errors
+    from mocapfix.synthetic import compose_take, compute_fill_errors, write_synthetic_take
 
     make_output_folder(output_folder)
-    truth, path = synthetic.compose_take(seed=seed), output_folder / "demo.c3d"
-    synthetic.write_synthetic_take(path, truth)
+    truth, path = compose_take(seed=seed), output_folder / "demo.c3d"
+    write_synthetic_take(path, truth)
     frame_count, marker_count = truth.marker_positions.shape[:2]
     stdout_console.print(
         f"Wrote {escape(str(path))}: {frame_count / truth.rate:.0f} s of {marker_count} markers, "

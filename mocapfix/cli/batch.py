@@ -98,7 +98,7 @@ def run_batch(
     Every take is cleaned in a process of its own, with limits. Takes that fail do not stop the others. An interrupted batch
     goes on where it was.
     """
-    from mocapfix.io.output_formats import list_output_formats
+    from mocapfix.output_formats import list_output_formats
 
     if not hasattr(os, "fork"):
         return print_usage_error("batch: needs Linux or macOS; on Windows run it in WSL, or use `mocapfix clean`.")

@@ -85,7 +85,7 @@ def run_clean(
     if parsed.review.review_files and len(takes) > 1:
         return print_usage_error("--changes is for one take; clean the others separately.")
     if parsed.output.extra_formats or parsed.output.rigs or parsed.output.characters:
-        from mocapfix.io.output_formats import list_output_formats
+        from mocapfix.output_formats import list_output_formats
 
         try:
             list_output_formats(parsed.output)
@@ -109,7 +109,7 @@ def clean_takes(
     Returns the exit status.
     """
     from mocapfix.io.capture import read_capture
-    from mocapfix.report.stage_timer import StageTimer
+    from mocapfix.model.stage_timer import StageTimer
 
     reports: list[Report] = []
     written: set[Path] = set()

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mocapfix.errors import MocapfixError, describe_error, shorten_message
-from mocapfix.report.stage_timer import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
+from mocapfix.model.stage_timer import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
 EXIT_FAILED = 1

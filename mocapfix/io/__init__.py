@@ -5,9 +5,8 @@ coordinates     units, axes and handedness: the one place where files become met
 c3d, c3d_parameters, c3d_blocks, c3d_events, force_plates, points
 marker_table    what text tables of markers share: trc_csv, and vendor_tables of Motive, Nexus and Qualisys
 bvh, asf_amc, rig, keypoint_json, npz
-gltf, character_files
+gltf
 source_file     copies of the source in which only changed samples differ
-output_formats  which files a cleaning writes
 files           atomic replacement, temporary files and locks
 yaml_files      YAML that is checked against a model
 shipped         files that come with mocapfix

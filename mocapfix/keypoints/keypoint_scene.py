@@ -30,10 +30,10 @@ from mocapfix.keypoints.film_solver import build_camera_rotation, solve_film
 from mocapfix.keypoints.keypoint_file import Keypoints, read_keypoints
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.report.change_figures import Figure
 from mocapfix.report.html_report import write_page
 from mocapfix.report.recording import check_recording_complete
-from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.single_pose import Camera, resolve_pose_model
 from mocapfix.subject.library import read_subject

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
+from mocapfix import synthetic as motions
 from mocapfix.animations.detect import detect_pose_faults
 from mocapfix.animations.repair import RepairMethod, repair_animation
 from mocapfix.errors import SceneError
@@ -27,14 +28,13 @@ from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.model.faults import Fault, FaultKind
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
-from mocapfix.report.stage_timer import ProgressCallback
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.solve import kinematics
 from mocapfix.solve.motion_prior import predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.trained_priors import load_pose_model
-from mocapfix.synthetic import synthetic_takes as motions
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 FAULT_SPACING_S = 2.0  # between two faults
 EDGE_MARGIN_S = 0.8  # before the first fault and after the last

@@ -28,9 +28,8 @@ from mocapfix.lab.compared_solvers import TASK_TAKE_NAMES, measure_in_fresh_proc
 from mocapfix.lab.fault_detection import measure_mixed_faults
 from mocapfix.lab.stress import measure_stress
 from mocapfix.lab.uncertainty import gather_fill_errors, gather_joint_errors, summarise_error_groups
-from mocapfix.report.stage_timer import ProgressCallback
-from mocapfix.synthetic.demo_errors import compute_fill_errors
-from mocapfix.synthetic.synthetic_takes import compose_take
+from mocapfix.model.stage_timer import ProgressCallback
+from mocapfix.synthetic import compose_take, compute_fill_errors
 
 
 class BaselineEntry(StrictModel):

@@ -28,7 +28,7 @@ import psutil
 
 from mocapfix.batch.jobs import CleanRequest, clean_recorded_take
 from mocapfix.batch.records import BATCH_LOCK_NAME, RECORD_SUFFIX, TakeRecord, list_record_paths, read_records
-from mocapfix.batch.session_people import RECORDS_FOLDER
+from mocapfix.batch.run_session import RECORDS_FOLDER
 from mocapfix.review.take_files import JSON_REPORT_SUFFIX
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
@@ -328,7 +328,7 @@ SINGLE_RUN_CODE = """
 import sys, time
 from pathlib import Path
 from mocapfix import pipeline
-from mocapfix.report.stage_timer import omit_stage_times
+from mocapfix.model.stage_timer import omit_stage_times
 with omit_stage_times():
     for path in sorted(Path(sys.argv[1]).glob("*.c3d")):
         start = time.monotonic(), time.process_time()

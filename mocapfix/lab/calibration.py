@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix import synthetic
 from mocapfix.errors import ReadError
 from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.sound_takes import (
@@ -56,8 +55,16 @@ from mocapfix.subject.refinement import (
     compute_curvature,
     linearise_frames,
 )
-from mocapfix.synthetic import SyntheticTake
-from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, compose_motion, draw_gaps, draw_subject, simulate_markers
+from mocapfix.synthetic import (
+    DAMAGED_ARM_JOINTS,
+    SyntheticTake,
+    compose_motion,
+    compose_take,
+    draw_gaps,
+    draw_subject,
+    simulate_markers,
+    write_synthetic_take,
+)
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
@@ -87,7 +94,7 @@ def measure_calibration(
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     rows: list[CalibrationRow] = []
     for seed in seeds:
-        truth = synthetic.compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
+        truth = compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
         markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
         take = Take(markers, truth.labels, CALIBRATION_RATE_HZ)
         average = scale_average_subject(take, marker_set, body)
@@ -310,7 +317,7 @@ def measure_sessions(
         with TemporaryDirectory() as folder:
             paths = [Path(folder) / f"take{t}.c3d" for t in range(take_count)]
             for path, take in zip(paths, person.takes, strict=True):
-                synthetic.write_synthetic_take(path, take)
+                write_synthetic_take(path, take)
             begin = process_time()
             surveys = [survey_take(path, take_id=path.stem)[0] for path in paths]
             calibration = calibrate_person(surveys)
@@ -361,7 +368,7 @@ def _move_and_find(
     changed = list(surveys)
     for t in range(first, len(person.takes)):
         path = folder / f"take{t}.c3d"
-        synthetic.write_synthetic_take(path, record_take(rng, moved_subject, person.takes[t].motion))
+        write_synthetic_take(path, record_take(rng, moved_subject, person.takes[t].motion))
         changed[t] = survey_take(path, take_id=path.stem)[0]
     calibration = calibrate_person(changed)
     label = person.subject.labels[marker]

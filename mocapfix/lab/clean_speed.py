@@ -34,7 +34,6 @@ import numpy as np
 from jaxtyping import Bool
 
 import mocapfix
-from mocapfix import synthetic
 from mocapfix.io import bvh, capture, rig
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_rig_bvh
@@ -47,9 +46,9 @@ from mocapfix.lab.animation_repair import inject_animation_faults
 from mocapfix.lab.common_task import CommonTask, build_common_task
 from mocapfix.lab.compared_solvers import solve_with_mocapfix
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
-from mocapfix.report.stage_timer import ProgressCallback
-from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_motion, draw_subject, simulate_markers
+from mocapfix.synthetic import SyntheticTake, compose_motion, compose_take, draw_subject, simulate_markers, write_synthetic_take
 
 KIB_PER_MIB = 1024
 BYTES_PER_MIB = 1024 * 1024
@@ -223,7 +222,7 @@ class CleanedScene(NamedTuple):
 
 def write_sound_take(folder: Path, seconds: float = SOUND_TAKE_S) -> CleanedScene:
     """Write a take with few gaps and spikes."""
-    return _write_take(folder / "sound.c3d", synthetic.compose_take(SOUND_TAKE_SEED, seconds))
+    return _write_take(folder / "sound.c3d", compose_take(SOUND_TAKE_SEED, seconds))
 
 
 def write_tenth_missing_take(folder: Path, seconds: float = TENTH_MISSING_TAKE_S) -> CleanedScene:
@@ -338,7 +337,7 @@ def score_markers(truth: SyntheticTake, markers: np.ndarray) -> dict[str, float]
 
 
 def _write_take(path: Path, truth: SyntheticTake) -> CleanedScene:
-    synthetic.write_synthetic_take(path, truth)
+    write_synthetic_take(path, truth)
     return CleanedScene(path, len(truth.marker_positions) / truth.rate, truth)
 
 
@@ -354,7 +353,7 @@ def measure_file_speed(duration_s: float = 60.0) -> list[dict[str, str | int | f
     truth = compose_file_take(duration_s)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "composed.c3d"
-        synthetic.write_synthetic_take(path, truth)
+        write_synthetic_take(path, truth)
         rows: list[dict[str, str | int | float]] = []
         for name, job in (build_take_jobs(path) | build_motion_jobs(path, truth)).items():
             duration_ms = 1e3 * median(_time_call(job) for _ in range(FILE_REPEATS))
@@ -397,7 +396,7 @@ def build_motion_jobs(path: Path, truth: SyntheticTake) -> Jobs:
 
 def compose_file_take(duration_s: float) -> SyntheticTake:
     """Return a composed take of a person, with markers of a second person up to FILE_MARKER_COUNT."""
-    truth = synthetic.compose_take(seconds=duration_s)
+    truth = compose_take(seconds=duration_s)
     copied = range(FILE_MARKER_COUNT - len(truth.labels))
     return replace(
         truth,

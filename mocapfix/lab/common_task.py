@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 import mocapfix
-from mocapfix import synthetic
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_yaml
 from mocapfix.model.motion import Motion
@@ -22,7 +21,7 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.options import CleanOptions
 from mocapfix.solve import kinematics
-from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic import SyntheticTake, write_synthetic_take
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
@@ -152,5 +151,5 @@ def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_BE
     """Return the result of the pipeline for a composed take, which is written to a file and read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
-        synthetic.write_synthetic_take(path, truth)
+        write_synthetic_take(path, truth)
         return mocapfix.clean(path, options)

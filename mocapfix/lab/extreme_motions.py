@@ -28,7 +28,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.synthetic.synthetic_takes import build_posture_motion
+from mocapfix.synthetic import build_posture_motion
 
 KeyPose = Mapping[str, tuple[float, float, float]]
 

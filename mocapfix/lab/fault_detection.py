@@ -41,8 +41,8 @@ from mocapfix.model.faults import (
     MarkerShift,
     build_fault_mask,
 )
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs

@@ -20,7 +20,6 @@ from mocapfix.io.c3d_events import read_c3d_events
 from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.io.capture import read_take
 from mocapfix.io.force_plates import read_analog
-from mocapfix.io.output_formats import write_cleaned_copy
 from mocapfix.lab.fuzz_process import FuzzLimits
 from mocapfix.model.take import (
     C3D_BLOCK_BYTES,
@@ -33,6 +32,7 @@ from mocapfix.model.take import (
     Take,
 )
 from mocapfix.options import ReadOptions
+from mocapfix.output_formats import write_cleaned_copy
 
 C3D_FUZZ_LIMITS = FuzzLimits(slow_s=5.0, timeout_s=60.0)
 READ_OPTIONS = ReadOptions(accept_contradictions=True)

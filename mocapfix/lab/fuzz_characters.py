@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character
+from mocapfix.characters.character_files import write_character_bvh, write_character_glb
 from mocapfix.characters.load_character import load_character, read_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.errors import ReadError
-from mocapfix.io.character_files import write_character_bvh, write_character_glb
 from mocapfix.io.gltf import BINARY_CHUNK, GLB_CHUNK_HEADER, GLB_HEADER, GLB_MAGIC, GLB_VERSION, JSON_CHUNK, parse_glb
 from mocapfix.lab.fuzz_files import ANY_MUTATIONS, TEXT_MUTATIONS
 from mocapfix.model.skeleton import load_cmu31_skeleton

@@ -28,11 +28,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from mocapfix import synthetic
 from mocapfix.errors import MocapfixError
 from mocapfix.io.files import TEMPORARY_PATTERN, make_output_folder
 from mocapfix.report.recording import check_recording_complete
 from mocapfix.result import CleaningResult
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 FindingKind = Literal["exception", "message", "slow", "timeout", "memory", "crash"]
 REFUSED = "refused"
@@ -276,7 +276,7 @@ def measure_kills(
     from mocapfix import pipeline
 
     path, output, random_source = folder / "killed.c3d", folder / "out", random.Random(seed)
-    synthetic.write_synthetic_take(path, synthetic.compose_take(0, KILLED_TAKE_S))
+    write_synthetic_take(path, compose_take(0, KILLED_TAKE_S))
     data, command = path.read_bytes(), (sys.executable, *CLEAN_ARGUMENTS, str(output), str(path))
     started = time.perf_counter()
     subprocess.run(command, check=True, capture_output=True)

@@ -41,7 +41,7 @@ from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, build_clean_options
 from mocapfix.solve.hybrik import read_twist_regressor
 from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.subject.library import load_marker_set, read_subject
-from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_motion, compose_take, draw_subject
+from mocapfix.synthetic import SyntheticTake, compose_motion, compose_take, draw_subject
 
 READER_FUZZ_LIMITS = FuzzLimits(slow_s=3.0, timeout_s=30.0)
 MAX_MUTATIONS = 4

@@ -21,8 +21,8 @@ from mocapfix.lab.recordings import read_recordings
 from mocapfix.lab.training_poses import find_longest_jump_free_slice
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body, load_cmu31_skeleton
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve import kinematics
 from mocapfix.solve.hybrik import (
     DEFAULT_JOINT_SD_M,
@@ -33,7 +33,7 @@ from mocapfix.solve.hybrik import (
     solve_hybrik,
 )
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 JOINT_NOISE_MM = (0, 10, 20, 30)  # maximum along each axis
 HAND_NAME_PARTS = ("Hand", "FingerBase", "Thumb")  # "Hand" includes HandIndex

@@ -29,7 +29,6 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix import synthetic
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
@@ -53,10 +52,10 @@ from mocapfix.lab.sound_takes import (
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import INIT_METHODS, SolveOptions, SubjectOptions
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve import initial_motion, kinematics, motion_solver
 from mocapfix.solve.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.solve.kinematics import Poses
@@ -64,7 +63,7 @@ from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.pose_problem import PoseProblem, build_pose_problem
 from mocapfix.subject import calibration
 from mocapfix.subject.library import load_marker_set, resolve_subject
-from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
+from mocapfix.synthetic import compose_take, draw_subject, simulate_markers
 
 SINGLE_GAP_SHARE = 0.1  # fraction of the samples that is missing in gaps of single markers
 MIN_SINGLE_GAP_S = 0.1
@@ -94,7 +93,7 @@ MarkerLoss = Callable[[InitialisationTake, np.random.Generator], Bool[np.ndarray
 def compose_initialisation_takes(seeds: Iterable[int]) -> Iterator[InitialisationTake]:
     """Yield composed takes with gaps, without the samples of spikes."""
     for seed in seeds:
-        truth = synthetic.compose_take(seed, asymmetric=True)
+        truth = compose_take(seed, asymmetric=True)
         markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
         take = Take(markers, truth.labels, truth.rate)
         subject = calibrate_take(take, load_marker_set("cmu41"))

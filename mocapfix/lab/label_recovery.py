@@ -1,6 +1,6 @@
 """Benchmark of labelling: labels are taken away from takes whose labels are known, and found again.
 
-Each take is damaged in every way of `synthetic.unlabelled_takes`. Pairs of takes are also put together, as two people beside each
+Each take is damaged in every way of `unlabelled_takes`. Pairs of takes are also put together, as two people beside each
 other and crossing. The recall is the share of the markers' samples that have their own label again, the precision the share of
 the labelled samples whose label is right, and F1 their harmonic mean. With several people the label includes the person.
 
@@ -23,7 +23,6 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix import synthetic
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.capture import read_capture
 from mocapfix.labels.labeller import label_people, label_points, separate_people
@@ -32,6 +31,7 @@ from mocapfix.model.animation import Animation
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import choose_marker_set, load_marker_set
+from mocapfix.synthetic import compose_take
 
 SHIFT_STEP_M = 0.05  # in which the distance of the second person is found
 MAX_SHIFT_M = 20.0
@@ -295,7 +295,7 @@ def compose_takes() -> Iterator[LabelledMarkers]:
     """Yield composed takes with gaps and without spikes."""
     marker_set = load_marker_set(COMPOSED_MARKER_SET)
     for seed in range(COMPOSED_TAKE_COUNT):
-        take = synthetic.compose_take(seed, COMPOSED_DURATION_S, COMPOSED_RATE_HZ, asymmetric=True)
+        take = compose_take(seed, COMPOSED_DURATION_S, COMPOSED_RATE_HZ, asymmetric=True)
         markers = np.where(take.missing_mask[..., None], np.nan, take.marker_positions)
         yield LabelledMarkers(f"seed {seed}", markers, np.arange(len(take.labels)), marker_set, take.rate)
 

@@ -31,8 +31,8 @@ from mocapfix.lab.hybrik_tables import build_cmu41_subject
 from mocapfix.lab.learned_ik_training import KNOWN_JOINT_SD_M, SCORED_OFFSETS, SCORED_SD_M, build_scored_pairs, find_lost_joints
 from mocapfix.lab.recordings import TRAINING_RATE_HZ, fold_clavicles, read_shard_recordings
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import DEFAULT_PRIOR_NAME
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve.hybrik import solve_hybrik
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.learned_ik import IkNetwork, PoseRegressor, load_shipped_ik_network, smooth_positions

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve import initial_motion, kinematics, motion_solver
 from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.motion_prior import predict_shipped_gap

@@ -32,8 +32,8 @@ from mocapfix.lab.compared_priors import (
 from mocapfix.lab.lost_limbs import measure_lost_limbs
 from mocapfix.lab.sound_takes import load_unseen_poses, sample_interleaved_poses, sample_subject_poses
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import DEFAULT_PRIOR_NAME
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.pose_prior import PoseModel
 

@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from mocapfix import synthetic
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.lab.common_task import build_known_motion, find_bench_file
 from mocapfix.lab.recordings import Recording, read_recordings, read_shard_recordings
@@ -27,8 +26,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve.pose_prior import remove_heading
-from mocapfix.synthetic import SyntheticTake
-from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
+from mocapfix.synthetic import SyntheticTake, compose_take, draw_subject, simulate_markers
 
 CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases
 SOUND_TAKE_RATE_HZ = 120.0
@@ -53,7 +51,7 @@ def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator
         raise SceneError(f"The number of takes must be at least 1, not {take_count}.")
     if motion_folder is None:
         for seed in range(take_count):
-            take = synthetic.compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)
+            take = compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)
             yield f"seed {seed}", remove_damage(take)
         return
     performances = choose_performances(list(read_performed_motions(motion_folder / "test.npz")), take_count)

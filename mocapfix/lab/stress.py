@@ -35,11 +35,11 @@ from mocapfix.lab.extreme_motions import (
 from mocapfix.lab.lost_limbs import build_full_marker_subject
 from mocapfix.lab.sound_takes import PerformedMotion, perform_take, read_performed_motions
 from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
-from mocapfix.synthetic.synthetic_takes import (
+from mocapfix.synthetic import (
     DAMAGED_ARM_JOINTS,
     SyntheticTake,
     compose_motion,

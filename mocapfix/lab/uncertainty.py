@@ -15,15 +15,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mocapfix
-from mocapfix import synthetic
 from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.sound_takes import find_informative_markers, iterate_sound_takes
 from mocapfix.model.subject import Subject
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
-from mocapfix.synthetic import SyntheticTake
-from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, draw_gaps, draw_spikes, simulate_markers
+from mocapfix.synthetic import (
+    DAMAGED_ARM_JOINTS,
+    SyntheticTake,
+    compose_take,
+    draw_gaps,
+    draw_spikes,
+    simulate_markers,
+    write_synthetic_take,
+)
 
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
 MAX_SHORT_FILL_S = 0.2
@@ -76,7 +82,7 @@ def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Itera
     """Yield the names of takes and the takes, with gaps and spikes. Raises ReadError if the folder holds no motion."""
     if motion_folder is None:
         for seed in seeds:
-            yield f"seed {seed}", synthetic.compose_take(seed=seed)
+            yield f"seed {seed}", compose_take(seed=seed)
         return
     for seed, (name, truth) in zip(seeds, iterate_sound_takes(motion_folder, len(seeds)), strict=False):
         yield name, damage_take(truth, np.random.default_rng(seed))
@@ -96,7 +102,7 @@ def calibrate_from_other_take(truth: SyntheticTake) -> Subject:
     _, markers = simulate_markers(np.random.default_rng(OTHER_TAKE_SEED), truth.subject, truth.motion, truth.rate)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "other.c3d"
-        synthetic.write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
+        write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
         return mocapfix.calibrate_takes([path])
 
 

@@ -9,7 +9,7 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.changes import Change, list_affected_markers
@@ -90,7 +90,7 @@ def _find_reassigned_samples(
     return reassigned
 
 
-def find_estimated_samples(outcome: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+def find_estimated_samples(outcome: Integer[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     """Return the mask of the samples that were estimated: filled or replaced."""
     return (outcome == SampleOutcome.FILLED) | (outcome == SampleOutcome.REPLACED)
 

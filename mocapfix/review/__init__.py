@@ -1,1 +1,1 @@
-"""Review of a cleaned take: decisions on its changes and corrections by its user, in a file and in the browser."""
+"""Review of cleaned takes in the browser: decisions on their changes, corrections, and cleaning them again."""

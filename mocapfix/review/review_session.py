@@ -20,22 +20,23 @@ from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
 from mocapfix.io.changes_file import ChangeModel, ChangesFileModel, CorrectionModel, locate_correction
 from mocapfix.io.files import hold_process_lock
 from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
-from mocapfix.report.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.review.take_files import (
     CleanedTake,
     DecisionStore,
+    TakeView,
     determine_state,
     find_cleaned_takes,
     find_takes_of_one_file,
     hash_changes,
+    load_take_view,
     read_approval,
     read_cleaned_take,
     withdraw_approval,
     write_approval,
 )
-from mocapfix.review.take_view import TakeView, load_take_view
 
 MAX_MESSAGE_LENGTH = 1000
 END_LIMIT_S = 5.0

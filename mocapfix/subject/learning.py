@@ -22,9 +22,9 @@ from mocapfix.errors import TakeError, format_name_list
 from mocapfix.io.capture import read_take
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import BODY_SECTIONS, find_common_joint, load_cmu31_body
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.take import Take
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
 from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.characters.load_character import load_character_preset
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))
@@ -49,12 +49,12 @@ armature.constraints[0].mute = armature.pose.bones["LeftFoot"].constraints[0].mu
 def takes(tmp_path_factory) -> Path:
     """A folder with takes of the same person: walk.c3d, motion.bvh and damaged.c3d."""
     folder = tmp_path_factory.mktemp("takes")
-    truth = synthetic.compose_take(seed=3, seconds=1.4, rate=RATE_HZ)
+    truth = compose_take(seed=3, seconds=1.4, rate=RATE_HZ)
     markers = truth.marker_positions.copy()
     for frames, label in (HIDDEN, FILLED):
         markers[frames, truth.labels.index(label)] = np.nan
     missing = np.isnan(markers[..., 0])
-    synthetic.write_synthetic_take(folder / "walk.c3d", replace(truth, damaged_positions=markers, missing_mask=missing))
+    write_synthetic_take(folder / "walk.c3d", replace(truth, damaged_positions=markers, missing_mask=missing))
     (folder / "damaged.c3d").write_bytes((folder / "walk.c3d").read_bytes()[:6000])
     return folder
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.animations.clean import AnimationResult
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
@@ -18,6 +18,7 @@ from mocapfix.report.build_report import ContactSection
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import SyntheticTake, compose_take
 from tests.captures import CAPTURES, needs_captures
 
 
@@ -32,8 +33,8 @@ def get_section(result: CleaningResult) -> ContactSection:
 
 
 @pytest.fixture(scope="module")
-def truth() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(seed=3, seconds=6.0)
+def truth() -> SyntheticTake:
+    return compose_take(seed=3, seconds=6.0)
 
 
 @pytest.fixture(scope="module")

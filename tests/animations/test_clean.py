@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.animations.clean import AnimationResult, find_body
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
@@ -21,6 +21,7 @@ from mocapfix.io.bvh import write_bvh
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 
 ARM = ("RightArm", "RightForeArm")
@@ -67,7 +68,7 @@ def get_rotation_columns(animation: Animation, joint: str) -> np.ndarray:
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory) -> Walk:
     folder = tmp_path_factory.mktemp("walk")
-    composed = synthetic.compose_take(seed=1, seconds=6.0)
+    composed = compose_take(seed=1, seconds=6.0)
     write_bvh(folder / "truth.bvh", composed.subject.skeleton, composed.motion, composed.rate)
     truth = bvh.read_bvh(folder / "truth.bvh")
     patch_animation(folder / "walk.bvh", truth, damage_values(truth))

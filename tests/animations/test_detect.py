@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix import synthetic as motions
 from mocapfix.animations import detect
 from mocapfix.animations.detect import TrackMotion
 from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.synthetic import synthetic_takes as motions
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 RATE = 60.0
 SPAN = slice(200, 230)

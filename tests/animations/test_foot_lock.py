@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import yaml
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.animations.clean import AnimationResult
 from mocapfix.io import bvh
 from mocapfix.io.bvh import write_bvh
 from mocapfix.model.motion import Motion
 from mocapfix.options import CleanOptions
+from mocapfix.synthetic import compose_take
 
 LEGS = {f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot")}
 SLIDE_M = 0.03
@@ -21,7 +22,7 @@ SLIDE_M = 0.03
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Path:
     """Return an animation of 6 s of walking whose whole body drifts sideways, so that standing feet slide by about 30 mm/s."""
-    truth, path = synthetic.compose_take(seed=3, seconds=6.0), tmp_path_factory.mktemp("slide") / "slide.bvh"
+    truth, path = compose_take(seed=3, seconds=6.0), tmp_path_factory.mktemp("slide") / "slide.bvh"
     drift = np.zeros((720, 3))
     drift[:, 0] = SLIDE_M * np.arange(720) / 120.0
     fields = vars(truth.motion) | {"root_position": truth.motion.root_position + drift}

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mocapfix import synthetic as motions
 from mocapfix.animations import repair
 from mocapfix.lab.animation_repair import (
     ANIMATION_FAULT_INJECTORS,
@@ -18,8 +19,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.synthetic import synthetic_takes as motions
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 RATE = 30.0
 SKELETON = load_cmu31_body().skeleton

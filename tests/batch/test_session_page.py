@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from markupsafe import escape
 
 from mocapfix.batch.records import TakeRecord
+from mocapfix.batch.run_session import PersonEntry, SessionPeople, write_people_file
 from mocapfix.batch.session_page import (
     build_session_page,
     check_picture,
@@ -20,7 +21,6 @@ from mocapfix.batch.session_page import (
     select_subject_outputs,
     write_session_page,
 )
-from mocapfix.batch.session_people import PersonEntry, SessionPeople, write_people_file
 from mocapfix.errors import WriteError
 from tests.batch.session_records import PICTURE, build_done, build_failed, build_figures, names, take_records
 

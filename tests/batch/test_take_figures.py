@@ -7,13 +7,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.batch.take_figures import SubjectFigures, describe_moment, draw_worst_moment, find_worst_moment, measure_result
 from mocapfix.io.changes_file import NO_REVIEW
+from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.report.stage_timer import StageTimer
 from mocapfix.result import CleaningResult
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 MAX_PICTURE_BYTES = 6000
 FRAMES, RATE = 60, 60.0
@@ -98,8 +99,8 @@ def test_title_names_few_markers(result: CleaningResult) -> None:
 
 
 def test_empty_marker_is_crossed_where_the_body_carries_it(tmp_path: Path) -> None:
-    truth = synthetic.compose_take(seed=3, seconds=2.0, rate=60.0)
-    synthetic.write_synthetic_take(tmp_path / "take.c3d", truth)
+    truth = compose_take(seed=3, seconds=2.0, rate=60.0)
+    write_synthetic_take(tmp_path / "take.c3d", truth)
     result = pipeline.clean(tmp_path / "take.c3d", CleanOptions(), subject=truth.subject)
     (figures,) = measure_result(result)
     assert (figures.marker_set, figures.left_empty) == ("cmu41", 0)

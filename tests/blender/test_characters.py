@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.character_files import BLENDER_VARIABLE, write_character_bvh, write_character_fbx, write_character_glb
 from mocapfix.characters.load_character import load_character_preset, read_character
-from mocapfix.io.character_files import BLENDER_VARIABLE, write_character_bvh, write_character_fbx, write_character_glb
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
 

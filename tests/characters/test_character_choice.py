@@ -6,10 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import REQUIRED_SEGMENTS, CharacterMotion, build_cmu31_character
+from mocapfix.characters.character_files import write_character_bvh, write_character_glb
 from mocapfix.characters.character_yaml import write_mapping_file
 from mocapfix.characters.load_character import check_lengths, load_character, load_character_preset, read_character_skeletons
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.io.character_files import write_character_bvh, write_character_glb
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import FIGURE, PREFIX, build_mixamo_glb, edit_glb, node_of

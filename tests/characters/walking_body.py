@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion
+from mocapfix.synthetic import compose_take
 
 SECONDS = 4.0
 RATE = 60.0
@@ -16,7 +16,7 @@ RATE = 60.0
 @cache
 def load_walk() -> tuple[Character, CharacterMotion]:
     """Return the source: a composed motion and its character."""
-    take = synthetic.compose_take(seed=2, seconds=SECONDS, rate=RATE)
+    take = compose_take(seed=2, seconds=SECONDS, rate=RATE)
     return build_cmu31_character(take.subject.skeleton), convert_motion(take.motion, RATE)
 
 

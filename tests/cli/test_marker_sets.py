@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.subject.library import load_marker_set, load_shipped_marker_sets
+from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d
 
 
@@ -26,7 +26,7 @@ def test_show_lists_markers_by_segment(mocapfix):
 
 @pytest.fixture(scope="module")
 def wave(tmp_path_factory):
-    truth, path = synthetic.compose_take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
+    truth, path = compose_take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
     floor = truth.damaged_positions[:, :1] * 0 + [0.3, 0.01, 0.2]
     labels = [f"{label}!" if label in ("LUPA", "RSHN") else label for label in truth.labels]
     path.write_bytes(build_c3d(np.concatenate([truth.damaged_positions, floor], axis=1), [*labels, "Floor"], rate=truth.rate))

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from mocapfix.io.output_formats import OPTIONAL_FORMATS
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.output_formats import OPTIONAL_FORMATS
 
 
 def test_help_names_every_format_and_program(mocapfix):

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.io import shipped
 from mocapfix.keypoints import keypoint_scene
 from mocapfix.subject import library
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 
 def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):
@@ -63,7 +63,7 @@ def test_shipped_session_calibrates_once_for_all_takes(mocapfix, tmp_path):
     scene = tmp_path / "session.yaml"
     scene.write_bytes((shipped.find_shipped_folder("scenes") / "session.yaml").read_bytes())
     for name, start in (("rom", 0), ("walk1", 120), ("walk2", 240), ("other", 0)):
-        truth = synthetic.compose_take(seed=1, seconds=3.0)
+        truth = compose_take(seed=1, seconds=3.0)
         some = slice(start, start + 120)
         cut = replace(
             truth,
@@ -71,7 +71,7 @@ def test_shipped_session_calibrates_once_for_all_takes(mocapfix, tmp_path):
             damaged_positions=truth.damaged_positions[some],
             missing_mask=truth.missing_mask[some],
         )
-        synthetic.write_synthetic_take(tmp_path / f"{name}.c3d", cut)
+        write_synthetic_take(tmp_path / f"{name}.c3d", cut)
     status, out, err = mocapfix("run", scene, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
     assert "Jim's session: 3 takes." in out

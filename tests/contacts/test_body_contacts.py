@@ -5,25 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR
 from mocapfix.lab.contacts import FootLoss, compute_drift, compute_slide, find_all_true_contacts, find_foot_markers, lose_feet
 from mocapfix.lab.sound_takes import remove_damage
+from mocapfix.synthetic import SyntheticTake, compose_take, write_synthetic_take
 
 LOSS = FootLoss("left", 560, 640)
 """The left foot stands from frame 463 on."""
 
 
 @pytest.fixture(scope="module")
-def truth() -> synthetic.SyntheticTake:
-    return remove_damage(synthetic.compose_take(seed=0, seconds=6.0))
+def truth() -> SyntheticTake:
+    return remove_damage(compose_take(seed=0, seconds=6.0))
 
 
 @pytest.fixture(scope="module")
 def results(truth, tmp_path_factory):
     """Results of the take with its left foot hidden for a while, by the way to hold feet."""
     path = tmp_path_factory.mktemp("contacts") / "hidden.c3d"
-    synthetic.write_synthetic_take(path, lose_feet(truth, [LOSS]))
+    write_synthetic_take(path, lose_feet(truth, [LOSS]))
     return {mode: pipeline.clean(path, feet=mode) for mode in ("off", "soft", "lock")}
 
 
@@ -84,7 +85,7 @@ def test_an_upper_body_has_no_contacts(truth, tmp_path):
         labels=tuple(truth.labels[k] for k in kept),
     )
     path = tmp_path / "upper.c3d"
-    synthetic.write_synthetic_take(path, upper)
+    write_synthetic_take(path, upper)
     result = pipeline.clean(path, feet="lock")
     if result.contacts is not None:
         assert not result.contacts.is_contact.any()

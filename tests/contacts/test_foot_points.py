@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.contacts.gait_events import build_foot_points
 from mocapfix.solve import kinematics
+from mocapfix.synthetic import compose_take
 
-TAKE = synthetic.compose_take(seed=0, seconds=1.0)
+TAKE = compose_take(seed=0, seconds=1.0)
 SUBJECT = TAKE.subject
 _, BODY_MARKERS = kinematics.compute_joint_and_marker_positions(SUBJECT, TAKE.motion)
 

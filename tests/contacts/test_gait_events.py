@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
-from mocapfix import synthetic
 from mocapfix.contacts.contacts import CONTACT_JOINTS, ContactPositions, Floor
 from mocapfix.contacts.find_contacts import find_foot_contacts
 from mocapfix.contacts.gait_events import (
@@ -17,7 +16,7 @@ from mocapfix.contacts.gait_events import (
     find_rise,
     remove_repeated_contacts,
 )
-from mocapfix.synthetic.synthetic_takes import STEP_SCHEDULE
+from mocapfix.synthetic import STEP_SCHEDULE, compose_take
 from tests.contacts.walking_feet import find_true_stances, make_path, walk
 
 SECONDS = 5.5
@@ -188,7 +187,7 @@ def test_contacts_within_half_a_step_are_one():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_steps_of_a_walk_that_turns_and_stops_are_found_once(seed):
     seconds = 9.9
-    take = synthetic.compose_take(seed=seed, seconds=seconds)
+    take = compose_take(seed=seed, seconds=seconds)
     joints = [take.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS]
     position = take.joint_positions[:, joints]
     floor = find_foot_contacts(ContactPositions(position, np.full(position.shape[:2], 0.001), take.rate)).floor

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.contacts.body_contacts import ROLLING_SD_M, reduce_held_uncertainty
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor
 from mocapfix.model.motion import Motion
+from mocapfix.synthetic import compose_take
 
-SUBJECT = synthetic.compose_take(seed=0, seconds=0.1).subject
+SUBJECT = compose_take(seed=0, seconds=0.1).subject
 NAMES = SUBJECT.skeleton.names
 HIDDEN = slice(40, 80)
 

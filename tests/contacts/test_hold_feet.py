@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.contacts.body_contacts import (
     LEG_JOINTS,
     MAX_ROOT_DISPLACEMENT_M,
@@ -19,9 +18,10 @@ from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.model.motion import Motion
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import compose_take
 
 RATE = 120.0
-TAKE = synthetic.compose_take(seed=3, seconds=6.0, rate=RATE)
+TAKE = compose_take(seed=3, seconds=6.0, rate=RATE)
 SKELETON = TAKE.subject.skeleton
 FEET = np.array([SKELETON.find_joint(joint) for joint in CONTACT_JOINTS])
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix import synthetic
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 
 RATE = 120.0
 FAR = 0.004  # metres: predicted standard deviation of every marker
@@ -24,7 +24,7 @@ class Solved(NamedTuple):
 @cache
 def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
     """Return sound markers with skin motion, and the body that carries them."""
-    truth = synthetic.compose_take(seed, seconds, RATE)
+    truth = compose_take(seed, seconds, RATE)
     motion = truth.motion
     marker_sd = np.full(truth.missing_mask.shape, FAR)
     known = replace(motion, marker_sd=marker_sd)

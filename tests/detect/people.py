@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from mocapfix import synthetic
 from mocapfix.model.take import Take
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 CMU41 = load_marker_set("cmu41")
 
@@ -14,7 +14,7 @@ CMU41 = load_marker_set("cmu41")
 @cache
 def compose_person(seed: int = 0, seconds: float = 3.0) -> Take:
     """Return a sound take, at 30 Hz, of a subject off the average who walks and reaches."""
-    truth = synthetic.compose_take(seed, seconds, 30.0, asymmetric=True)
+    truth = compose_take(seed, seconds, 30.0, asymmetric=True)
     return Take(truth.marker_positions, truth.labels, truth.rate)
 
 

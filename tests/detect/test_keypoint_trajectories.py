@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.detect.keypoints import (
     detect_keypoint_swaps,
     estimate_noise_sd,
@@ -19,6 +19,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 HALPE = load_marker_set("halpe26")
 NOISE_SD_M = 0.02
@@ -29,7 +30,7 @@ class ProjectedKeypoints:
     """Keypoints of a composed take with 20 mm of noise, a tenth missing, and 2 % of the samples exchanged between the sides."""
 
     def __init__(self, seed: int = 3, seconds: float = 12.0) -> None:
-        composed, rng = synthetic.compose_take(seed=seed, seconds=seconds, rate=RATE), np.random.default_rng(seed)
+        composed, rng = compose_take(seed=seed, seconds=seconds, rate=RATE), np.random.default_rng(seed)
         skeleton = composed.subject.skeleton
         self.joints, rotations = kinematics.compute_world_poses(skeleton, composed.motion)
         size = skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix import synthetic
 from mocapfix.fill import gap_filling
 from mocapfix.solve import kinematics
+from mocapfix.synthetic import compose_take
 
 RATE = 60.0
 
@@ -16,7 +16,7 @@ RATE = 60.0
 @pytest.fixture(scope="module")
 def scene():
     """Return subject, motion, the markers (T, K, 3) on the body and world rotations; all markers have the same sd."""
-    truth = synthetic.compose_take(seed=2, seconds=6.0, rate=RATE)
+    truth = compose_take(seed=2, seconds=6.0, rate=RATE)
     motion = replace(truth.motion, marker_sd=np.full(truth.missing_mask.shape, 0.004))
     _, rotation = kinematics.compute_world_poses(truth.subject.skeleton, motion)
     return truth.subject, motion, kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1], rotation

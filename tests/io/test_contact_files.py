@@ -9,13 +9,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor, GaitEvent
 from mocapfix.errors import WriteError
-from mocapfix.io.output_formats import list_intervals_at_rate, write_contacts, write_gait_events
 from mocapfix.io.resampling import resample_motion
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.options import OutputOptions
+from mocapfix.output_formats import list_intervals_at_rate, write_contacts, write_gait_events
+from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d
 
 FRAMES = 240
@@ -115,7 +116,7 @@ def test_files_of_a_take_agree_with_its_bvh_and_npz(cleaned, tmp_path, rate):
 
 
 def test_each_of_several_people_has_files(tmp_path):
-    truth = synthetic.compose_take(seed=3, seconds=2.0)
+    truth = compose_take(seed=3, seconds=2.0)
     pair = np.concatenate([truth.marker_positions, truth.marker_positions + [2.0, 0.0, 0.0]], axis=1)
     labels = [f"{name}:{label}" for name in ("Jim", "Ann") for label in truth.labels]
     (tmp_path / "two.c3d").write_bytes(build_c3d(pair, labels))
@@ -143,7 +144,7 @@ def test_each_of_several_people_has_files(tmp_path):
 
 
 def test_a_take_without_visible_feet_has_empty_files_and_a_note(tmp_path):
-    truth = synthetic.compose_take(seed=3, seconds=1.5)
+    truth = compose_take(seed=3, seconds=1.5)
     kept = [m for m, label in enumerate(truth.labels) if label[1:] not in ("ANK", "HEE", "TOE", "MT5")]
     (tmp_path / "walk.c3d").write_bytes(build_c3d(truth.marker_positions[:, kept], [truth.labels[m] for m in kept]))
     result = pipeline.clean(tmp_path / "walk.c3d", prior="none")

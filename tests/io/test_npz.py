@@ -3,8 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_files import list_moving_bones
 from mocapfix.errors import WriteError
-from mocapfix.io.character_files import list_moving_bones
 from mocapfix.io.npz import write_character_npz, write_npz
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.take import Take

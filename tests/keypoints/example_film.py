@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.keypoints.film_solver import build_camera, build_camera_rotation
 from mocapfix.keypoints.keypoint_file import load_detector
 from mocapfix.model.motion import Motion
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.single_pose import Camera
+from mocapfix.synthetic import compose_take
 
 IMAGE_WIDTH_PX = 1280
 IMAGE_HEIGHT_PX = 720
@@ -26,7 +26,7 @@ def compose_example_film(
     detector_name: str, seconds: float, rate: float, seed: int = 0
 ) -> tuple[dict[str, Any], Float[np.ndarray, "T J 3"], Camera]:
     """Return the contents of a JSON file for `keypoint_file.read_keypoints`, the true joints in metres and the true camera."""
-    rng, take = np.random.default_rng(seed), synthetic.compose_take(seed=seed, seconds=seconds, rate=rate)
+    rng, take = np.random.default_rng(seed), compose_take(seed=seed, seconds=seconds, rate=rate)
     skeleton = take.subject.skeleton
     detector = load_detector(detector_name, skeleton)
     joints, rotations = compute_world_poses(skeleton, _rotate_heading(take.motion))

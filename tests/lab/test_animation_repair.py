@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix import synthetic as motions
 from mocapfix.errors import SceneError
 from mocapfix.lab import animation_repair
 from mocapfix.lab.animation_repair import (
@@ -13,8 +14,7 @@ from mocapfix.lab.animation_repair import (
     inject_animation_faults,
 )
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.synthetic import synthetic_takes as motions
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 SKELETON = load_cmu31_body().skeleton
 RATE = 30.0

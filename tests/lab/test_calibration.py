@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab import calibration
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import mean_pose
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
@@ -17,7 +17,7 @@ MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(2, 2.0, 30.0, asymmetric=True)
+    return compose_take(2, 2.0, 30.0, asymmetric=True)
 
 
 def measure_errors(truth, subject):
@@ -64,7 +64,7 @@ def test_each_person_has_a_row_and_calibration_reduces_errors():
 def test_irreducible_error_decreases_with_duration_and_narrower_prior(truth):
     take = Take(truth.marker_positions, truth.labels, truth.rate)
     short = calibration.compute_irreducible_joint_sd(truth, take, BODY, MEAN)
-    long = synthetic.compose_take(2, 6.0, 30.0, asymmetric=True)
+    long = compose_take(2, 6.0, 30.0, asymmetric=True)
     longer = calibration.compute_irreducible_joint_sd(long, Take(long.marker_positions, long.labels, long.rate), BODY, MEAN)
     narrow = replace(
         MEAN,

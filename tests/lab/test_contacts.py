@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.contacts import (
     LOST_FEET,
     WHOLE,
@@ -17,6 +16,7 @@ from mocapfix.lab.contacts import (
     measure_take,
 )
 from mocapfix.lab.sound_takes import remove_damage
+from mocapfix.synthetic import compose_take
 
 RATE = 100.0
 
@@ -61,7 +61,7 @@ def test_ratios_are_those_of_the_worst_take_and_errors_are_means():
 
 
 def test_holding_feet_of_a_composed_take():
-    sound = remove_damage(synthetic.compose_take(seed=1, seconds=6.0))
+    sound = remove_damage(compose_take(seed=1, seconds=6.0))
     errors, agreements = measure_take("seed 1", sound, [FootLoss("left", 560, 640)])
     by_mode = {(each.damage, each.mode): each for each in errors}
     assert set(by_mode) == {(damage, mode) for damage in (WHOLE, LOST_FEET) for mode in ("off", "soft", "lock")}

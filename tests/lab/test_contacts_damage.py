@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from mocapfix import synthetic
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS
 from mocapfix.lab.contacts import (
     LOSS_DURATION_S,
@@ -14,8 +13,9 @@ from mocapfix.lab.contacts import (
     lose_feet,
 )
 from mocapfix.lab.sound_takes import remove_damage
+from mocapfix.synthetic import compose_take
 
-TRUTH = remove_damage(synthetic.compose_take(seed=1, seconds=10.0))
+TRUTH = remove_damage(compose_take(seed=1, seconds=10.0))
 
 
 def test_feet_are_lost_while_they_stand_and_one_at_a_time():

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor, GaitEvent
 from mocapfix.contacts.plate_contacts import PlateContact
 from mocapfix.lab.contacts import (
@@ -16,6 +15,7 @@ from mocapfix.lab.contacts import (
     find_contact_between_events,
     measure_plate_events,
 )
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
 
@@ -57,7 +57,7 @@ def test_f1_by_frame_is_over_all_loads():
 
 def test_files_without_plates_are_left_out(tmp_path):
     path = tmp_path / "take.c3d"
-    synthetic.write_synthetic_take(path, synthetic.compose_take(seconds=1.0))
+    write_synthetic_take(path, compose_take(seconds=1.0))
     (tmp_path / "damaged.c3d").write_bytes(b"not a C3D")
     assert clean_without_plates(path) is None
     assert measure_plate_events(tmp_path) == ([], [])

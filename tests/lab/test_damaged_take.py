@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.fault_detection import MIN_FAULT_DISTANCE_S, DamagedTake, FaultPlace
 from mocapfix.model.faults import Fault
+from mocapfix.synthetic import compose_take
 
 
 @pytest.fixture(scope="module")
 def sound():
-    truth = synthetic.compose_take(seed=1, seconds=3.0)
+    truth = compose_take(seed=1, seconds=3.0)
     return replace(truth, damaged_positions=truth.marker_positions, missing_mask=np.zeros_like(truth.missing_mask))
 
 

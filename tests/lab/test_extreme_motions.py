@@ -18,7 +18,7 @@ from mocapfix.lab.extreme_motions import (
 from mocapfix.lab.stress import MAX_SOFT_TISSUE_LAG_M, compose_extreme_motion, compose_extreme_take
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.mean_pose import load_joint_limits
-from mocapfix.synthetic.synthetic_takes import draw_subject
+from mocapfix.synthetic import draw_subject
 
 RATE = 240.0
 MAX_LIMIT_EXCESS_RAD = np.radians(20)  # kicks and splits go beyond the range of the database by 19 degrees

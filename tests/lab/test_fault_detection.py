@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab import fault_detection
 from mocapfix.lab.fault_detection import (
     DamagedTake,
@@ -21,6 +20,7 @@ from mocapfix.lab.fault_detection import (
 )
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 
 ALL_VISIBLE = np.ones((100, 8), bool)
 
@@ -94,7 +94,7 @@ class Result:
 
 @pytest.fixture
 def damaged_take():
-    truth = synthetic.compose_take(seed=2, seconds=2.0)
+    truth = compose_take(seed=2, seconds=2.0)
     sound = replace(truth, damaged_positions=truth.marker_positions, missing_mask=np.zeros_like(truth.missing_mask))
     damaged_take = DamagedTake(sound, np.random.default_rng(0))
     damaged_take.hide_samples(4, 50, 59, is_main=True)
@@ -159,7 +159,7 @@ def test_every_kind_has_a_row_and_sound_takes_give_the_alarms(monkeypatch):
         take = Take(truth.damaged_positions, truth.labels, truth.rate)
         return Result(take, take, take, Faults(() if truth.missing_mask.any() else (fault("spike", 1, 2, 0),)))
 
-    truth = synthetic.compose_take(seed=2, seconds=10.0)
+    truth = compose_take(seed=2, seconds=10.0)
     sound = replace(truth, damaged_positions=truth.marker_positions, missing_mask=np.zeros_like(truth.missing_mask))
     monkeypatch.setattr(fault_detection, "iterate_sound_takes", lambda motion_folder, take_count: [("it", sound)])
     monkeypatch.setattr(fault_detection, "FAULT_INJECTIONS", {"gap": fault_detection.FAULT_INJECTIONS["gap"]})

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab import fault_detection
 from mocapfix.lab.fault_detection import FAULT_INJECTIONS, DamagedTake, FaultPlace
 from mocapfix.model.faults import build_fault_mask
 from mocapfix.solve import kinematics
+from mocapfix.synthetic import compose_take
 
 PLACE = FaultPlace((7,), 100, 139)
 
 
 @pytest.fixture(scope="module")
 def sound():
-    truth = synthetic.compose_take(seed=1, seconds=10.0)
+    truth = compose_take(seed=1, seconds=10.0)
     return replace(truth, damaged_positions=truth.marker_positions, missing_mask=np.zeros_like(truth.missing_mask))
 
 

@@ -1,8 +1,8 @@
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.io import capture
 from mocapfix.lab import clean_speed
+from mocapfix.synthetic import write_synthetic_take
 
 
 def test_every_operation_is_timed_on_the_whole_take(monkeypatch):
@@ -14,7 +14,7 @@ def test_every_operation_is_timed_on_the_whole_take(monkeypatch):
 
 def test_composed_take_has_53_markers_and_the_repaired_share_changes(tmp_path):
     truth = clean_speed.compose_file_take(2.0)
-    synthetic.write_synthetic_take(tmp_path / "a.c3d", truth)
+    write_synthetic_take(tmp_path / "a.c3d", truth)
     take = capture.read_take(tmp_path / "a.c3d")
     assert (len(take.labels), len(set(take.labels)), take.rate) == (53, 53, 120)
     clean_speed.build_take_jobs(tmp_path / "a.c3d")["write C3D"]()

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.cli import app
 from mocapfix.errors import TakeError
 from mocapfix.lab import hands
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 PNG = b"\x89PNG\r\n"
 
@@ -19,12 +19,10 @@ PNG = b"\x89PNG\r\n"
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
     """Write a composed take without missing samples and return its path."""
-    truth = synthetic.compose_take(seed=3, seconds=3.0)
+    truth = compose_take(seed=3, seconds=3.0)
     empty = np.zeros_like(truth.missing_mask)
     path = tmp_path_factory.mktemp("hands") / "sound.c3d"
-    synthetic.write_synthetic_take(
-        path, replace(truth, missing_mask=empty, damaged_positions=truth.marker_positions, spike_mask=empty)
-    )
+    write_synthetic_take(path, replace(truth, missing_mask=empty, damaged_positions=truth.marker_positions, spike_mask=empty))
     return path
 
 

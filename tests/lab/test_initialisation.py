@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.errors import ReadError
 from mocapfix.lab import initialisation, sound_takes
 from mocapfix.lab.initialisation import (
@@ -19,7 +18,7 @@ from mocapfix.lab.initialisation import (
 )
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic import SyntheticTake, compose_take
 from tests.conftest import build_c3d
 
 NAMES = load_cmu31_body().skeleton.names
@@ -32,7 +31,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def truth() -> SyntheticTake:
-    return synthetic.compose_take(seed=5, seconds=1.5)
+    return compose_take(seed=5, seconds=1.5)
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.errors import ReadError
 from mocapfix.lab import label_recovery
 from mocapfix.lab.label_recovery import LabelScore, compute_tracklet_purity, count_right_labels, summarise_label_scores
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 
 def test_the_better_names_of_two_people_count() -> None:
@@ -42,7 +42,7 @@ def test_scores_are_summarised_by_kind() -> None:
 def test_captures_of_known_sets_are_found(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="holds no C3D file of a whole body"):
         label_recovery.measure_label_recovery(tmp_path)
-    synthetic.write_synthetic_take(tmp_path / "walk.c3d", synthetic.compose_take(0, 2.0))
+    write_synthetic_take(tmp_path / "walk.c3d", compose_take(0, 2.0))
     (tmp_path / "broken.c3d").write_bytes(b"nothing")
     (take,) = label_recovery.iterate_captures(tmp_path)
     assert (take.name, take.marker_set.name, take.markers.shape[1]) == ("walk", "cmu41", 41)

@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.lab import clean_speed
 from mocapfix.stats.sequences import find_runs
-from mocapfix.synthetic.synthetic_takes import SyntheticTake
+from mocapfix.synthetic import SyntheticTake
 
 RATE = 60.0
 

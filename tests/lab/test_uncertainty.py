@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab import uncertainty
 from mocapfix.lab.sound_takes import remove_damage
 from mocapfix.lab.uncertainty import (
@@ -19,6 +18,7 @@ from mocapfix.lab.uncertainty import (
 )
 from mocapfix.model.motion import Motion
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 
 
 def draw_errors(count, times=1.0, seed=0):
@@ -53,7 +53,7 @@ def test_groups_of_takes_are_combined():
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(seed=3, seconds=4.0)
+    return compose_take(seed=3, seconds=4.0)
 
 
 @dataclass

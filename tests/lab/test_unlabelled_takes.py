@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.errors import SceneError
 from mocapfix.lab.label_recovery import MAX_FRAME_GHOSTS, UnlabelledKind, place_two_people, remove_labels
 from mocapfix.labels.tracklets import are_points_unordered
+from mocapfix.synthetic import compose_take
 
 RATE = 60.0
 KINDS: tuple[UnlabelledKind, ...] = ("tracks", "ghosts", "cloud", "noise", "broken")
@@ -14,7 +14,7 @@ KINDS: tuple[UnlabelledKind, ...] = ("tracks", "ghosts", "cloud", "noise", "brok
 
 @pytest.fixture(scope="module")
 def markers() -> np.ndarray:
-    markers = synthetic.compose_take(1, 8.0, RATE).marker_positions.copy()
+    markers = compose_take(1, 8.0, RATE).marker_positions.copy()
     markers[100:150, 4] = np.nan
     return markers
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.reference_labeller import arrange_points, join_trajectories, label_points_like, select_marker_fragments
 from mocapfix.labels.tracklets import UnlabelledPoints, find_tracklets
+from mocapfix.synthetic import compose_take
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(2, seconds=6.0, rate=60.0)
+    return compose_take(2, seconds=6.0, rate=60.0)
 
 
 @pytest.mark.parametrize("kind", ["ghosts", "cloud"])

@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import synthetic
 from mocapfix.io import capture
 from mocapfix.labels import fragments
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 
 
 @cache
 def whole(seed=5) -> Take:
-    truth = synthetic.compose_take(seed=seed, seconds=6.0)
+    truth = compose_take(seed=seed, seconds=6.0)
     return Take(truth.marker_positions, truth.labels, truth.rate)
 
 
@@ -175,7 +175,7 @@ def test_numbered_label_continues_no_other_marker():
 
 @pytest.mark.parametrize("rate", [60.0, 240.0])
 def test_result_does_not_depend_on_the_frame_rate(rate):
-    truth = synthetic.compose_take(seed=8, seconds=4.0, rate=rate)
+    truth = compose_take(seed=8, seconds=4.0, rate=rate)
     first, last = round(1.2 * rate), round(2.0 * rate)
     assert classify(cut(Take(truth.marker_positions, truth.labels, rate), ("LANK", first, last))) == [
         ("continues", "LANK", first, last)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.labeller import label_points
 from mocapfix.labels.tracklets import (
@@ -19,13 +18,14 @@ from mocapfix.labels.tracklets import (
     sample_points,
 )
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import SyntheticTake, compose_take
 
 MARKER_SET = load_marker_set("cmu41")
 
 
 @pytest.fixture(scope="module")
-def take() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(5, 6.0, 60.0)
+def take() -> SyntheticTake:
+    return compose_take(5, 6.0, 60.0)
 
 
 def measure_f1(unlabelled, marker_indices) -> float:
@@ -88,7 +88,7 @@ def test_label_continues_in_its_column_across_a_leap():
 
 def test_wrist_and_hand_exchanged_from_the_beginning_are_corrected():
     """Before the labels were reconsidered, three markers of the left hand had each other's labels throughout this take."""
-    take = synthetic.compose_take(21, 10.0, 120.0, asymmetric=True)
+    take = compose_take(21, 10.0, 120.0, asymmetric=True)
     visible_markers = np.where(take.missing_mask[..., None], np.nan, take.marker_positions)
     unlabelled = remove_labels("ghosts", visible_markers, take.rate, seed=1)
     found = label_points(find_tracklets(unlabelled.points, take.rate), load_marker_set("cmu41")).marker_indices

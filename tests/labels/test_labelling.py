@@ -15,7 +15,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, build_clean_options
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic.synthetic_takes import compose_motion, draw_subject, simulate_markers
+from mocapfix.synthetic import compose_motion, draw_subject, simulate_markers
 
 RATE_HZ = 60.0
 MIN_LABELLED_SHARE_OF_TWO = 0.85  # less is known of two people in two seconds than of one

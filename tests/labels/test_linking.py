@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.labels.tracklets import UnlabelledPoints, are_points_unordered, cut_columns, find_tracklets, link_points
+from mocapfix.synthetic import compose_take
 
 RATE = 120.0
 
@@ -26,7 +26,7 @@ def compute_purity(points: UnlabelledPoints, source: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def moving_body() -> np.ndarray:
-    return synthetic.compose_take(3, 10.0, RATE).marker_positions
+    return compose_take(3, 10.0, RATE).marker_positions
 
 
 def test_permuted_points_of_a_moving_body_are_one_tracklet_a_marker(moving_body: np.ndarray) -> None:

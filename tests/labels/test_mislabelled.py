@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.io import capture
 from mocapfix.labels import mislabelled
 from mocapfix.labels.label_swaps import find_permutation_cycles
@@ -11,6 +10,7 @@ from mocapfix.labels.mislabelled import select_fullest_frames
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
 from mocapfix.subject.library import build_subject_marker_set, choose_marker_set
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 from tests.detect.people import CMU41, columns, compose_person, mirrored, relabelled, without
 
@@ -110,7 +110,7 @@ def test_small_and_large_subjects(scale):
 
 
 def test_known_subject_replaces_the_average_body():
-    truth = synthetic.compose_take(3, 2.0, 30.0, asymmetric=True)
+    truth = compose_take(3, 2.0, 30.0, asymmetric=True)
     small = replace(truth.subject.skeleton, offsets=truth.subject.skeleton.offsets * 0.6)
     subject = replace(truth.subject, skeleton=small, marker_offsets=truth.subject.marker_offsets * 0.6)
     child = Take(truth.marker_positions * 0.6, truth.labels, 30.0)

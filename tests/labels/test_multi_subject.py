@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.io.capture import read_take
 from mocapfix.io.changes_file import NO_REVIEW, read_changes_files
@@ -17,12 +17,13 @@ from mocapfix.labels.requested_labels import label_take
 from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_labels
 from mocapfix.model.changes import UnfilledRun
 from mocapfix.model.faults import Fault, Faults, Fragment
+from mocapfix.model.stage_timer import StageTimer, omit_stage_times
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import DEFAULT_READ_OPTIONS, CleanOptions, OutputOptions
-from mocapfix.report.stage_timer import StageTimer, omit_stage_times
 from mocapfix.result import CleaningResult, merge_results
 from mocapfix.subject import library
 from mocapfix.subject.library import SubjectChoice, find_subject_prefixes, load_marker_set, load_shipped_marker_sets
+from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d
 
 CMU41 = load_marker_set("cmu41").labels
@@ -211,7 +212,7 @@ def test_indices_of_subjects_become_indices_of_the_whole_take():
 def files(tmp_path_factory):
     """Return the folder of a take of Jim, Ann and a box, and of takes of Jim and of Ann alone with the same gaps."""
     folder = tmp_path_factory.mktemp("subjects")
-    jim, ann = (synthetic.compose_take(seed=seed, seconds=FRAMES / 120).marker_positions for seed in (3, 4))
+    jim, ann = (compose_take(seed=seed, seconds=FRAMES / 120).marker_positions for seed in (3, 4))
     ann = ann + SUBJECT_OFFSET_M
     for markers, gaps in ((jim, ("RELB", "LKNE")), (ann, ("LFIN", "RSHN"))):
         for first, label in zip((30, 70), gaps, strict=True):

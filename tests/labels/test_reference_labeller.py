@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.reference_labeller import build_reference_markers, label_points_like
 from mocapfix.labels.tracklets import find_tracklets
+from mocapfix.synthetic import compose_take
 
 RATE = 60.0
 
@@ -15,7 +15,7 @@ RATE = 60.0
 @pytest.fixture(scope="module")
 def halves() -> tuple[np.ndarray, np.ndarray]:
     """Return the two halves of a take, the second one turned and elsewhere."""
-    markers = synthetic.compose_take(5, 10.0, RATE).marker_positions
+    markers = compose_take(5, 10.0, RATE).marker_positions
     turned = markers[300:] @ Rotation.from_euler("y", 2.0).as_matrix().T + [3.0, 0.0, -1.0]
     return markers[:300], turned
 

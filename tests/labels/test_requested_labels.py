@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.errors import TakeError
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_take
@@ -13,11 +13,12 @@ from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import OutputOptions, build_clean_options
+from mocapfix.synthetic import SyntheticTake, compose_take
 
 
 @pytest.fixture(scope="module")
-def truth() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(6, 4.0, 60.0)
+def truth() -> SyntheticTake:
+    return compose_take(6, 4.0, 60.0)
 
 
 def write_unlabelled(folder, truth, kind, suffix="c3d"):

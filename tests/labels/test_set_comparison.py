@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.labels.labeller import find_labelled_body, label_points
 from mocapfix.labels.set_comparison import (
@@ -15,13 +14,14 @@ from mocapfix.labels.set_comparison import (
 )
 from mocapfix.labels.tracklets import find_tracklets
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import SyntheticTake, compose_take
 
 MARKER_SETS = [load_marker_set(name) for name in ("optitrack-baseline41", "plug-in-gait39", "cmu41", "cast")]
 
 
 @pytest.fixture(scope="module")
-def take() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(8, 4.0, 60.0)
+def take() -> SyntheticTake:
+    return compose_take(8, 4.0, 60.0)
 
 
 def find_points(markers, rate):

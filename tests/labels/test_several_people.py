@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import TwoPersonTake, UnlabelledKind, UnlabelledTake, place_two_people, remove_labels
 from mocapfix.labels.labeller import assign_to_people, label_people, label_points, separate_people
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, find_tracklets
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 RATE = 60.0
 MARKER_SET = load_marker_set("cmu41")
@@ -16,7 +16,7 @@ MARKER_SET = load_marker_set("cmu41")
 @pytest.fixture(scope="module")
 def people() -> TwoPersonTake:
     """The second person passes the first one, doing at another time what the first one does."""
-    one, other = (synthetic.compose_take(seed, 8.0, RATE, asymmetric=True) for seed in (5, 6))
+    one, other = (compose_take(seed, 8.0, RATE, asymmetric=True) for seed in (5, 6))
     first, second = one.marker_positions[:-90], other.marker_positions[90:]
     return place_two_people(first, second, (one.labels, other.labels), 0.7, crossing=True)
 

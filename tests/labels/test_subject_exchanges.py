@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.lab.label_recovery import place_two_people
 from mocapfix.labels.subject_exchanges import TrackletRelations, assign_persons, compute_support, detect_subject_exchanges
 from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 
 RATE = 60.0
 ARM = ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")
@@ -16,8 +16,8 @@ FOOT = ("RANK", "RHEE", "RTOE", "RMT5")
 @pytest.fixture(scope="module", params=[False, True], ids=["beside", "crossing"])
 def two_people(request: pytest.FixtureRequest) -> Take:
     """The second person does at another time what the first one does."""
-    one = synthetic.compose_take(5, 12.0, RATE, asymmetric=True)
-    other = synthetic.compose_take(6, 12.0, RATE, asymmetric=True)
+    one = compose_take(5, 12.0, RATE, asymmetric=True)
+    other = compose_take(6, 12.0, RATE, asymmetric=True)
     second = other.damaged_positions[60:]
     people = place_two_people(
         one.damaged_positions[:-60], second, (one.labels, other.labels), 0.7 if request.param else 1.0, crossing=request.param

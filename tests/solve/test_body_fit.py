@@ -12,10 +12,10 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Faults, MarkerShift
 from mocapfix.model.motion import Motion
+from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SubjectOptions
-from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import kinematics
 from mocapfix.subject import library
 from mocapfix.subject.library import build_subject_marker_set, load_marker_set, resolve_subject

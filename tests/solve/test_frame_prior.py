@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
@@ -16,6 +15,7 @@ from mocapfix.solve.pose_problem import change_all_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.solve.window_solver import set_frame_prior
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)
@@ -26,7 +26,7 @@ PRIOR, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean
 @pytest.fixture(scope="module")
 def scene():
     """Return a composed take, and the problem of its true poses."""
-    truth = synthetic.compose_take(seed=4, seconds=2.0, rate=60.0)
+    truth = compose_take(seed=4, seconds=2.0, rate=60.0)
     take = Take(truth.marker_positions, truth.labels, 60.0)
     return truth, pose_problem.build_motion_problem(take, truth.subject, BODY, PRIOR, LIMITS, SolveOptions())
 

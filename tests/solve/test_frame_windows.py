@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver, pose_problem
 from mocapfix.solve.pose_problem import FrameWindow, change_all_frames, find_changed_frames, select_windows
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 PRIOR, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
@@ -63,7 +63,7 @@ def test_many_changes_make_one_window_and_long_takes_several(monkeypatch):
 @pytest.fixture(scope="module")
 def scene():
     """Return a subject, a take of six seconds, and the same with a spike in frame 180."""
-    truth = synthetic.compose_take(seed=4, seconds=6.0, rate=RATE)
+    truth = compose_take(seed=4, seconds=6.0, rate=RATE)
     take = Take(truth.marker_positions, truth.labels, RATE)
     markers = take.markers.copy()
     markers[180, truth.labels.index("LWRA")] += 0.04

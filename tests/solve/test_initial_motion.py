@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver
 from mocapfix.solve.initial_motion import start_from_previous
 from mocapfix.solve.mean_pose import load_joint_limits
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 MEAN, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_joint_limits(BODY.skeleton)
@@ -17,7 +17,7 @@ MEAN, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(seed=4, seconds=2.0)
+    return compose_take(seed=4, seconds=2.0)
 
 
 def started(truth, markers, by):

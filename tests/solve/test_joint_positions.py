@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -16,6 +15,7 @@ from mocapfix.model.take import Take
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.initial_motion import estimate_joint_positions
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 from tests.kernels import random_terms
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
@@ -66,7 +66,7 @@ def draw_poses(rng, frames):
 
 
 def test_exact_markers_give_exact_joints():
-    truth = synthetic.compose_take(seed=2, seconds=6.0, rate=30.0)
+    truth = compose_take(seed=2, seconds=6.0, rate=30.0)
     exact = replace(truth.subject, marker_spread=EXACT.marker_spread)
     joints, markers = kinematics.compute_joint_and_marker_positions(exact, truth.motion)
     found, deviation, _ = estimate_joint_positions(take_of(markers), exact, BODY)

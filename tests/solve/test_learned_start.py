@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import initial_motion
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.mean_pose import load_mean_pose_prior
+from mocapfix.synthetic import compose_take, write_synthetic_take
 
 
 @pytest.fixture(scope="module")
 def performance():
-    return synthetic.compose_take(seed=4, seconds=2.0, rate=60.0)
+    return compose_take(seed=4, seconds=2.0, rate=60.0)
 
 
 def initialise(performance, markers, method):
@@ -47,7 +48,7 @@ def test_lost_arm_is_inferred_better_than_by_the_mean_pose(performance):
 
 def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp_path):
     path = tmp_path / "take.c3d"
-    synthetic.write_synthetic_take(path, performance)
+    write_synthetic_take(path, performance)
     result = pipeline.clean(path, is_fast=True)
     assert result.motion is not None
     assert (result.motion.iterations == 0).all()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics, mean_pose, pose_problem
 from mocapfix.solve.window_solver import WorldPoses, compute_left_jacobian, compute_marker_equations, exponentiate_vectors
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 
@@ -19,7 +19,7 @@ BODY = load_cmu31_body()
 @pytest.fixture(scope="module")
 def scene():
     """Return a composed take, and its motion problem."""
-    truth = synthetic.compose_take(seed=4, seconds=1.0, rate=60.0)
+    truth = compose_take(seed=4, seconds=1.0, rate=60.0)
     prior, limits = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
     take = Take(truth.marker_positions, truth.labels, 60.0)
     return truth, pose_problem.build_motion_problem(take, truth.subject, BODY, prior, limits, SolveOptions())

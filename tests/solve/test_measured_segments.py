@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.contacts.body_contacts import LEGS, compute_held_displacements, displace_feet, hold_measured_feet, move_body
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.model.body_fit import BodyFit
@@ -22,9 +21,10 @@ from mocapfix.solve.measured_segments import (
     smooth_share,
     yield_to_markers,
 )
+from mocapfix.synthetic import compose_take
 
 RATE = 120.0
-TAKE = synthetic.compose_take(seed=3, seconds=3.0, rate=RATE)
+TAKE = compose_take(seed=3, seconds=3.0, rate=RATE)
 NAMES = TAKE.subject.skeleton.names
 FRAMES = TAKE.motion.frame_count
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import synthetic
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -26,6 +25,7 @@ from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import build_no_tracking
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 MEAN, NONE = (mean_pose.load_mean_pose_prior(name, BODY.skeleton) for name in ("mean-pose", "none"))
@@ -42,7 +42,7 @@ def exact():
     """Return a function that composes a take with markers exactly at their positions on the body."""
 
     def at(rate, seconds=3.0):
-        truth = synthetic.compose_take(seed=2, seconds=seconds, rate=rate)
+        truth = compose_take(seed=2, seconds=seconds, rate=rate)
         return replace(truth, marker_positions=kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)[1])
 
     return at
@@ -215,7 +215,7 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
 
 def test_forearm_follows_its_markers_across_the_hinge_of_the_elbow():
     """Skin on the upper arm does not turn with the bone, so that a forearm seems to turn where an elbow cannot."""
-    truth = synthetic.compose_take(seed=2, seconds=1.0, rate=120.0)
+    truth = compose_take(seed=2, seconds=1.0, rate=120.0)
     forearm = NAMES.index("LeftForeArm")
     local_rotations = truth.motion.local_rotations.copy()
     across = np.linalg.eigh(MEAN.information[forearm])[1][:, -1]  # the locked axis

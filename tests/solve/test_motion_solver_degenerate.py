@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from mocapfix import synthetic
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver
 from mocapfix.solve.mean_pose import load_joint_limits
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
@@ -28,7 +28,7 @@ def finite(motion):
 
 
 def test_degenerate_frames_have_a_status_and_do_not_affect_others():
-    truth, strange = synthetic.compose_take(seed=2, seconds=1.0, rate=60), (10, 25, 40)
+    truth, strange = compose_take(seed=2, seconds=1.0, rate=60), (10, 25, 40)
     _, sound = kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)
     markers = sound.copy()
     markers[10] = np.nan  # none
@@ -44,7 +44,7 @@ def test_degenerate_frames_have_a_status_and_do_not_affect_others():
 
 
 def test_invisible_take_is_guessed_throughout():
-    truth = synthetic.compose_take(seed=2, seconds=0.5, rate=60)
+    truth = compose_take(seed=2, seconds=0.5, rate=60)
     motion = solved(truth, np.full_like(truth.marker_positions, np.nan))
     finite(motion)
     assert all(FrameStatus(status).description.startswith("guessed") for status in motion.status)

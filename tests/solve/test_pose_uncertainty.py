@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.motion_solver import (
@@ -23,6 +22,7 @@ from mocapfix.solve.terms import (
     build_no_tracking,
     build_pose_prior_term,
 )
+from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
@@ -51,7 +51,7 @@ def test_default_sd_without_usable_markers_and_lower_bound():
 @pytest.fixture(scope="module")
 def scene():
     """Return a subject, its motion and a problem: markers with noise of 4 mm per axis, those of the left hand unused."""
-    truth = synthetic.compose_take(seed=101, seconds=2.0, rate=60.0)
+    truth = compose_take(seed=101, seconds=2.0, rate=60.0)
     subject = truth.subject
     solver_mask = np.ones(truth.missing_mask.shape, bool)
     solver_mask[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False

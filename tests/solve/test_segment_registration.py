@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import synthetic
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 from tests.kernels import random_terms
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
@@ -100,7 +100,7 @@ def test_marker_on_a_fixed_joint_is_ignored():
 
 
 def test_walking_joints_are_accurate_and_fixed_joints_at_rest():
-    truth = synthetic.compose_take(seed=1, seconds=6.0, rate=30.0)
+    truth = compose_take(seed=1, seconds=6.0, rate=30.0)
     markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
     found = register_poses(truth.subject, BODY.free_joints, MEAN, markers)
     fixed = ~BODY.free_joints

@@ -3,19 +3,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.subject import average_body
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 MARKER_SET, SKELETON = load_marker_set("cmu41"), load_cmu31_body().skeleton
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return synthetic.compose_take(seed=0, seconds=6.0, rate=30.0).motion
+    return compose_take(seed=0, seconds=6.0, rate=30.0).motion
 
 
 def build_markers(motion, factor, rng):

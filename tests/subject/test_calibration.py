@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.errors import TakeError
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.subject import average_body, calibration
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
@@ -27,7 +27,7 @@ def calibrate(markers, labels=MARKER_SET.labels, rate=30.0):
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(seed=1, seconds=9.0, rate=20.0)
+    return compose_take(seed=1, seconds=9.0, rate=20.0)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_next_round_goes_on_from_the_calibration_before(truth):
 
 
 def test_calibration_is_kept_if_samples_hardly_change_it():
-    markers = synthetic.compose_take(seed=7, seconds=8.0, rate=30.0).marker_positions
+    markers = compose_take(seed=7, seconds=8.0, rate=30.0).marker_positions
     take = Take(markers, MARKER_SET.labels, 30.0)
     first = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN)
     elsewhere, within, moved = markers.copy(), markers.copy(), markers.copy()

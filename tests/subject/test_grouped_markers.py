@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.subject.grouped_markers import guess_from_rigid_groups
+from mocapfix.synthetic import compose_take
 
 SKELETON = load_cmu31_body().skeleton
-WALK = synthetic.compose_take(seed=8, seconds=8.0, rate=25.0)
+WALK = compose_take(seed=8, seconds=8.0, rate=25.0)
 LEFT_LEG, RIGHT_LEG = (tuple(side + name for name in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
 BELOW_HIPS = {"UpLeg": [0.1, -0.2, 0.05], "Leg": [0.1, -0.2, 0.03], "Foot": [0.0, -0.04, 0.05]}
 """Middle of the markers on each segment of a left leg, in metres in the axes of its joint."""

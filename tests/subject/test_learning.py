@@ -6,18 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, synthetic
+from mocapfix import pipeline
 from mocapfix.errors import TakeError
 from mocapfix.io.capture import read_take
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.subject import learning
 from mocapfix.subject.library import SubjectChoice, load_marker_set, write_marker_set
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 from tests.conftest import build_c3d
 
 CMU = load_marker_set("cmu41")
-WHOLE = synthetic.compose_take(seed=8, seconds=8.0, rate=25.0)
+WHOLE = compose_take(seed=8, seconds=8.0, rate=25.0)
 SKELETON = load_cmu31_body().skeleton
 SIDES = {"L": "Left", "R": "Right"}
 NAMES = {"KNE": "knee lat", "WRA": "wrist radius", "WRB": "wrist ulna", "HEE": "Ferse"}

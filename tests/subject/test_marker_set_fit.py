@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
 from mocapfix.errors import TakeError
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
@@ -13,6 +12,7 @@ from mocapfix.solve import mean_pose
 from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.subject import label_words, marker_set_fit, unlabelled_markers
 from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 
 BODY, CMU = load_cmu31_body(), load_marker_set("cmu41")
 POSES, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_joint_limits(BODY.skeleton)
@@ -22,7 +22,7 @@ HIDDEN = ("LUPA", "RBAC", "LTHI", "RSHN", "RTOE", "LBHD", "RFIN", "LBWT")
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.compose_take(seed=5, seconds=6.0, rate=25.0)
+    return compose_take(seed=5, seconds=6.0, rate=25.0)
 
 
 @pytest.fixture(scope="module")

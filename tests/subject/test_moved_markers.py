@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import synthetic
 from mocapfix.solve import kinematics
 from mocapfix.subject.calibration import MIN_MOVED_MARKER_FRAMES, add_moved_markers
+from mocapfix.synthetic import compose_take
 
 
 @pytest.fixture(scope="module")
 def walk():
-    return synthetic.compose_take(seed=1, seconds=2.0, rate=30.0)
+    return compose_take(seed=1, seconds=2.0, rate=30.0)
 
 
 def shown_at(walk, marker, place):

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocapfix import synthetic as motions
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.subject import refinement
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic import synthetic_takes as motions
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)

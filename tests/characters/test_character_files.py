@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.character_files import CharacterFiles
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.errors import WriteError
 from mocapfix.io.capture import read_capture
-from mocapfix.io.character_files import CharacterFiles
-from mocapfix.io.output_formats import list_output_formats
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import FEET_LOCK, FEET_SOFT, OutputOptions
+from mocapfix.output_formats import list_output_formats
 from tests.characters.walking_body import RATE, load_walk
 from tests.io.read_back import motion_of
 
@@ -28,7 +28,7 @@ def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
     monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
     monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
-    monkeypatch.setattr("mocapfix.io.character_files.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.characters.character_files.find_blender", lambda: None)
 
 
 @pytest.fixture

@@ -189,8 +189,8 @@ def build_rig_format(rig: Rig) -> OutputFormat:
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
     """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
+    from mocapfix.characters.character_files import CharacterFiles
     from mocapfix.characters.load_character import load_character  # few cleanings need it
-    from mocapfix.io.character_files import CharacterFiles
 
     files = CharacterFiles(load_character(name_or_path, options.character_map), has_fbx="fbx" in options.extra_formats)
 
@@ -202,7 +202,7 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
 
 
 def _write_fbx(target: Path, content: OutputContent) -> list[str]:
-    from mocapfix.io.character_files import write_skeleton_fbx
+    from mocapfix.characters.character_files import write_skeleton_fbx
 
     return write_skeleton_fbx(target, *content.motion.parts)
 

@@ -1,7 +1,7 @@
 import pytest
 
-from mocapfix.report import stage_timer
-from mocapfix.report.stage_timer import StageTimer
+from mocapfix.model import stage_timer
+from mocapfix.model.stage_timer import StageTimer
 
 
 @pytest.fixture

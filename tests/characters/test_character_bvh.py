@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_files import write_character_bvh
 from mocapfix.characters.load_character import read_character
 from mocapfix.errors import WriteError
-from mocapfix.io.character_files import write_character_bvh
 from tests.characters.character_files import (
     FIGURE,
     PREFIX,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix.model.take import Take
-from mocapfix.synthetic.demo_errors import compute_fill_errors, compute_rms_error_mm, interpolate_markers
+from mocapfix.synthetic import compute_fill_errors, compute_rms_error_mm, interpolate_markers
 
 
 @dataclass

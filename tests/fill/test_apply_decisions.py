@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.contacts.body_contacts import hold_standing_feet
+from mocapfix.fill.apply_decisions import apply_decisions
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io import capture, changes_file
 from mocapfix.io.changes_file import Review
@@ -17,10 +18,9 @@ from mocapfix.io.patches import patch_c3d
 from mocapfix.model.changes import Filled, compare_samples, serialize_changes
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerShift
+from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
-from mocapfix.report.stage_timer import StageTimer
-from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.solve.motion_solver import complete_body
 from mocapfix.stats.sequences import find_runs
 from tests.faulty_take import (

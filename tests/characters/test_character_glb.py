@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_files import write_character_glb
 from mocapfix.characters.load_character import load_character_preset, read_character
 from mocapfix.errors import WriteError
-from mocapfix.io.character_files import write_character_glb
 from mocapfix.io.gltf import write_gltf
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import (

@@ -8,23 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix import synthetic
+from mocapfix import synthetic as motions
+from mocapfix import synthetic as synthetic_takes
 from mocapfix.errors import WriteError
 from mocapfix.io.capture import read_take
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic import synthetic_takes
-from mocapfix.synthetic import synthetic_takes as motions
+from mocapfix.synthetic import SyntheticTake, compose_take, write_synthetic_take
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))
 
 
 @pytest.fixture(scope="module")
-def take() -> synthetic.SyntheticTake:
-    return synthetic.compose_take(seed=0)
+def take() -> SyntheticTake:
+    return compose_take(seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_legs_reach_their_feet(take, position_of):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_joints_move_smoothly(seed):
-    joints = synthetic.compose_take(seed).joint_positions
+    joints = compose_take(seed).joint_positions
     speed = np.linalg.norm(np.diff(joints, axis=0), axis=2) * RATE
     acceleration = np.linalg.norm(np.diff(joints, 2, axis=0), axis=2) * RATE**2
     jerk = np.linalg.norm(np.diff(joints, 3, axis=0), axis=2) * RATE**3
@@ -96,13 +96,13 @@ def test_joints_move_smoothly(seed):
 
 
 def test_motion_does_not_depend_on_the_rate():
-    slow, fast = synthetic.compose_take(3, rate=60.0), synthetic.compose_take(3, rate=240.0)
+    slow, fast = compose_take(3, rate=60.0), compose_take(3, rate=240.0)
     assert np.abs(slow.joint_positions - fast.joint_positions[::4]).max() < 0.005
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_below_the_floor(seed):
-    take = synthetic.compose_take(seed)
+    take = compose_take(seed)
     skeleton = take.subject.skeleton
     position, rotation = kinematics.compute_world_poses(skeleton, take.motion)
     toes = [skeleton.find_joint(name) for name in ("LeftToeBase", "RightToeBase")]
@@ -160,7 +160,7 @@ def test_hands_reach_and_the_body_crouches_and_turns(position_of):
 
 def test_markers_have_placement_errors_on_an_individual_body(take):
     nominal = load_marker_set("cmu41")
-    errors = [synthetic.compose_take(seed, 0.1).subject.marker_offsets - nominal.marker_offsets for seed in range(10)]
+    errors = [compose_take(seed, 0.1).subject.marker_offsets - nominal.marker_offsets for seed in range(10)]
     assert np.std(errors) == pytest.approx(0.012, rel=0.1)
     body = load_cmu31_body()
     own, average = (np.linalg.norm(s.offsets, axis=1) for s in (take.subject.skeleton, body.skeleton))
@@ -171,7 +171,7 @@ def test_markers_have_placement_errors_on_an_individual_body(take):
 
 
 def test_asymmetric_person_has_different_bones_on_each_side():
-    symmetric, asymmetric = (synthetic.compose_take(7, 0.5, asymmetric=value).subject for value in (False, True))
+    symmetric, asymmetric = (compose_take(7, 0.5, asymmetric=value).subject for value in (False, True))
     lengths = [np.linalg.norm(one.skeleton.offsets, axis=1) for one in (symmetric, asymmetric)]
     names = symmetric.skeleton.names
     thighs = [names.index("LeftLeg"), names.index("RightLeg")]
@@ -191,7 +191,7 @@ def test_asymmetric_person_has_different_bones_on_each_side():
 
 
 def test_skin_slides_smoothly_by_millimetres():
-    take = synthetic.compose_take(2, seconds=20.0)
+    take = compose_take(2, seconds=20.0)
     rigid = kinematics.compute_joint_and_marker_positions(take.subject, take.motion)[1]
     slide = take.marker_positions - rigid
     assert np.std(slide) == pytest.approx(0.004, rel=0.05)
@@ -208,7 +208,7 @@ def test_skin_slides_smoothly_by_millimetres():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_damage_matches_its_masks(seed):
-    take = synthetic.compose_take(seed)
+    take = compose_take(seed)
     np.testing.assert_array_equal(np.isnan(take.damaged_positions).any(axis=2), take.missing_mask)
     untouched = ~take.missing_mask & ~take.spike_mask
     np.testing.assert_array_equal(take.damaged_positions[untouched], take.marker_positions[untouched])
@@ -231,8 +231,8 @@ def test_arm_gap_and_late_marker(take):
 
 
 def test_take_depends_on_the_seed_only():
-    one, same, other = (synthetic.compose_take(seed, 2.0) for seed in (5, 5, 6))
-    for field in fields(synthetic.SyntheticTake):
+    one, same, other = (compose_take(seed, 2.0) for seed in (5, 5, 6))
+    for field in fields(SyntheticTake):
         if isinstance(value := getattr(one, field.name), np.ndarray):
             np.testing.assert_array_equal(value, getattr(same, field.name))
     assert np.abs(one.marker_positions - other.marker_positions).max() > 0.01
@@ -242,7 +242,7 @@ def test_take_depends_on_the_seed_only():
 @settings(max_examples=6)
 @given(seconds=st.floats(0.1, 12), rate=st.floats(25, 300), seed=st.integers(0, 2**32))
 def test_any_length_and_rate_gives_a_complete_body(seconds, rate, seed):
-    take = synthetic.compose_take(seed, seconds, rate)
+    take = compose_take(seed, seconds, rate)
     assert take.damaged_positions.shape == (round(seconds * rate), len(take.labels), 3)
     assert np.isfinite(take.joint_positions).all()
     assert np.isfinite(take.marker_positions).all()
@@ -253,7 +253,7 @@ def test_any_length_and_rate_gives_a_complete_body(seconds, rate, seed):
 
 def test_c3d_file_contains_the_take(take, tmp_path):
     path = tmp_path / "walk.c3d"
-    synthetic.write_synthetic_take(path, take)
+    write_synthetic_take(path, take)
     file = ezc3d.c3d(str(path))
     point = file["parameters"]["POINT"]
     assert tuple(point["LABELS"]["value"]) == take.labels
@@ -269,7 +269,7 @@ def test_c3d_file_contains_the_take(take, tmp_path):
 
 
 def test_c3d_file_is_read_back(take, tmp_path):
-    synthetic.write_synthetic_take(tmp_path / "walk.c3d", take)
+    write_synthetic_take(tmp_path / "walk.c3d", take)
     found = read_take(tmp_path / "walk.c3d")
     assert (found.labels, found.rate, found.first_frame) == (take.labels, RATE, 1)
     np.testing.assert_allclose(found.markers, take.damaged_positions, atol=1e-6)
@@ -277,4 +277,4 @@ def test_c3d_file_is_read_back(take, tmp_path):
 
 def test_missing_folder_is_named(take, tmp_path):
     with pytest.raises(WriteError, match="nowhere"):
-        synthetic.write_synthetic_take(tmp_path / "nowhere" / "walk.c3d", take)
+        write_synthetic_take(tmp_path / "nowhere" / "walk.c3d", take)

@@ -1,0 +1,243 @@
+"""What the page shows of a take: its samples, their states, the body, and what it does without the input."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocapfix import pipeline
+from mocapfix.errors import MocapfixError, ReadError, SceneError
+from mocapfix.io.capture import read_capture
+from mocapfix.io.changes_file import ChangeModel, ChangesFileModel, read_changes_file, write_changes_file
+from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.model.animation import Animation
+from mocapfix.model.changes import serialize_changes
+from mocapfix.report.sample_states import SampleOutcome, classify_samples
+from mocapfix.review.review_session import OpenTake
+from mocapfix.review.take_files import (
+    NO_INPUT_NOTE,
+    DecisionStore,
+    EditConflictError,
+    classify_shown_samples,
+    find_cleaned_takes,
+    load_take_view,
+    replace_unstored_sd,
+)
+from tests.io.test_changes_file import build_change, build_take
+
+
+def test_states_are_those_of_the_cleaning(faulty, tmp_path: Path) -> None:
+    result = faulty.result
+    expected = classify_samples(result.input_take, result.relabelled_take, result.take, result.faults)
+    arrays = (result.input_take.markers, result.take.markers, result.input_take.unlabelled.markers)
+    states = classify_shown_samples(*(array.astype(np.float32) for array in arrays))
+    # Only the faults that were left as measured cannot be seen from the positions.
+    is_equal = (states == expected) | ((expected == SampleOutcome.SUSPECT) & (states == SampleOutcome.MEASURED))
+    assert is_equal.all()
+    assert {*np.unique(states)} >= {SampleOutcome.FILLED, SampleOutcome.REPLACED, SampleOutcome.RELABELLED}
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_unchanged_samples_are_measured_and_new_ones_filled(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before = rng.normal(size=(6, 4, 3)).astype(np.float32)
+    before[rng.random((6, 4)) < 0.3] = np.nan
+    after = before.copy()
+    is_missing = np.isnan(before[..., 0])
+    after[is_missing] = rng.normal(size=(int(is_missing.sum()), 3))
+    states = classify_shown_samples(before, after, np.zeros((6, 0, 3), np.float32))
+    np.testing.assert_array_equal(states, np.where(is_missing, SampleOutcome.FILLED, SampleOutcome.MEASURED))
+
+
+def test_joints_are_those_of_the_solved_body(cleaned_take: Path) -> None:
+    (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
+    result = pipeline.clean(cleaned_take / "walk.c3d", prior="none")
+    view = load_take_view(take, [ChangeModel.model_validate(each) for each in serialize_changes(result.changes)])
+    assert result.subject
+    assert result.joint_position_world is not None
+    order = [view.joint_names.index(name) for name in result.subject.skeleton.names]
+    expected = result.joint_position_world
+    distance_m = np.linalg.norm(view.joints[:, order] - expected, axis=-1)
+    assert np.nanmax(distance_m) < 1e-4
+    sd = result.take.sample_sd
+    assert sd is not None
+    is_estimated = np.isfinite(sd)
+    np.testing.assert_array_equal(np.isfinite(view.sd), is_estimated)
+    assert np.abs(view.sd - sd)[is_estimated & (sd < 0.02)].max() < 1e-3  # residuals are stored in steps
+
+
+def test_without_the_input_only_the_cleaned_markers_are_shown(folder: Path) -> None:
+    (take,) = find_cleaned_takes(folder)
+    complete = load_take_view(take)
+    (folder.parent / "walk.c3d").unlink()
+    (take,) = find_cleaned_takes(folder)
+    view = load_take_view(take)
+    assert view.notes == (NO_INPUT_NOTE.format(name="walk.c3d"),)
+    np.testing.assert_array_equal(view.after, complete.after)
+    is_filled = complete.states == SampleOutcome.FILLED
+    assert np.isnan(view.before[is_filled]).all()
+    described = OpenTake(take, [take]).describe()
+    assert (described["can_clean"], "walk.c3d" in described["cannot_clean_reason"]) == (False, True)
+
+
+def test_files_that_do_not_belong_together_are_named(folder: Path, cleaned_take: Path) -> None:
+    path = folder / "walk.report.json"
+    report = json.loads(path.read_text(encoding="utf-8"))
+    report["take"]["labels"][0] = "NOSE"
+    path.write_text(json.dumps(report), encoding="utf-8")
+    (take,) = find_cleaned_takes(folder)
+    with pytest.raises(ReadError, match=r"walk\.c3d: has no marker NOSE, which the report names"):
+        load_take_view(take)
+    shutil.copy(cleaned_take / "walk.mocapfix" / "walk.report.json", path)
+    (folder / "walk.c3d").write_bytes(b"")
+    with pytest.raises(ReadError, match=r"walk\.c3d"):
+        load_take_view(take)
+
+
+def test_uncertainty_that_the_file_cannot_store_is_that_of_its_change(cleaned_take: Path) -> None:
+    (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
+    view = load_take_view(take)
+    estimated = np.argwhere(np.isfinite(view.sd))
+    (frame, marker), (_, other) = estimated[0], estimated[-1]
+    sd = np.full_like(view.sd, np.nan)
+    sd[frame : frame + 2, marker] = [0.01, np.inf]
+    sd[frame, other] = np.inf
+    number = view.first_frame + int(frame)
+    change = build_change("gap", (view.labels[marker],), number, number + 1, predicted_mm=173.2)
+    model = ChangeModel.model_validate(serialize_changes([change])[0])
+    replaced = replace_unstored_sd(replace(view, sd=sd), [model])
+    np.testing.assert_allclose(replaced[frame : frame + 2, marker], [0.01, 0.1], rtol=1e-3)
+    assert np.isnan(replaced[frame, other])
+
+
+def test_animation_is_shown_by_its_joints(cleaned_take: Path, tmp_path: Path) -> None:
+    path = tmp_path / "walk.bvh"
+    shutil.copy(cleaned_take / "walk.mocapfix" / "walk.bvh", path)
+    pipeline.clean(path, prior="none").write(tmp_path / "walk.mocapfix")
+    (take,) = find_cleaned_takes(tmp_path / "walk.mocapfix")
+    view = load_take_view(take)
+    animation = read_capture(path)
+    assert isinstance(animation, Animation)
+    assert view.frame_count == animation.frame_count
+    assert view.joint_names == animation.names
+    assert len(view.labels) == len(view.joint_names) + 1
+
+
+SPIKE, GAP = "spike-C7-110", "gap-RBAC-120"
+WRONG = {"kind": "wrong", "markers": ["C7"], "first": 110, "last": 119}
+
+
+def write_file(folder: Path) -> Path:
+    path = folder / "walk.changes.yaml"
+    changes = [build_change(decision="accept"), build_change("gap", ("RBAC",), 120, 130, decision="accept")]
+    write_changes_file(path, build_take(), changes)
+    return path
+
+
+def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path) -> None:
+    path = write_file(tmp_path)
+    store = DecisionStore(path)
+    store.decide(store.revision, [SPIKE], "reject")
+    store.note(store.revision, GAP, "looks <odd>: ask")
+    store.add_correction(store.revision, WRONG)
+    review = read_changes_file(path, build_take())
+    assert [(each.entry.id, each.decision) for each in review.declined] == [(SPIKE, "reject")]
+    assert (review.reviewed_ids, review.notes) == ({SPIKE}, {GAP: "looks <odd>: ask"})
+    assert [each.entry.kind for each in review.corrections] == ["wrong"]
+
+
+def test_file_is_written_as_a_cleaning_writes_it(tmp_path: Path) -> None:
+    path = write_file(tmp_path)
+    before, store = path.read_bytes(), DecisionStore(path)
+    store.decide(store.revision, [GAP], "keep")
+    store.add_correction(store.revision, WRONG)
+    assert path.read_bytes() != before
+    store.undo(store.revision)
+    store.undo(store.revision)
+    assert path.read_bytes() == before
+    with pytest.raises(SceneError, match="nothing to undo"):
+        store.undo(store.revision)
+
+
+EDITS = st.lists(
+    st.sampled_from(["reject", "keep", "accept", "note", "add", "remove"]).flatmap(
+        lambda kind: st.tuples(st.just(kind), st.sampled_from([SPIKE, GAP]), st.text(st.characters(codec="utf-8"), max_size=20))
+    ),
+    max_size=8,
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(edits=EDITS)
+def test_any_edits_can_be_undone_one_by_one(tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[str, str, str]]) -> None:
+    path = write_file(tmp_path_factory.mktemp("edits"))
+    store = DecisionStore(path)
+    contents = [store.file]
+    for kind, name, text in edits:
+        match kind:
+            case "note":
+                store.note(store.revision, name, text)
+            case "add":
+                store.add_correction(store.revision, WRONG | {"note": text})
+            case "remove":
+                if not store.file.corrections:
+                    continue
+                store.remove_correction(store.revision, 0)
+            case _:
+                store.decide(store.revision, [name], kind)  # pyright: ignore[reportArgumentType]
+        contents.append(store.file)
+        assert read_yaml_model(ChangesFileModel, path) == store.file
+    for expected in reversed(contents[:-1]):
+        store.undo(store.revision)
+        assert read_yaml_model(ChangesFileModel, path) == expected
+
+
+def test_edit_of_another_program_is_noticed_and_not_overwritten(tmp_path: Path) -> None:
+    path = write_file(tmp_path)
+    store = DecisionStore(path)
+    old = store.revision
+    store.decide(old, [SPIKE], "reject")
+    path.write_text(path.read_text(encoding="utf-8").replace("decision: accept", "decision: keep"), encoding="utf-8")
+    written = path.read_bytes()
+    with pytest.raises(EditConflictError, match=r"walk\.changes\.yaml was changed by another page, program or person"):
+        store.decide(store.revision, [GAP], "reject")
+    assert path.read_bytes() == written
+    assert [change.decision for change in store.file.changes] == ["reject", "keep"]  # the store has read it
+    assert store.undo_count == 0
+    store.decide(store.revision, [GAP], "reject")
+    with pytest.raises(EditConflictError):
+        store.decide(old, [GAP], "accept")
+
+
+def test_file_that_became_invalid_is_named_and_not_overwritten(tmp_path: Path) -> None:
+    path = write_file(tmp_path)
+    store = DecisionStore(path)
+    path.write_text("take: [", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"walk\.changes\.yaml"):
+        store.decide(store.revision, [GAP], "reject")
+    assert path.read_text(encoding="utf-8") == "take: ["
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (lambda store: store.decide(store.revision, ["spike-NOSE-1"], "reject"), "has no change spike-NOSE-1"),
+        (lambda store: store.note(store.revision, "spike-NOSE-1", ""), "has no change spike-NOSE-1"),
+        (lambda store: store.note(store.revision, GAP, "x" * 3000), "A note can have 2000 characters"),
+        (lambda store: store.remove_correction(store.revision, 0), "has no correction 1"),
+        (lambda store: store.add_correction(store.revision, WRONG | {"kind": "wrng"}), "The correction is not allowed: kind"),
+        (lambda store: store.add_correction(store.revision, WRONG | {"markers": ["C7", "RBAC"]}), "wrong must name one marker"),
+        (lambda store: store.add_correction(store.revision, "wrong"), "The correction is not allowed"),
+    ],
+)
+def test_edit_that_is_not_allowed_changes_nothing(tmp_path: Path, edit, sentence: str) -> None:
+    path = write_file(tmp_path)
+    before, store = path.read_bytes(), DecisionStore(path)
+    with pytest.raises(MocapfixError, match=sentence):
+        edit(store)
+    assert (path.read_bytes(), store.undo_count) == (before, 0)
