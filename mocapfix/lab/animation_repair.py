@@ -1,12 +1,8 @@
 """Benchmark of fault detection and repair in animations: joint errors in comparison with interpolation across each fault.
 
-Faults are injected into sound motions. Interpolation is given the first and last frame of each fault, and so is the repair in
-the rows "known", which measure the repair alone. In the rows "detected" the faults are detected first.
-
-Injection of faults into the joint rotations and the root position of a sound motion.
-
-The faults are those of marker-based solvers, inertial suits and video. In a gap the last value is held, or the values are zero
-or absent.
+Faults like those of marker-based solvers, inertial suits and video are injected into sound motions; in a gap the last value is
+held, or the values are zero or absent. Interpolation is given the first and last frame of each fault, and so is the repair in the
+rows "known", which measure the repair alone. In the rows "detected" the faults are detected first.
 """
 
 from collections.abc import Callable, Iterator

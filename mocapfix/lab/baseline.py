@@ -1,12 +1,7 @@
-"""The committed baseline, scenes/bench/baseline.json, and the comparison with it.
+"""The committed baseline, scenes/bench/baseline.json: short versions of the benchmarks, and the comparison with it.
 
-A baseline has for each quantity its value, by how much it may become worse, and which direction is better. The quantities are
-measured by `baseline_measurements`.
-
-The quantities of the baseline: short versions of the benchmarks of accuracy, uncertainty, faults, extreme motion and speed.
-
-Speeds are relative to a reference on the same machine in the same run, so that they can be compared between machines: the
-solver's to scipy's, a whole clean's to the solver's.
+A baseline has for each quantity its value, by how much it may become worse, and which direction is better. Speeds are relative to
+a reference on the same machine in the same run: the solver's to scipy's, a whole clean's to the solver's.
 """
 
 import json

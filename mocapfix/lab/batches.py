@@ -1,10 +1,7 @@
-"""A batch whose workers, scheduler and client are killed: every take must be done, once, with the outputs of a quiet run.
+"""Batches: their speed beside one process, and what is left after workers, scheduler and client were killed.
 
-Folders of composed takes for the benchmarks of batches, and the comparison of the outputs of two batches.
-
-Cleaning that hangs, grows or crashes for takes of certain names, by which the limits of batches are tested.
-
-The speed of a batch against cleaning the same takes in one process, and the memory of its workers.
+Every take must be done, once, with the outputs of a quiet run. Cleaning that hangs, grows or crashes for takes of certain names
+tests the limits of batches.
 """
 
 import ctypes

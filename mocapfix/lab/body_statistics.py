@@ -1,29 +1,20 @@
-"""Fit the mean-pose prior: python -m mocapfix.lab.body_statistics MOTION_FOLDER priors/mean-pose.yaml
+"""Fit mean pose, shape components and joint limits: python -m mocapfix.lab.body_statistics MOTION_FOLDER priors/NAME.yaml
 
-MOTION_FOLDER holds skeletons.json and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, where 32767 is 180 degrees. Each
-motion is used twice, as recorded and mirrored, so that the mean pose is symmetric. A joint's covariance is that of the rotation
-vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent. The part of it that lies between
-takes, each of which has its own mean pose, is given separately: a take observes that part only once, regardless of its length.
+NAME is mean-pose, shape or joint-limits. MOTION_FOLDER holds skeletons.json, whose `offsets_asf` are the joint offsets of each
+subject, and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, where 32767 is 180 degrees. Each motion and each body is used
+twice, as recorded and mirrored.
 
-In CMU's skeleton knee and elbow are hinges, the forearm rotates only at the wrist, and the clavicle is fixed. Real joints have
-some freedom about these axes, and markers show it. Axes about which a joint never rotates are locked: their standard deviation is
-LOCKED_JOINT_SD_RAD, or HINGE_CROSS_AXIS_SD_RAD if the joint rotates about another axis. The elbow is given the forearm's twist.
+Mean pose: a joint's covariance is that of the rotation vectors from the mean pose to the poses of all subjects, in the axes of
+the joint's parent. The part of it that lies between takes is given separately: a take observes that part only once. In CMU's
+skeleton knee and elbow are hinges, the forearm rotates only at the wrist, and the clavicle is fixed. Axes about which a joint
+never rotates are locked: their standard deviation is LOCKED_JOINT_SD_RAD, or HINGE_CROSS_AXIS_SD_RAD if the joint rotates about
+another axis. The elbow is given the forearm's twist.
 
-Fit the shape components of bodies: python -m mocapfix.lab.body_statistics MOTION_FOLDER priors/shape.yaml
+Shape: principal components of the bodies of BODY_SUBJECTS, scaled to the size of the average body (SCOPE's Eqs. 60-64).
 
-MOTION_FOLDER holds skeletons.json, whose `offsets_asf` are the joint offsets of each subject. BODY_SUBJECTS are the subjects of
-the training split whose offsets are known. Each body is used twice, as measured and mirrored, and scaled to the size of the
-average body, because size is a separate parameter. The components are principal components of the remaining differences (SCOPE's
-shape parameters, Eqs. 60-64).
-
-Measure joint limits: python -m mocapfix.lab.body_statistics MOTION_FOLDER priors/joint-limits.yaml
-
-The limits of a joint are, along each axis of its parent, the range of the
-rotation vector from the mean pose to the poses of all subjects. Each motion is used as recorded and mirrored. The outermost
-thousandth of the frames on either side is excluded, and the range is widened by what each subject would have needed if the limits
-had been measured without them. A trial in which CMU's solve of the joint jumps is not used for that joint.
-
-Axes that are locked in CMU's skeleton have limits that do not depend on the data (see mocapfix.lab.body_statistics).
+Joint limits: along each axis of its parent, the range of the rotation vector from the mean pose, without the outermost thousandth
+of the frames on either side, and widened by what each subject would have needed if the limits had been measured without them. A
+trial in which CMU's solve of the joint jumps is not used for that joint.
 """
 
 import json

@@ -1,16 +1,10 @@
-"""Benchmark of calibration: the errors of bones, marker offsets and joints on composed takes of known bodies.
+"""Benchmarks of calibration on known bodies: of one take, and of sessions with several takes of each of several people.
 
-Some of the joint error is unavoidable. The markers, priors and poses that calibration uses, linearised at the truth, give the
-posterior covariance of bones and marker offsets (with the poses eliminated by a Schur complement), and so a mean displacement of
-the joints; and skin motion displaces them even on the true body.
+Errors are those of bones, marker offsets and joints. Skin motion displaces the joints even on the true body.
 
-Sessions with known truth: several takes of each of several people, with gaps, the same body and markers in all of a person's
-takes.
-
-The motion is recorded by people that no model was trained on. Where a person has too few long recordings, others' are played on
-that person's body; recordings shorter than a take are played forwards and backwards. Without recordings the motion is composed.
-
-Benchmark of sessions: takes of the same people cleaned alone, and with the person calibrated from all of them.
+In sessions the motion is recorded by people that no model was trained on. Where a person has too few long recordings, others' are
+played on that person's body; recordings shorter than a take are played forwards and backwards. Without recordings the motion is
+composed. The takes are cleaned alone, and with the person calibrated from all of them.
 """
 
 from collections import defaultdict
@@ -44,17 +38,8 @@ from mocapfix.subject.calibration import (
     CalibrationFrames,
     calibrate_subject,
     scale_average_subject,
-    select_candidate_frames,
-    select_varied_poses,
 )
 from mocapfix.subject.library import load_marker_set
-from mocapfix.subject.parameters import CalibratedBody, build_calibration_parameters
-from mocapfix.subject.refinement import (
-    build_calibration_problem,
-    compute_calibration_sd,
-    compute_curvature,
-    linearise_frames,
-)
 from mocapfix.synthetic import (
     DAMAGED_ARM_JOINTS,
     SyntheticTake,
@@ -74,7 +59,6 @@ CALIBRATION_SEEDS = tuple(range(100, 106))
 CALIBRATION_TAKE_S = 20.0  # the whole composed motion
 CALIBRATION_RATE_HZ = 30.0
 MIN_COMPARED_BONE_LENGTH_M = 0.02  # shorter offsets are not compared
-MEAN_NORMAL_VECTOR_LENGTH = np.sqrt(8 / np.pi)  # mean length of a 3-D vector of standard normal components
 
 CalibrationRow = dict[str, str | float]
 
@@ -88,7 +72,6 @@ def measure_calibration(
                                                 carry markers
     average_...                                 the same for the average body, scaled to the size of the person
     true_...                                    joint errors on the true body
-    lower_bound_...                             joint errors of the best possible calibration
     """
     body, marker_set = load_cmu31_body(), load_marker_set("cmu41")
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
@@ -105,9 +88,6 @@ def measure_calibration(
             row |= {prefix + key: value for key, value in errors.items()}
         skin_error = compute_mean_joint_errors(truth, take, truth.subject, body, prior)
         row |= {"true_" + key: value for key, value in summarise_joint_errors(skin_error, truth.subject).items()}
-        calibration_error = MEAN_NORMAL_VECTOR_LENGTH * compute_irreducible_joint_sd(truth, take, body, prior)
-        lower_bound = summarise_joint_errors(np.hypot(skin_error, calibration_error), truth.subject)
-        row |= {"lower_bound_" + key: value for key, value in lower_bound.items()}
         rows.append(row)
     means: CalibrationRow = {key: float(np.mean([float(row[key]) for row in rows])) for key in list(rows[0])[1:]}
     return [*rows, {"person": "mean"} | means]
@@ -139,23 +119,6 @@ def summarise_joint_errors(joint_error: Float[np.ndarray, " J"], subject: Subjec
     """Return the mean errors in mm of all joints and of those that carry markers."""
     marked_error = joint_error[np.unique(subject.joints)]
     return {"joints_mm": 1e3 * float(joint_error.mean()), "marked_mm": 1e3 * float(marked_error.mean())}
-
-
-def compute_irreducible_joint_sd(
-    truth: SyntheticTake, take: Take, body: BodyModel, prior: MeanPosePrior
-) -> Float[np.ndarray, " J"]:
-    """Return the displacement of the joints by the best calibration of the take, in metres per axis, linearised at the truth."""
-    subject, motion = truth.subject, truth.motion
-    nominal = scale_average_subject(take, load_marker_set(subject.marker_set), body)
-    parameters = build_calibration_parameters(nominal, body, prior)
-    candidates = select_candidate_frames(take.markers)
-    frames = candidates[select_varied_poses(motion.local_rotations[candidates], np.random.default_rng(0))]
-    poses = motion.root_position[frames], motion.local_rotations[frames]
-    unknowns, mean_pose_vectors = np.zeros(len(parameters.information)), np.zeros_like(subject.skeleton.offsets)
-    true_body = CalibratedBody(subject.skeleton.offsets, subject.marker_offsets, mean_pose_vectors)
-    problem = build_calibration_problem(subject, body, prior, take.markers[frames], true_body)
-    state = linearise_frames(parameters, problem, unknowns, poses)
-    return compute_calibration_sd(state, compute_curvature(state))[0]
 
 
 def compute_bone_length_error(estimated: Skeleton, true: Skeleton) -> float:

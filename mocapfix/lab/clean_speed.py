@@ -1,47 +1,29 @@
 """Benchmark of whole cleans: the cost of `mocapfix clean` on composed files, relative to the solver's own rate.
 
-Every file is cleaned as a user does it, in a process of its own, with its start and its imports. The solver is timed on the
-common task before and after each clean. Costs are compared in processor time, because other programs on the machine change that
-much less than the time by the clock, and because it does not depend on the number of cores.
+Every file is cleaned as a user does it, in a process of its own. The solver is timed on the common task before and after each
+clean. Costs are compared in processor time, because other programs on the machine change that much less than the time by the
+clock, and because it does not depend on the number of cores.
 
-Run a command in a process and measure its duration, processor time and peak memory.
-
-The command is started by a small process in between, which is this file run as a script: a process that is started by a large
-one inherits that one's peak memory. This file therefore imports the standard library only.
-
-Synthetic takes as damaged as captures of a stage: a tenth of the samples missing, or many missing and displaced.
-
-The duration of a gap has a log-uniform distribution: most gaps are short, and most of the missing samples are in long ones. The
-markers of a limb are sometimes lost together, as behind another person.
-
-Benchmark of the speed of file readers and writers: one minute of 53 markers at 120 Hz, composed by mocapfix.
+Two files are as damaged as captures of a stage: a tenth of the samples missing, or many missing and displaced. The duration of a
+gap has a log-uniform distribution. The markers of a limb are sometimes lost together, as behind another person.
 """
 
 import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 
 import mocapfix
-from mocapfix.io import bvh, capture, rig
-from mocapfix.io.asf_amc import write_asf_amc
-from mocapfix.io.bvh import write_bvh, write_rig_bvh
+from mocapfix.io.bvh import write_bvh
 from mocapfix.io.capture import read_take
-from mocapfix.io.gltf import write_gltf
-from mocapfix.io.npz import write_npz
-from mocapfix.io.patches import patch_animation, patch_c3d
-from mocapfix.io.resampling import resample_motion
 from mocapfix.lab.animation_repair import inject_animation_faults
 from mocapfix.lab.common_task import CommonTask, build_common_task
 from mocapfix.lab.compared_solvers import solve_with_mocapfix
@@ -50,8 +32,18 @@ from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.synthetic import SyntheticTake, compose_motion, compose_take, draw_subject, simulate_markers, write_synthetic_take
 
-KIB_PER_MIB = 1024
-BYTES_PER_MIB = 1024 * 1024
+LAUNCHER = """
+import json, os, subprocess, sys, time
+started = time.perf_counter()
+process = subprocess.Popen(sys.argv[1:], stdout=sys.stderr)
+_, status, usage = os.wait4(process.pid, 0)
+process.returncode = os.waitstatus_to_exitcode(status)
+unit_per_mib = 1024 * 1024 if sys.platform == "darwin" else 1024  # of ru_maxrss
+figures = (time.perf_counter() - started, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / unit_per_mib)
+print(json.dumps(figures))
+sys.exit(process.returncode if process.returncode >= 0 else 1)
+"""
+"""the program of a small process that starts a command: one that is started by a large process inherits its peak memory"""
 MAX_QUOTED_OUTPUT = 2000  # characters of a failed command's output that its error quotes
 
 
@@ -73,34 +65,11 @@ def run_measured(command: Sequence[str], environment: Mapping[str, str]) -> Proc
 
     Raises RuntimeError with the end of its output if it fails.
     """
-    launcher = [sys.executable, "-I", "-S", __file__, *command]
+    launcher = [sys.executable, "-I", "-S", "-c", LAUNCHER, *command]
     ran = subprocess.run(launcher, env=dict(environment), stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if ran.returncode:
         raise RuntimeError(f"{' '.join(command)}: status {ran.returncode}\n{ran.stderr[-MAX_QUOTED_OUTPUT:]}")
-    return ProcessUsage(**json.loads(ran.stdout))
-
-
-def measure_command(command: Sequence[str]) -> tuple[int, ProcessUsage]:
-    """Run a command, with its output sent to standard error; return its exit status and what it used."""
-    started = time.perf_counter()
-    process = subprocess.Popen(command, stdout=sys.stderr)
-    _, wait_status, usage = os.wait4(process.pid, 0)
-    duration_s = time.perf_counter() - started
-    process.returncode = os.waitstatus_to_exitcode(wait_status)
-    unit_per_mib = BYTES_PER_MIB if sys.platform == "darwin" else KIB_PER_MIB  # of ru_maxrss
-    return process.returncode, ProcessUsage(duration_s, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / unit_per_mib)
-
-
-def print_usage() -> None:
-    """Run the command in this script's arguments and print what it used as JSON."""
-    status, usage = measure_command(sys.argv[1:])
-    if status:
-        sys.exit(status if status > 0 else 1)
-    sys.stdout.write(json.dumps(usage._asdict()))
-
-
-if __name__ == "__main__":
-    print_usage()
+    return ProcessUsage(*json.loads(ran.stdout))
 
 
 TENTH_MISSING_SHARE = 0.1  # of the samples
@@ -339,74 +308,3 @@ def score_markers(truth: SyntheticTake, markers: np.ndarray) -> dict[str, float]
 def _write_take(path: Path, truth: SyntheticTake) -> CleanedScene:
     write_synthetic_take(path, truth)
     return CleanedScene(path, len(truth.marker_positions) / truth.rate, truth)
-
-
-FILE_REPEATS = 9  # of every operation; the median counts
-FILE_MARKER_COUNT = 53
-REPAIRED_SAMPLE_SHARE = 0.02  # fraction of the samples that are changed before a file is written
-
-Jobs = dict[str, Callable[[], object]]  # operations by name
-
-
-def measure_file_speed(duration_s: float = 60.0) -> list[dict[str, str | int | float]]:
-    """Return for each operation its name `what`, the number of `frames`, and the median time in `ms`."""
-    truth = compose_file_take(duration_s)
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "composed.c3d"
-        write_synthetic_take(path, truth)
-        rows: list[dict[str, str | int | float]] = []
-        for name, job in (build_take_jobs(path) | build_motion_jobs(path, truth)).items():
-            duration_ms = 1e3 * median(_time_call(job) for _ in range(FILE_REPEATS))
-            rows.append({"what": name, "frames": len(truth.marker_positions), "ms": duration_ms})
-        return rows
-
-
-def build_take_jobs(path: Path) -> Jobs:
-    """Return the operations on the composed take's C3D; they write to the same folder."""
-    take, target = capture.read_take(path), path.with_name("repaired.c3d")
-    is_repaired = np.random.default_rng(0).random(take.visible.shape) < REPAIRED_SAMPLE_SHARE
-    markers, sd_m = np.where(is_repaired[..., None], 1.0, take.markers), np.where(is_repaired, 0.001, np.nan)
-    repaired = take.replace_markers(markers, sd_m)
-    return {
-        "read C3D": lambda: capture.read_take(path),
-        "write C3D": lambda: patch_c3d(target, take, repaired),
-    }
-
-
-def build_motion_jobs(path: Path, truth: SyntheticTake) -> Jobs:
-    """Return the operations on the true motion of the composed take; they write to the folder of `path`."""
-    take, skeleton, motion, rate = capture.read_take(path), truth.subject.skeleton, truth.motion, truth.rate
-    bvh_path, amc_path, builder = path.with_suffix(".bvh"), path.with_suffix(".amc"), rig.load_rig("motionbuilder")
-    captured, target = path.with_name("captured.bvh"), path.with_name("repaired.bvh")
-    write_bvh(captured, skeleton, motion, rate)
-    animation = bvh.read_bvh(captured)
-    is_repaired = np.random.default_rng(0).random(animation.values.shape) < REPAIRED_SAMPLE_SHARE
-    values = np.where(is_repaired, animation.values + 1.0, animation.values)
-    return {
-        "read BVH": lambda: bvh.read_bvh(captured),
-        "write BVH, repaired": lambda: patch_animation(target, animation, values),
-        "write BVH": lambda: write_bvh(bvh_path, skeleton, motion, rate),
-        "write BVH for MotionBuilder": lambda: write_rig_bvh(bvh_path, builder, skeleton, motion, rate),
-        "write glTF": lambda: write_gltf(path.with_suffix(".glb"), skeleton, motion, rate),
-        "write ASF/AMC": lambda: write_asf_amc(amc_path.with_suffix(".asf"), amc_path, skeleton, motion, rate),
-        "write NPZ": lambda: write_npz(path.with_suffix(".npz"), take, skeleton, motion, rate),
-        "resample 120 to 25 frames per second": lambda: resample_motion(motion, rate, 25.0),
-    }
-
-
-def compose_file_take(duration_s: float) -> SyntheticTake:
-    """Return a composed take of a person, with markers of a second person up to FILE_MARKER_COUNT."""
-    truth = compose_take(seconds=duration_s)
-    copied = range(FILE_MARKER_COUNT - len(truth.labels))
-    return replace(
-        truth,
-        labels=(*truth.labels, *(f"beside:{truth.labels[m]}" for m in copied)),
-        damaged_positions=np.concatenate([truth.damaged_positions, truth.damaged_positions[:, copied] + 1.0], axis=1),
-        missing_mask=np.concatenate([truth.missing_mask, truth.missing_mask[:, copied]], axis=1),
-    )
-
-
-def _time_call(job: Callable[[], object]) -> float:
-    started = perf_counter()
-    job()
-    return perf_counter() - started

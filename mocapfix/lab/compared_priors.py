@@ -6,6 +6,7 @@ Among them is MNN-IK's measure of the naturalness of a pose (Eq. 3.3), and poses
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -190,43 +191,20 @@ class PlacedPoses:
     rotations        (N, J, 3, 3) local
     joint_positions  (N, J, 3) metres, in the world
     world_rotations  (N, J, 3, 3)
-    codes            (N, P) of the prior; P is 0 without a prior
-    iterations       (N,) of the solver
-    cost             (N,) half the sum of squares in standard deviations; NaN without a prior
     """
 
     root_position: np.ndarray
     rotations: np.ndarray
     joint_positions: np.ndarray
     world_rotations: np.ndarray
-    codes: np.ndarray
-    iterations: np.ndarray
-    cost: np.ndarray
 
 
-def place_known_poses(
+def place_with_joints(
     skeleton: Skeleton, root_position: Float[np.ndarray, "N 3"], rotations: Float[np.ndarray, "N J 3 3"]
 ) -> PlacedPoses:
-    """Return poses that are known, with the positions of their joints."""
-    frame_count = len(root_position)
-    zeros = np.zeros(frame_count, int)
-    solution = PoseSolution(root_position, rotations, np.zeros((frame_count, 0)), zeros, zeros, np.zeros(frame_count))
-    return place_solved_poses(skeleton, solution)
-
-
-def place_solved_poses(skeleton: Skeleton, solution: PoseSolution) -> PlacedPoses:
-    """Return solved poses with the positions of their joints."""
-    motion = build_known_motion(solution.root_position, solution.local_rotations)
-    positions, world_rotations = kinematics.compute_world_poses(skeleton, motion)
-    return PlacedPoses(
-        solution.root_position,
-        solution.local_rotations,
-        positions,
-        world_rotations,
-        codes=solution.codes,
-        iterations=solution.iterations,
-        cost=solution.cost,
-    )
+    """Return poses with the positions of their joints."""
+    positions, world_rotations = kinematics.compute_world_poses(skeleton, build_known_motion(root_position, rotations))
+    return PlacedPoses(root_position, rotations, positions, world_rotations)
 
 
 def build_joint_task(
@@ -237,7 +215,7 @@ def build_joint_task(
 ) -> JointTask:
     """Return poses of the average body at the origin with some given joint positions, `noise` in metres."""
     skeleton = load_cmu31_body().skeleton
-    positions = place_known_poses(skeleton, np.zeros((len(rotations), 3)), rotations).joint_positions + noise
+    positions = place_with_joints(skeleton, np.zeros((len(rotations), 3)), rotations).joint_positions + noise
     return JointTask(skeleton, rotations, is_given, positions, sd_m)
 
 
@@ -263,24 +241,13 @@ def load_compared_priors(weights_folder: Path | None = None) -> ComparedPriors:
 def solve_joint_task(
     task: JointTask, model: ComparedPrior, start: PoseStart, max_iterations: int = MAX_COMPARED_POSE_ITERATIONS
 ) -> PlacedPoses:
-    """Return the poses that the solver finds with a prior from a start, which is not modified."""
-    tree, points = kinematics.build_kinematic_tree(task.skeleton), task.point_term
-    if model is None:
-        return place_solved_poses(task.skeleton, solve_without_prior(tree, points, *start, max_iterations))
-    term = PoseModelTerm(model) if isinstance(model, PoseModel) else NaturalnessTerm(model)
-    return place_solved_poses(task.skeleton, minimise(tree, (points, term), start, SolverSettings(max_iterations=max_iterations)))
+    """Return the poses that the solver finds with a prior from a start, which is not modified.
 
-
-def solve_without_prior(
-    tree: KinematicTree,
-    points: PointTerm,
-    root_position: Float[np.ndarray, "N 3"],
-    local: Float[np.ndarray, "N J 3 3"],
-    max_iterations: int = MAX_COMPARED_POSE_ITERATIONS,
-) -> PoseSolution:
-    """Return the poses that fit points from a start: numerical inverse kinematics.
-
-    Of the poses that fit, the damped steps find one close to the start.
+    Of the poses that fit without a prior, the damped steps find one close to the start: numerical inverse kinematics.
     """
+    terms: list[Any] = [task.point_term]
     settings = SolverSettings(max_iterations=max_iterations, damping_ratio=INITIAL_CODE_DAMPING)
-    return minimise(tree, (points,), (root_position, local), settings)
+    if model is not None:
+        terms.append(PoseModelTerm(model) if isinstance(model, PoseModel) else NaturalnessTerm(model))
+    solution = minimise(kinematics.build_kinematic_tree(task.skeleton), tuple(terms), start, settings)
+    return place_with_joints(task.skeleton, solution.root_position, solution.local_rotations)

@@ -4,13 +4,6 @@ The baseline uses an analytic Jacobian, frame by frame. The unknowns of a frame 
 of every joint; the method "lm" is MINPACK's. The Gauss-Newton direction of mocapfix is computed by the sweep from the leaves to
 the root.
 
-The Gauss-Newton direction by the usual dense method: one Jacobian of all measurements, its product, a Cholesky solve.
-
-This is SCOPE's "dense unconstrained formulation" (Eq. 11 and section A.1) in O(K^3) + O(K^2 N), with its fastest implementation:
-the Jacobian in compiled code, the product by BLAS (syrk), the solve by LAPACK (posv).
-
-The benchmark of the solver's speed: the common task in comparison with scipy, and SCOPE's experiments with a dense direction.
-
 What runs on one thread is timed by processor time, so that other programs do not matter; only what runs on all cores is timed by
 the clock.
 """
@@ -25,28 +18,12 @@ from unittest.mock import patch
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numba import njit
-from scipy.linalg.blas import dgemv, dsyrk  # pyright: ignore[reportAttributeAccessIssue]  # not in the stubs
-from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIssue]  # not in the stubs
 from scipy.optimize import least_squares
 
-from mocapfix.kernels import levenberg_marquardt
 from mocapfix.kernels.compilation import THREADS_VARIABLE, count_cores
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.normal_equations import allocate_equations, linearise_terms
-from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms import PointTerm, TrackingTerm
-from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
 from mocapfix.lab.common_task import CommonTask, build_common_task, compute_zyx_rotations
-from mocapfix.lab.scope_scenes import (
-    DIRECTION_DAMPING,
-    SCOPE_JOINT_COUNTS,
-    ScopeScene,
-    build_empty_direction_term,
-    build_empty_reprojection_term,
-    build_placed_pose,
-    build_scope_experiments,
-)
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import order_sequentially
 
@@ -177,168 +154,6 @@ def solve_with_mocapfix(task: CommonTask, take_name: str, *, use_all_cores: bool
         return TimedSolution(*solution.poses, clock() - started)
 
 
-def build_task_scene(task: CommonTask) -> ScopeScene:
-    """Return the first frame of the clean take in the mean pose, as a scene whose direction can be computed."""
-    tree, points, tracking = build_task_problem(task, "clean")
-    pose = build_placed_pose(tree, task.root_starts["clean"][0], tracking.rotations[0])
-    return ScopeScene(tree, points, build_empty_reprojection_term(), build_empty_direction_term(), tracking, pose)
-
-
-def build_workspace(scene: ScopeScene) -> SolveWorkspace:
-    """Return the arrays that the direction of a scene needs."""
-    return allocate_workspace(len(scene.tree.parents), len(scene.tree.shape_basis), None)
-
-
-@njit(cache=True)
-def repeat_direction(tree: KinematicTree, terms: Any, pose: Any, work: SolveWorkspace, times: int) -> None:
-    """Linearise all terms of a scene and solve for the Gauss-Newton step, repeatedly; write the step to the workspace."""
-    for _ in range(times):
-        linearise_terms(tree, terms, 0, np.inf, pose, work.equations)
-        levenberg_marquardt.compute_direction(tree, work, DIRECTION_DAMPING)
-
-
-def compute_sparse_direction(scene: ScopeScene, workspace: SolveWorkspace) -> Float[np.ndarray, " X"]:
-    """Return the step (6 + 3 K + P,): rotation and translation of the root, rotations of the joints in world axes, shape."""
-    repeat_direction(scene.tree, scene.terms, scene.pose, workspace, 1)
-    return np.concatenate([workspace.step.twist[0], workspace.step.joint_turn[1:].ravel(), workspace.step.shared])
-
-
-def time_sparse_direction(scene: ScopeScene, workspace: SolveWorkspace, repeats: int) -> float:
-    """Return the processor time of one direction in seconds, as the mean of a compiled loop."""
-    arguments = (scene.tree, scene.terms, scene.pose, workspace, repeats)
-    started = time.thread_time()
-    repeat_direction(*arguments)
-    return (time.thread_time() - started) / repeats
-
-
-# Compiled functions take arrays of any type, which numba infers.
-# pyright: reportUnknownParameterType=false, reportMissingParameterType=false
-
-
-class DenseSolver:
-    """The dense direction of one scene, with preallocated arrays.
-
-    The unknowns (6 + 3 K + P,) are rotation and translation of the root, rotations of the joints in world axes, and the shape
-    parameters.
-    """
-
-    def __init__(self, scene: ScopeScene) -> None:
-        joint_count, shape_count = len(scene.tree.parents), len(scene.tree.shape_basis)
-        self.scene, self.tracking_system = scene, allocate_equations(joint_count, shape_count, None)
-        self.jacobian = np.empty((scene.measurement_count, 3 + 3 * joint_count + shape_count))
-        self.residual = np.empty(scene.measurement_count)
-        self.shape_motion = np.zeros((shape_count, joint_count, 3))
-
-    def compute_direction(self) -> Float[np.ndarray, " X"]:
-        """Return the Gauss-Newton step."""
-        tree, points, views, directions, tracking, pose = self.scene
-        write_jacobian(tree, (points, views, directions), pose, self.shape_motion, self.jacobian, self.residual)
-        transposed = self.jacobian.T  # column-major, as Fortran expects
-        curvature, gradient = dsyrk(1.0, transposed, lower=1), dgemv(1.0, transposed, self.residual)
-        add_dense_tracking_term(tree, (tracking,), pose, self.tracking_system, curvature, gradient)
-        return -dposv(curvature, gradient, lower=1, overwrite_a=1, overwrite_b=1)[1]
-
-    def time_direction(self) -> float:
-        """Return the processor time of one direction in seconds."""
-        started = time.thread_time()
-        self.compute_direction()
-        return time.thread_time() - started
-
-
-@njit(cache=True)
-def write_shape_motion(tree, rotation, shape_motion):
-    """Write the derivatives (P, J, 3) of joint positions with respect to the shape parameters, in the world."""
-    for p in range(len(shape_motion)):
-        for j in range(1, len(tree.parents)):
-            parent, axis = tree.parents[j], tree.shape_basis[p, j]
-            x, y, z = multiply_vector(load_matrix(rotation, parent), axis[0], axis[1], axis[2])
-            shape_motion[p, j, 0] = shape_motion[p, parent, 0] + x
-            shape_motion[p, j, 1] = shape_motion[p, parent, 1] + y
-            shape_motion[p, j, 2] = shape_motion[p, parent, 2] + z
-
-
-@njit(cache=True)
-def write_jacobian_row(pose_of_tree, shape_motion, j, point, derivatives, out):
-    """Write one row of the Jacobian, of a value that depends on the position of a point and the rotation of body j.
-
-    `pose_of_tree` is the tree and its joint positions, `point` the position from the root, and `derivatives` those with respect
-    to rotation and position.
-    """
-    (tree, position), (x, y, z), (turn, shift) = pose_of_tree, point, derivatives
-    out[:] = 0.0
-    tx, ty, tz = y * shift[2] - z * shift[1], z * shift[0] - x * shift[2], x * shift[1] - y * shift[0]
-    tx, ty, tz = turn[0] + tx, turn[1] + ty, turn[2] + tz
-    unknowns, shapes, end = len(out), len(shape_motion), j
-    while j > 0:  # a joint rotates all its descendants about its position
-        dx, dy, dz = position[j, 0] - position[0, 0], position[j, 1] - position[0, 1], position[j, 2] - position[0, 2]
-        out[3 + 3 * j] = tx + dz * shift[1] - dy * shift[2]
-        out[4 + 3 * j] = ty + dx * shift[2] - dz * shift[0]
-        out[5 + 3 * j] = tz + dy * shift[0] - dx * shift[1]
-        j = tree.parents[j]
-    out[0], out[1], out[2], out[3], out[4], out[5] = tx, ty, tz, shift[0], shift[1], shift[2]
-    for p in range(shapes):
-        s = shape_motion[p, end]
-        out[unknowns - shapes + p] = shift[0] * s[0] + shift[1] * s[1] + shift[2] * s[2]
-
-
-@njit(cache=True)
-def write_jacobian(tree, terms, pose, shape_motion, jacobian, residual):
-    """Write the Jacobian (N, 6 + 3 K + P) and the residuals (N,) of all measurements, in units of their standard deviations."""
-    points, views, directions = terms
-    position, rotation, row, zero, turn, shift = pose.position, pose.rotation, 0, np.zeros(3), np.zeros(3), np.zeros(3)
-    write_shape_motion(tree, rotation, shape_motion)
-    for n in range(len(points.joints)):
-        j, offset, scale = points.joints[n], points.offsets[n], np.sqrt(points.weight[0, n])
-        x, y, z = multiply_vector(load_matrix(rotation, j), offset[0], offset[1], offset[2])
-        point = (x + position[j, 0], y + position[j, 1], z + position[j, 2])
-        for a in range(3):
-            shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
-            shift[a] = scale
-            residual[row] = scale * (point[a] - points.measured[0, n, a])
-            from_root = (point[0] - position[0, 0], point[1] - position[0, 1], point[2] - position[0, 2])
-            write_jacobian_row((tree, position), shape_motion, j, from_root, (zero, shift), jacobian[row])
-            row += 1
-    for n in range(len(views.joints)):
-        j, offset, scale = views.joints[n], views.offsets[n], np.sqrt(views.weight[0, n])
-        x, y, z = multiply_vector(load_matrix(rotation, j), offset[0], offset[1], offset[2])
-        x, y, z = x + position[j, 0], y + position[j, 1], z + position[j, 2]
-        m, origin = views.rotation[views.cameras[n]], views.translation[views.cameras[n]]
-        image = multiply_vector(load_matrix(views.rotation, views.cameras[n]), x, y, z)
-        depth = image[2] + origin[2]
-        for a in range(2):
-            projected = (image[a] + origin[a]) / depth
-            for c in range(3):
-                shift[c] = scale * (m[a, c] - projected * m[2, c]) / depth
-            residual[row] = scale * (projected - views.measured[0, n, a])
-            from_root = (x - position[0, 0], y - position[0, 1], z - position[0, 2])
-            write_jacobian_row((tree, position), shape_motion, j, from_root, (zero, shift), jacobian[row])
-            row += 1
-    shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
-    for n in range(len(directions.joints)):
-        j, axis, scale = directions.joints[n], directions.bone_axes[n], np.sqrt(directions.weight[0, n])
-        d = multiply_vector(load_matrix(rotation, j), axis[0], axis[1], axis[2])
-        for a in range(3):  # a rotation w moves the direction by w x d
-            b, c = (a + 1) % 3, (a + 2) % 3
-            turn[a], turn[b], turn[c] = 0.0, scale * d[c], -scale * d[b]
-            residual[row] = scale * (d[a] - directions.measured[0, n, a])
-            write_jacobian_row((tree, position), shape_motion, j, (0.0, 0.0, 0.0), (turn, shift), jacobian[row])
-            row += 1
-
-
-@njit(cache=True)
-def add_dense_tracking_term(tree, terms, pose, system, curvature, gradient):
-    """Add the tracking term of every joint, and the damping of the sweep."""
-    linearise_terms(tree, terms, 0, np.inf, pose, system)
-    for j in range(len(tree.parents)):
-        row = 3 + 3 * j if j else 0
-        for a in range(3):
-            gradient[row + a] += system.g_joint[j, a] if j else system.g[0, a]
-            for c in range(a + 1):
-                curvature[row + a, row + c] += system.h_joint[j, a, c]
-    for i in range(len(gradient)):
-        curvature[i, i] += DIRECTION_DAMPING
-
-
 ONE_THREAD_ENVIRONMENT: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TASK_TAKE_NAMES = ("clean", "noisy")
 
@@ -348,16 +163,15 @@ class TimingEffort(NamedTuple):
 
     rounds: int  # the fastest round counts
     samples_per_round: int  # the median of a round counts
-    directions_per_sample: int  # by the sweep
     scipy_frame_count: int  # frames of the common task that scipy solves
 
 
-FULL_EFFORT = TimingEffort(rounds=5, samples_per_round=9, directions_per_sample=20, scipy_frame_count=150)
-QUICK_EFFORT = TimingEffort(rounds=1, samples_per_round=3, directions_per_sample=5, scipy_frame_count=8)
+FULL_EFFORT = TimingEffort(rounds=5, samples_per_round=9, scipy_frame_count=150)
+QUICK_EFFORT = TimingEffort(rounds=1, samples_per_round=3, scipy_frame_count=8)
 
 
 def measure_in_fresh_process(is_quick: bool) -> dict[str, Any]:
-    """Return the results of `measure_solver_speed`, run in a new process in which BLAS uses one thread.
+    """Return the results of `measure_common_task`, run in a new process in which BLAS uses one thread.
 
     BLAS reads its number of threads when it is loaded, which has already happened in this process.
     """
@@ -365,34 +179,13 @@ def measure_in_fresh_process(is_quick: bool) -> dict[str, Any]:
     os.environ.update(ONE_THREAD_ENVIRONMENT)
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-            return process.submit(measure_solver_speed, QUICK_EFFORT if is_quick else FULL_EFFORT).result()
+            return process.submit(measure_common_task, QUICK_EFFORT if is_quick else FULL_EFFORT).result()
     finally:
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def measure_solver_speed(effort: TimingEffort) -> dict[str, Any]:
-    """Return all results of the benchmark, ready for JSON."""
-    settings, scenes = (list(each) for each in zip(*build_scope_experiments(), strict=True))
-    *times, task_times = time_directions([*scenes, build_task_scene(build_common_task())], effort)
-    rows = [row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(settings, times, strict=True)]
-    by_size = {(row["joints"], row["shapes"]): row for row in rows if row["experiment"] == 3}
-    small, large = (by_size[joints, 0] for joints in SCOPE_JOINT_COUNTS)  # both have the same measurements per joint
-    columns = {"23": small, "31": task_times, "51": large}
-    return measure_common_task(effort) | {
-        "direction_us": {joints: row["sparse_us"] for joints, row in columns.items()},
-        "dense_direction_us": {joints: row["dense_us"] for joints, row in columns.items()},
-        "k51_over_k23": large["sparse_us"] / small["sparse_us"],
-        "dense_k51_over_k23": large["dense_us"] / small["dense_us"],
-        "sparse_speedup_k23": compute_speedup(rows, 1, 23),
-        "sparse_speedup_k51": compute_speedup(rows, 1, 51),
-        "sparse_speedup_k23_shapes": compute_speedup(rows, 2, 23),
-        "sparse_speedup_k51_shapes": compute_speedup(rows, 2, 51),
-        "experiments": rows,
-    }
 
 
 def measure_common_task(effort: TimingEffort) -> dict[str, Any]:
@@ -425,22 +218,6 @@ def measure_common_task(effort: TimingEffort) -> dict[str, Any]:
     }
 
 
-def time_directions(scenes: list[ScopeScene], effort: TimingEffort) -> list[dict[str, float]]:
-    """Return the microseconds of one direction of each scene, by the sweep and dense."""
-    samples: list[Callable[[], float]] = []
-    for scene in scenes:
-        workspace, dense = build_workspace(scene), DenseSolver(scene)
-
-        def time_sweep(scene: ScopeScene = scene, workspace: Any = workspace) -> float:
-            return time_sparse_direction(scene, workspace, effort.directions_per_sample)
-
-        time_sparse_direction(scene, workspace, 1)  # compiles
-        dense.compute_direction()
-        samples += [time_sweep, dense.time_direction]
-    us = [1e6 * seconds for seconds in time_samples(samples, effort)]
-    return [{"sparse_us": sparse, "dense_us": dense} for sparse, dense in zip(us[::2], us[1::2], strict=True)]
-
-
 def time_samples(samples: list[Callable[[], float]], effort: TimingEffort) -> list[float]:
     """Return the seconds of each sample: the minimum over rounds of the median of a round.
 
@@ -450,9 +227,3 @@ def time_samples(samples: list[Callable[[], float]], effort: TimingEffort) -> li
         [np.median([sample() for _ in range(effort.samples_per_round)]) for sample in samples] for _ in range(effort.rounds)
     ]
     return [float(each) for each in np.min(rounds, axis=0)]
-
-
-def compute_speedup(rows: list[dict[str, Any]], experiment: int, joint_count: int) -> float:
-    """Return the ratio of dense to sparse time, as the geometric mean over an experiment."""
-    ratios = [row["speedup"] for row in rows if (row["experiment"], row["joints"]) == (experiment, joint_count)]
-    return float(np.exp(np.mean(np.log(ratios))))

@@ -1,21 +1,17 @@
-"""Benchmark of contacts on takes with known truth: their detection, and what holding the feet does to the motion.
+"""Benchmark of contacts: their detection, what holding the feet does to the motion, and gait events beside force plates.
 
-Each take is cleaned whole, and with the markers of its feet lost while these stand, once for each way to hold feet.
-
-Damage for the benchmark of contacts: the markers of a foot are lost while it stands.
-
-Benchmark of gait events: those from markers compared with force plates, on captures that have both.
-
-The plates and the events of the file are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and
+Takes with known truth are cleaned whole, and with the markers of the feet lost while these stand, once for each way to hold feet.
+The plates and the events of captures are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and
 toes count.
 """
 
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -275,12 +271,21 @@ def compute_fill_error(truth: SyntheticTake, result: "CleaningResult") -> float:
     return float(MM * np.nanmean(error)) if len(error) and np.isfinite(error).any() else np.nan
 
 
-def average_errors(errors: Sequence[HeldFeetErrors], quantity: str) -> float:
-    """Return the mean of a quantity over takes, of the largest ratios and of sinking the largest; NaN without any value."""
-    values = np.array([getattr(each, quantity) for each in errors], float)
-    if not np.isfinite(values).any():
-        return np.nan
-    return float(np.nanmax(values) if quantity in WORST_QUANTITIES else np.nanmean(values))
+HELD_QUANTITIES = (
+    "slide_mm_s", "true_slide_mm_s", "drift_mm", "feet_mm", "other_joints_mm", "acceleration_ratio", "knee_ratio", "sink_mm",
+    "lost_fill_mm",
+)  # fmt: skip
+
+
+def average_errors(errors: Sequence[HeldFeetErrors]) -> dict[str, float]:
+    """Return the mean of each quantity over takes, of the largest ratios and of sinking the largest; NaN without any value."""
+    means: dict[str, float] = {}
+    for name in HELD_QUANTITIES:
+        values = np.array([getattr(each, name) for each in errors], float)
+        values = values[np.isfinite(values)]
+        average = np.max if name in WORST_QUANTITIES else np.mean
+        means[name] = float(average(values)) if len(values) else np.nan
+    return means
 
 
 HIDDEN_GROUPS = {b"FORCE_PLATFORM": b"HIDDEN_PLATFOR", b"EVENT": b"HIDEV"}
@@ -442,8 +447,40 @@ def apply_simple_rule(result: "CleaningResult", side: str) -> Bool[np.ndarray, "
     return is_contact
 
 
-def compute_frame_f1(agreements: Sequence[PlateAgreement], method: str) -> float:
-    """Return the F1 by frame of a method over all loads; NaN without any."""
-    own = [each for each in agreements if each.method == method]
-    total = sum(each.true_frames + each.found_frames for each in own)
-    return 2 * sum(each.common_frames for each in own) / total if total else np.nan
+def summarise_contacts(
+    errors: Sequence[HeldFeetErrors],
+    agreements: Sequence[ContactAgreement],
+    events: Sequence[PlateEventError],
+    frames: Sequence[PlateAgreement],
+) -> dict[str, Any]:
+    """Return the tables of the benchmark: means over takes by damage and way to hold feet, and the agreement of contacts.
+
+    Of plate events: how many were found, and the medians of their errors in ms; and the F1 by frame of each method.
+    """
+    held: dict[str, list[HeldFeetErrors]] = defaultdict(list)
+    for each in errors:
+        held[f"{each.damage}, {each.mode}"].append(each)
+    tables: dict[str, Any] = {"held feet": {name: average_errors(rows) for name, rows in held.items()}}
+    by_damage: dict[str, list[ContactAgreement]] = defaultdict(list)
+    for each in agreements:
+        by_damage[each.damage].append(each)
+    tables["contacts"] = {
+        damage: compute_agreement(rows) | {"mean f1 of takes": float(np.mean([row.f1 for row in rows]))}
+        for damage, rows in by_damage.items()
+    }
+    tables["plate events"] = {}
+    for kind in dict.fromkeys(each.kind for each in events):
+        late_ms = np.array([each.error_ms for each in events if each.kind == kind])
+        found = late_ms[np.isfinite(late_ms)]
+        tables["plate events"][kind] = {"events": len(late_ms), "found": len(found)} | (
+            {"median_error_ms": float(np.median(np.abs(found))), "median_delay_ms": float(np.median(found))} if len(found) else {}
+        )
+    methods = dict.fromkeys(each.method for each in frames)
+    tables["plate frames"] = {name: compute_agreement([each for each in frames if each.method == name]) for name in methods}
+    return {name: table for name, table in tables.items() if table}
+
+
+def compute_agreement(rows: Sequence[ContactAgreement | PlateAgreement]) -> dict[str, float]:
+    """Return precision, recall and F1 by frame."""
+    common, found, true = (sum(getattr(each, f"{name}_frames") for each in rows) for name in ("common", "found", "true"))
+    return {"precision": common / max(found, 1), "recall": common / max(true, 1), "f1": 2 * common / max(found + true, 1)}

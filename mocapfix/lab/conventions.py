@@ -2,8 +2,6 @@
 
 The 48 permutations of the axes with signs are applied to the points as a reader returns them, before the unit, the up axis and
 the handedness are decided; half of them are left-handed. `clean_in_other_axes` writes such a file and cleans it.
-
-The command `mocapfix bench conventions`: captures in all axes and in other units.
 """
 
 import itertools
@@ -12,15 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import numpy as np
-import tyro
 from jaxtyping import Float, Int
-from rich.table import Table
 
-from mocapfix.cli.arguments import TakesArgument
-from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_line, show_progress, stdout_console
 from mocapfix.errors import MocapfixError, ReadError
 from mocapfix.io.body_evidence import InspectedPoints
 from mocapfix.io.capture import read_take
@@ -55,11 +48,6 @@ class ConventionCounts:
     left_handed: Counter[str]
     mirrored: Counter[str]
     units: Counter[str]
-
-    @property
-    def wrong_count(self) -> int:
-        """Number of wrong outcomes."""
-        return sum(each[WRONG] for each in (self.right_handed, self.left_handed, self.mirrored, self.units))
 
 
 def measure_conventions(paths: Sequence[Path], report_progress: Callable[[str], None] = lambda _: None) -> list[ConventionCounts]:
@@ -152,25 +140,3 @@ def clean_in_other_axes(path: Path, count: int, seed: int = 0) -> Counter[str]:
         is_same = np.linalg.det(axes) > 0 and np.nanquantile(np.abs(heights), 0.99) < MAX_MARKER_DIFFERENCE_M
         outcomes["right" if is_same else WRONG] += 1
     return outcomes
-
-
-def run_bench_conventions(
-    takes: TakesArgument,
-    cleans: Annotated[int, tyro.conf.arg(metavar="N", help="clean each C3D in N random axes as well")] = 0,
-) -> int:
-    """Read labelled captures in all 48 permutations of their axes and in other units: upright and in scale, or refused.
-
-    The permutations are read with each axis that a file may declare as vertical, and with none. Fails if any is wrong.
-    """
-
-    with show_progress("conventions") as progress:
-        counts = measure_conventions(takes, progress)
-        cleaned = {path.name: clean_in_other_axes(path, cleans) for path in takes if cleans and path.suffix.lower() == ".c3d"}
-    table = Table("capture", "right-handed", "left-handed", "with --mirror", "units", "cleans")
-    for each in counts:
-        columns = (each.right_handed, each.left_handed, each.mirrored, each.units, cleaned.get(each.name, {}))
-        table.add_row(each.name, *(", ".join(f"{count} {name}" for name, count in sorted(column.items())) for column in columns))
-    stdout_console.print(table)
-    wrong = sum(each.wrong_count for each in counts) + sum(each[WRONG] for each in cleaned.values())
-    print_line(f"{len(counts)} captures, {wrong} wrong outcomes.")
-    return EXIT_FAILED if wrong else EXIT_DONE

@@ -1,11 +1,8 @@
-"""Key poses of extreme motion: strikes, kicks, throws, acrobatics, with speeds and accelerations as in sport.
+"""Extreme motion: strikes, kicks, throws and acrobatics as key poses, with speeds and accelerations as in sport.
 
-Each motion is a sequence of key poses (see `key_poses`). Its time is stretched so that the fastest hand or foot reaches the peak
-speed of the motion. `extreme_takes` composes takes of them.
-
-Motion between key poses: smooth joint angles of a body that stands, lies or is upside down, resting on the floor.
-
-A key pose gives angles in degrees to some joints; the others stay as in standing with hanging arms (see `motions`):
+Between key poses the joint angles are smooth; the body stands, lies or is upside down, resting on the floor. The time is
+stretched so that the fastest hand or foot reaches the peak speed of the motion. A key pose gives angles in degrees to some
+joints; the others stay as in standing with hanging arms:
 
 - limbs: forward, outward (away from the body), and turned outward about the bone's own axis. A knee bends by a negative forward
   angle, an elbow and an ankle by a positive one;

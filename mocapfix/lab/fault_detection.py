@@ -1,19 +1,13 @@
-"""Benchmark of fault detection: recall, overlap and false alarms of the pipeline on takes with injected faults, and repair
-errors.
+"""Benchmark of fault detection: recall, overlap, false alarms and repair errors on sound takes with injected faults.
 
-A take with faults of one kind is written to a file and cleaned. An injected fault counts as found if a detected fault of its
-kind, and of no other markers, overlaps it. Kinds are compared in groups: missing samples, replaced samples (a ghost may be
-reported as spikes), and label errors, whether temporary or permanent.
+A take with faults is written to a file and cleaned. An injected fault counts as found if a detected fault of its kind, and of no
+other markers, overlaps it. Kinds are compared in groups: missing samples, replaced samples (a ghost may be reported as spikes),
+and label errors, whether temporary or permanent.
 
-A sound take into which faults are injected, one after another and at a distance from each other.
-
-Injection of faults into sound takes: how often, how long and how severe each kind is.
-
-Durations and sizes have a log-uniform distribution, because short and small faults are frequent and long and large ones rare.
-Places are drawn uniformly from all markers and frames without faults, exchanged markers from the three nearest neighbours. The
-faults are as hard as real ones: the shift of a marker may be no larger than skin motion, and an exchange of labels may begin
-while the markers are hidden, without a jump. Frozen samples and polynomial fills are injected only where the marker moves,
-because they make no difference at rest.
+Durations and sizes of faults have a log-uniform distribution, because short and small faults are frequent and long and large ones
+rare. Places are drawn from all markers and frames without faults, exchanged markers from the three nearest neighbours. The shift
+of a marker may be no larger than skin motion, and an exchange of labels may begin while the markers are hidden. Frozen samples
+and polynomial fills are injected only where the marker moves.
 """
 
 from collections.abc import Callable, Iterable

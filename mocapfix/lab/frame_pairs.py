@@ -1,12 +1,9 @@
-"""Training pairs of learned inverse kinematics (Learnable SMPLify, 3.2.3): a start pose, and the joints of a target pose.
+"""Training pairs of learned inverse kinematics (Learnable SMPLify, 3.2.3), and examples of the twist regressor.
 
-Most starts are frames of the same trial, 1 to 9 frames before or after (Eq. 17; both signs, which is the paper's swap). The
-others are what the network meets besides: frames further away, the mean pose, frames of other people, perturbed poses, and the
-result of a first pass. The given positions have noise of a known standard deviation, and joints and whole limbs are missing.
-
-Training examples of the twist regressor: poses on bodies of different proportions, with displaced and missing joints.
-
-The displaced joints make the network robust to inaccurate joint positions.
+A pair is a start pose and the joints of a target pose. Most starts are frames of the same trial, 1 to 9 frames before or after
+(Eq. 17; both signs, which is the paper's swap). The others are what the network meets besides: frames further away, the mean
+pose, frames of other people, perturbed poses, and the result of a first pass. The given positions have noise of a known standard
+deviation, and joints and whole limbs are missing. Examples of twists are on bodies of different proportions.
 """
 
 from collections import Counter

@@ -63,7 +63,7 @@ class CharacterCase:
         motion = retarget_motion(*build_seed_motion(), character)
         assert np.isfinite(motion.local_rotations).all()
         assert np.isfinite(motion.pelvis_position).all()
-        write_character_glb(folder / "out.glb", character, motion, "take", 0.01)
+        write_character_glb(folder / "out.glb", character, motion, "take")
         write_character_bvh(folder / "out.bvh", character, motion)
         try:
             read_character(folder / "out.glb")

@@ -1,8 +1,7 @@
-"""Small valid files of every format that mocapfix reads, of which the fuzzing of the readers makes damaged ones.
+"""Small valid files of every format that mocapfix reads, and damage to them that knows their formats.
 
-Damage to files that knows their formats: numbers, counts, lengths, units, encodings, sections, and bytes at random.
-
-A mutation is a function of the bytes of a file and a source of random numbers, and returns other bytes.
+A mutation is a function of the bytes of a file and a source of random numbers, and returns other bytes: with other numbers,
+counts, lengths, units, encodings or sections, or with bytes at random.
 """
 
 import re

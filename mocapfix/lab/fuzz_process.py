@@ -3,10 +3,8 @@
 A child runs cases one after the other until one of them exceeds a limit or ends the process; the next child continues after it.
 Each case is determined by its seed, so a finding is repeated by running its seed alone.
 
-Kill `mocapfix clean --overwrite` at random moments, and check that no output is broken and nothing stays behind.
-
-Most of the moments are within the writing, a small part of a clean: these runs write the result of one cleaning from a
-forked process. The others are of the whole command.
+Runs of `mocapfix clean --overwrite` are also killed at random moments: no output may be broken and nothing may stay behind. Most
+of them only write the result of one cleaning, from a forked process; the others are of the whole command.
 """
 
 import json

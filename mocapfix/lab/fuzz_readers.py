@@ -1,13 +1,8 @@
-"""Fuzzing of the readers: damaged files of every format are read; each must be read, or refused in one sentence.
+"""Fuzzing of the readers with damaged files of every format, and of whole cleans with strange takes and random options.
 
-Valid files with strange content: takes of a person to whom several things at once have happened that no capture room shows.
-
-Each strangeness is a function of a `Strange` take that changes it in place. Some are nonsense, some are exports with wrong
-settings, some are only rare; cleaning any of them must end in a result or in one sentence.
-
-Fuzzing of whole cleans: strange takes and animations are cleaned with random options and written.
-
-A clean must end in outputs that can be read again, or in one sentence.
+A file must be read, or refused in one sentence; a clean must end in outputs that can be read again, or in one sentence. Each
+strangeness is a function of a `Strange` take that changes it in place. Some are nonsense, some are exports with wrong settings,
+some are only rare.
 """
 
 import re

@@ -9,7 +9,6 @@ are the true ones, or wrong: then the joints are those of composed people, whose
 of CMU's subjects are, and the average body is solved.
 """
 
-from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -17,21 +16,12 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.lab.common_task import build_known_motion
-from mocapfix.lab.recordings import read_recordings
-from mocapfix.lab.training_poses import find_longest_jump_free_slice
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import load_cmu31_body, load_cmu31_skeleton
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.solve.hybrik import (
-    DEFAULT_JOINT_SD_M,
-    HybrikVariant,
-    compute_bone_vectors,
-    compute_twists,
-    find_separate_joints,
-    solve_hybrik,
-)
+from mocapfix.solve.hybrik import DEFAULT_JOINT_SD_M, HybrikVariant, find_separate_joints, solve_hybrik
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import draw_subject
 
@@ -133,7 +123,6 @@ def compute_noise_ratios(errors: dict[str, dict[str, dict[str, float]]]) -> dict
 
 TWIST_MARKER_NOISE_SD_M = 0.01  # per axis
 CERTAIN_TWIST_WEIGHT = 1e9  # 1/rad^2: outweighs all other information
-TWIST_PERCENTILES = (1, 25, 50, 75, 99)
 
 
 def measure_twist_sources(
@@ -183,21 +172,3 @@ def compute_world_rotation_error(subject: Subject, solution: Motion, true: Motio
     solved, expected = (kinematics.compute_world_poses(subject.skeleton, each)[1] for each in (solution, true))
     difference = np.swapaxes(expected, 2, 3) @ solved
     return Rotation.from_matrix(difference.reshape(-1, 3, 3)).magnitude().reshape(difference.shape[:2])
-
-
-def compute_twist_distribution(motion_folder: Path) -> dict[str, tuple[float, ...]]:
-    """Return percentiles in degrees of the twist of each bone over all motion in a folder (HybrIK, section 3.3, Fig. 5).
-
-    Frames beyond a rotation jump are not used. Raises ReadError if the folder holds no motion.
-    """
-    skeleton = load_cmu31_skeleton()
-    bone_vectors = compute_bone_vectors(skeleton)
-    has_bone = ~np.isnan(bone_vectors[:, 0])
-    parts: list[np.ndarray] = []
-    for recording in read_recordings([motion_folder]):
-        kept = find_longest_jump_free_slice(recording.rotations[:, has_bone], recording.rate_hz)
-        twists = compute_twists(recording.rotations[kept][:, has_bone], bone_vectors[has_bone])
-        parts.append(np.degrees(np.arctan2(twists[..., 1], twists[..., 0])))
-    percentiles = np.nanpercentile(np.concatenate(parts), TWIST_PERCENTILES, axis=0).T
-    names = [name for name, each in zip(skeleton.names, has_bone, strict=True) if each]
-    return {name: tuple(map(float, row)) for name, row in zip(names, percentiles, strict=True)}

@@ -2,20 +2,11 @@
 
 If the truth is known, it is compared as the start `truth`: a frame that is wrong from there as well is not the fault of a start.
 The first solve is that of each frame from its start (`previous` starts each frame from the previous one); the full solve is that
-of `mocapfix clean --prior none`. The module initialisation_outcomes defines wrong frames, initialisation_takes the takes.
-
-The takes on which starts of the solver are compared.
-
-Composed takes have gaps and spikes and need no data. Performed takes are recordings of subjects that no model was trained on,
-acrobats included, performed by a random body with skin motion; their markers are removed, or jump, in ways that are difficult for
-a start. Captures are recorded takes without known truth. In all of them the solver uses the calibrated body, which differs a
-little from the true one.
-
-The outcome of a start: its error, the poses that the solver reaches from it, and whether these are wrong.
+of `mocapfix clean --prior none`, on the calibrated body.
 
 A frame is wrong if an observed joint is further than WRONG_JOINT_DISTANCE_M from the truth. A joint is observed if three markers
-on the segments that meet there are visible, or all of them if there are fewer. If the truth is not known, the pose of least cost
-among all compared starts replaces it, and a frame of hardly greater cost is not wrong, whatever its pose.
+on the segments that meet there are visible, or all of them if there are fewer. If the truth is not known, as in captures, the
+pose of least cost among all compared starts replaces it, and a frame of hardly greater cost is not wrong, whatever its pose.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

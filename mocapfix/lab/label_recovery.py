@@ -1,16 +1,12 @@
 """Benchmark of labelling: labels are taken away from takes whose labels are known, and found again.
 
-Each take is damaged in every way of `unlabelled_takes`. Pairs of takes are also put together, as two people beside each
-other and crossing. The recall is the share of the markers' samples that have their own label again, the precision the share of
-the labelled samples whose label is right, and F1 their harmonic mean. With several people the label includes the person.
+The recall is the share of the markers' samples that have their own label again, the precision the share of the labelled samples
+whose label is right, and F1 their harmonic mean. With several people the label includes the person. Two people are put together
+beside each other, and crossing.
 
-Two people in one take: one is moved beside the other, or so that their paths cross.
-
-Takes without labels, made of takes whose labels are known: trajectories in random order, ghosts, and points in no order.
-
-Trajectories end where a marker is lost, and at random besides, as cameras lose and find markers again. The random damage per
-frame is the test noise of SOMA (Ghorbani & Black 2021): per frame a few markers are missing, a few ghosts are drawn from a
-normal distribution about the body, and the columns are permuted; in the harder variant a number of trajectories are broken too.
+Trajectories end where a marker is lost, and at random besides. The random damage per frame is the test noise of SOMA (Ghorbani &
+Black 2021): per frame a few markers are missing, a few ghosts are drawn from a normal distribution about the body, and the
+columns are permuted; in the harder variant a number of trajectories are broken too.
 """
 
 from collections.abc import Callable, Iterable, Iterator

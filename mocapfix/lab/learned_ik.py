@@ -1,12 +1,8 @@
 """Benchmark of learned inverse kinematics (Learnable SMPLify): one step, whole takes, other methods' poses refined, and speed.
 
 Motion is that of people that no training has read, on the average body; errors are those of 31 joints after forward kinematics.
-All times are processor times of one thread, which other programs hardly change.
-
-The baseline of Learnable SMPLify: SMPLify's optimisation with Adam, joints and a pose prior, a fixed number of iterations.
-
-As in the paper's baseline, the pose starts at the given start and the root at the given position. There is no image and no mesh:
-the cost is the squared distance of the joints, and a weak pull of the rotations towards the start.
+All times are processor times of one thread. The baseline is SMPLify's optimisation with Adam, from the given start and root: the
+cost is the squared distance of the joints, and a weak pull of the rotations towards the start.
 """
 
 import os
@@ -26,9 +22,17 @@ from torch import Tensor
 from mocapfix.errors import ReadError
 from mocapfix.lab.compared_priors import JointTask, solve_joint_task
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, build_sequences
-from mocapfix.lab.graph_ik import TreeLevels, compute_rotation_exponential, compute_world_tensors
 from mocapfix.lab.hybrik_tables import build_cmu41_subject
-from mocapfix.lab.learned_ik_training import KNOWN_JOINT_SD_M, SCORED_OFFSETS, SCORED_SD_M, build_scored_pairs, find_lost_joints
+from mocapfix.lab.learned_ik_training import (
+    KNOWN_JOINT_SD_M,
+    SCORED_OFFSETS,
+    SCORED_SD_M,
+    TreeLevels,
+    build_scored_pairs,
+    compute_world_tensors,
+    find_lost_joints,
+)
+from mocapfix.lab.networks import compute_rotation_tensor, use_one_torch_thread
 from mocapfix.lab.recordings import TRAINING_RATE_HZ, fold_clavicles, read_shard_recordings
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.model.stage_timer import ProgressCallback
@@ -70,7 +74,7 @@ def optimise_poses(
 
 
 def _turn(local: Tensor, change: Tensor) -> Tensor:
-    return local @ compute_rotation_exponential(change)
+    return local @ compute_rotation_tensor(change)
 
 
 PASS_COUNTS = (1, 2, 3)
@@ -99,7 +103,7 @@ def measure_learned_ik(folder: Path, progress: ProgressCallback, network: IkNetw
 
     one_step_mm        by the number of frames between start and target; copied_mm: of the start; smplify_mm: of SMPLify
     one_step_passes_mm the same by the number of passes
-    sequential_mm      whole takes followed from a true first frame; sequential_selected_mm: with the published selector
+    sequential_mm      whole takes followed from a true first frame
     plug_in_mm         see `measure_plug_in`
     fps_single         frames per second, one after the other; fps_batch: in batches of TIMED_BATCH_FRAMES
     over_smplify       how many times as fast as SMPLify single frames are
@@ -169,21 +173,23 @@ def compute_position_error_mm(poses: Poses, true_positions: Float[np.ndarray, "T
 
 
 def measure_sequential(sequences: FrameSequences, model: PoseRegressor) -> dict[str, float]:
-    """Return the median over takes of the mean error in mm of takes that are followed from a true first frame."""
+    """Return the mean error in mm of takes that are followed from a true first frame: the median over takes, and the worst."""
     starts = np.unique(sequences.first[sequences.last - sequences.first >= MIN_TAKE_FRAMES])
-    starts = starts[:: -(-len(starts) // MAX_TAKES)]
-    errors: dict[str, list[float]] = {"sequential_mm": [], "sequential_selected_mm": []}
-    worst: list[float] = []
-    for first in starts:
+    errors: list[float] = []
+    for first in starts[:: -(-len(starts) // MAX_TAKES)]:
         rotations = sequences.rotations[first : sequences.last[first] + 1].astype(float)
         root = np.zeros((len(rotations), 3))
         positions, _ = compute_tree_poses(build_kinematic_tree(model.skeleton), root, rotations)
-        joint_sd = np.full(positions.shape[:2], KNOWN_JOINT_SD_M)
-        for key, has_selector in (("sequential_mm", False), ("sequential_selected_mm", True)):
-            poses = follow_take(model, (root[:1], rotations[:1]), positions, joint_sd, has_selector=has_selector)
-            errors[key].append(compute_position_error_mm(poses, positions))
-        worst.append(errors["sequential_mm"][-1])
-    return {key: median(values) for key, values in errors.items()} | {"sequential_worst_take_mm": max(worst)}
+        errors.append(compute_position_error_mm(follow_take(model, (root[:1], rotations[:1]), positions), positions))
+    return {"sequential_mm": median(errors), "sequential_worst_take_mm": max(errors)}
+
+
+def follow_take(model: PoseRegressor, first: Poses, positions: Float[np.ndarray, "T J 3"]) -> Poses:
+    """Return the poses of all frames, each started from the frame before; the first one from `first` (one frame)."""
+    joint_sd, current = np.full((1, positions.shape[1]), KNOWN_JOINT_SD_M), first
+    poses = [current := model.refine_poses(current, given[None], joint_sd) for given in positions]
+    root, local = zip(*poses, strict=True)
+    return np.concatenate(root), np.concatenate(local)
 
 
 def measure_plug_in(sequences: FrameSequences, model: PoseRegressor) -> dict[str, dict[str, float]]:
@@ -250,16 +256,12 @@ def build_plug_in_case(sequences: FrameSequences, lost_joints: list[int]) -> Plu
 
 def measure_speed(sequences: FrameSequences, model: PoseRegressor) -> dict[str, float]:
     """Return frames per second of the network, and how many times as fast as SMPLify it is, on one core."""
-    import torch
-
     batch = build_scored_pairs(sequences, SCORED_OFFSETS[-1])
     frames = np.arange(TIMED_BATCH_FRAMES) % len(batch.positions)
     start, positions = (batch.start[0][frames], batch.start[1][frames]), batch.positions[frames]
     joint_sd = batch.joint_sd[frames]
     singles = [((start[0][t : t + 1], start[1][t : t + 1]), positions[t : t + 1]) for t in range(SINGLE_FRAMES)]
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with use_one_core():
+    with use_one_torch_thread(), use_one_core():
         batch_s = median(time_processor_rounds(lambda: model.refine_poses(start, positions, joint_sd), 4 * SPEED_REPEATS))
 
         def refine_singles() -> None:
@@ -268,7 +270,6 @@ def measure_speed(sequences: FrameSequences, model: PoseRegressor) -> dict[str, 
 
         single_s = median(time_processor_rounds(refine_singles, SPEED_REPEATS)) / SINGLE_FRAMES
         smplify_s = median(time_processor_rounds(lambda: optimise_poses(model.skeleton, *singles[0]), SPEED_REPEATS))
-    torch.set_num_threads(threads)
     return {"fps_single": 1 / single_s, "fps_batch": TIMED_BATCH_FRAMES / batch_s, "over_smplify": smplify_s / single_s}
 
 
@@ -295,39 +296,3 @@ def use_one_core() -> Generator[None]:
         yield
     finally:
         os.sched_setaffinity(0, before)
-
-
-FIRST_SELECTED_FRAME = 60  # from this frame on, the published sequential protocol selects among three poses
-
-
-def follow_take(
-    model: PoseRegressor,
-    first: Poses,
-    positions: Float[np.ndarray, "T J 3"],
-    joint_sd: Float[np.ndarray, "T J"],
-    *,
-    has_selector: bool = False,
-) -> Poses:
-    """Return the poses of all frames, each started from the frame before (3.2.3); the first one from `first` (one frame).
-
-    has_selector  from FIRST_SELECTED_FRAME on, keep whichever has the least joint error: the prediction, a prediction from
-                  the pose of the first frame, or a copy of the pose before. The published code does this.
-    """
-    root, local = np.empty(positions.shape[::2]), np.empty((*positions.shape[:2], 3, 3))
-    current = first
-    for t in range(len(positions)):
-        given, sd = positions[t : t + 1], joint_sd[t : t + 1]
-        predicted = model.refine_poses(current, given, sd)
-        if has_selector and t >= FIRST_SELECTED_FRAME:
-            restarted = model.refine_poses((root[:1], local[:1]), given, sd)
-            candidates = (predicted, restarted, (given[:, 0], current[1]))
-            errors = [_compute_joint_error(model.skeleton, each, given) for each in candidates]
-            predicted = candidates[int(np.argmin(errors))]
-        current = predicted
-        root[t], local[t] = current[0][0], current[1][0]
-    return root, local
-
-
-def _compute_joint_error(skeleton: Skeleton, poses: Poses, positions: Float[np.ndarray, "T J 3"]) -> float:
-    placed, _ = compute_tree_poses(build_kinematic_tree(skeleton), *poses)
-    return float(np.nanmean(np.linalg.norm(placed - positions, axis=-1)))

@@ -1,13 +1,13 @@
 """Training of learned inverse kinematics (Learnable SMPLify): one evaluation from a start pose and joints to a pose.
 
-Scores of learned inverse kinematics on people that it was not trained on: one step from a frame nearby, and hard inputs.
-
-The card of a network of learned inverse kinematics.
+The scores are measured on people that the network was not trained on: one step from a frame nearby, and hard inputs. The poses
+are a form of `mocapfix.kernels.pose_transfer.correct_pose_frames` that is differentiable with torch.
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,16 +17,137 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from mocapfix.errors import WriteError
-from mocapfix.io.files import replace_atomically
-from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses
-from mocapfix.lab.cards import build_acknowledgement, format_frame_counts, format_sources
+from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses, TransferTree
+from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
-from mocapfix.lab.graph_ik import GraphModel, PoseTensors, TransferTensors, TreeLevels, compute_ik_loss, correct_pose_tensors
-from mocapfix.lab.networks import build_layers
+from mocapfix.lab.networks import build_layers, compute_rotation_tensor
 from mocapfix.lab.settings import LearnedIkSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.learned_ik import IkNetwork, build_transfer_tree, transfer_poses, write_ik_network, write_tensors
+from mocapfix.solve.learned_ik import IkNetwork, build_transfer_tree, transfer_poses, write_ik_network
+
+VERTEX_DISTANCE_M = 0.1  # distance from each joint, along its axes, of the points that stand in for the vertices of a mesh
+MIN_ANGLE_SQUARED = 1e-12  # keeps the derivative of an angle finite at 0
+MIN_SWING_COSINE = -0.999  # swings of nearly half a turn are not exact, so that their derivative stays finite
+
+
+@dataclass(frozen=True)
+class TreeLevels:
+    """The joints of a skeleton level by level: each level's joints and their parents."""
+
+    levels: tuple[tuple[list[int], list[int]], ...]
+
+    @classmethod
+    def build(cls, parents: np.ndarray) -> "TreeLevels":
+        """Return the levels below the root."""
+        depth = np.zeros(len(parents), int)
+        members: dict[int, list[int]] = defaultdict(list)
+        for joint in range(1, len(parents)):
+            depth[joint] = depth[parents[joint]] + 1
+            members[int(depth[joint])].append(joint)
+        return cls(tuple((joints, [int(parents[j]) for j in joints]) for _, joints in sorted(members.items())))
+
+
+@dataclass(frozen=True)
+class TransferTensors:
+    """What the closed form gives the differentiable correction, for B poses.
+
+    start_local, rotation  (B, J, 3, 3)
+    direction              (B, J, 3), 0 where unknown
+    authority              (B, J)
+    root, root_unit        (B, 3) and (B,) metres
+    """
+
+    start_local: Tensor
+    rotation: Tensor
+    direction: Tensor
+    authority: Tensor
+    root: Tensor
+    root_unit: Tensor
+
+
+@dataclass(frozen=True)
+class PoseTensors:
+    """World positions (B, J, 3) in metres and world rotations (B, J, 3, 3) of B poses."""
+
+    position: Tensor
+    rotation: Tensor
+
+
+def swing_rotations(
+    rotation: Float[Tensor, "... 3 3"], bone: Float[Tensor, "... 3"], direction: Float[Tensor, "... 3"]
+) -> Float[Tensor, "... 3 3"]:
+    """Return rotations after the shortest rotation from the unit vector `bone` to `direction`; unchanged where that is 0."""
+    cosine = torch.clamp((bone * direction).sum(-1), min=MIN_SWING_COSINE)
+    axis = torch.linalg.cross(bone, direction)[..., None]
+    once = torch.linalg.cross(axis.expand_as(rotation), rotation, dim=-2)
+    twice = torch.linalg.cross(axis.expand_as(rotation), once, dim=-2)
+    return rotation + once + twice / (1 + cosine)[..., None, None]
+
+
+def correct_pose_tensors(
+    tree: TransferTree, levels: TreeLevels, transferred: TransferTensors, corrections: Float[Tensor, "B C"]
+) -> PoseTensors:
+    """Return the poses of `correct_pose_frames`, differentiable by the corrections."""
+    joints = len(tree.parents)
+    offsets = torch.as_tensor(tree.offsets, dtype=torch.float32)
+    ends = torch.as_tensor(np.maximum(tree.bone_end, 0))
+    bone = torch.nn.functional.normalize(offsets[ends], dim=-1)
+    has_direction = (transferred.direction**2).sum(-1, keepdim=True) > 0.5
+    vectors, authority = corrections[:, : 3 * joints].reshape(-1, joints, 3), transferred.authority[..., None]
+    along = (1 - authority) * (vectors * bone).sum(-1, keepdim=True) * has_direction
+    is_free = torch.as_tensor(~tree.is_held)[:, None]
+    turn = compute_rotation_tensor((authority * vectors + along * bone) * is_free)
+    is_registered = np.diff(tree.cloud_start) > 0
+    rotations: list[Tensor] = [transferred.rotation[:, 0] @ turn[:, 0]] * joints
+    shift = (transferred.rotation[:, 0] @ corrections[:, 3 * joints :, None])[..., 0]
+    positions: list[Tensor] = [transferred.root + transferred.root_unit[:, None] * shift] * joints
+    for members, parents in levels.levels:
+        parent_rotation = torch.stack([rotations[p] for p in parents], 1)
+        parent_position = torch.stack([positions[p] for p in parents], 1)
+        position = parent_position + (parent_rotation @ offsets[members][..., None])[..., 0]
+        inherited = parent_rotation @ transferred.start_local[:, members]
+        current = swing_rotations(inherited, (inherited @ bone[members][..., None])[..., 0], transferred.direction[:, members])
+        if is_registered[members].any():
+            use = torch.as_tensor(is_registered[members]) & (transferred.authority[:, members] < 1)
+            current = torch.where(use[..., None, None], transferred.rotation[:, members], current)
+        current = current @ turn[:, members]
+        for i, joint in enumerate(members):
+            rotations[joint], positions[joint] = current[:, i], position[:, i]
+    return PoseTensors(torch.stack(positions, 1), torch.stack(rotations, 1))
+
+
+def compute_angles(a: Float[Tensor, "... 3 3"], b: Float[Tensor, "... 3 3"]) -> Float[Tensor, "..."]:
+    """Return the angles between rotations in radians: the geodesic distance."""
+    chord = torch.sqrt(((a - b) ** 2).sum((-1, -2)) + MIN_ANGLE_SQUARED) / 8**0.5
+    return 2 * torch.asin(torch.clamp(chord, max=0.9999))
+
+
+def compute_ik_loss(predicted: PoseTensors, true: PoseTensors, weights: tuple[float, float, float]) -> Tensor:
+    """Return the loss (Eqs. 18-21), given the weights of joints, pose and vertices.
+
+    The skeleton has no mesh: points VERTEX_DISTANCE_M from the joints along their axes stand in for the vertices.
+    """
+    difference = predicted.position - true.position
+    joints = torch.sqrt((difference**2).sum(-1) + MIN_ANGLE_SQUARED).mean()
+    pose = compute_angles(predicted.rotation, true.rotation).mean()
+    points = difference[..., None] + VERTEX_DISTANCE_M * (predicted.rotation - true.rotation)
+    vertices = torch.sqrt((points**2).sum(-2) + MIN_ANGLE_SQUARED).mean()
+    return weights[0] * joints + weights[1] * pose + weights[2] * vertices
+
+
+def compute_world_tensors(levels: TreeLevels, offsets: Tensor, root: Tensor, local: Tensor, to_world: Tensor) -> PoseTensors:
+    """Return forward kinematics, differentiable, of local rotations (B, J, 3, 3); the root's axes are those of `to_world`."""
+    rotations: list[Tensor] = [to_world @ local[:, 0]] * local.shape[1]
+    positions: list[Tensor] = [root] * local.shape[1]
+    for members, parents in levels.levels:
+        parent_rotation = torch.stack([rotations[p] for p in parents], 1)
+        position = torch.stack([positions[p] for p in parents], 1) + (parent_rotation @ offsets[members][..., None])[..., 0]
+        current = parent_rotation @ local[:, members]
+        for i, joint in enumerate(members):
+            rotations[joint], positions[joint] = current[:, i], position[:, i]
+    return PoseTensors(torch.stack(positions, 1), torch.stack(rotations, 1))
+
 
 SCORED_OFFSETS = (1, 3, 5, 7, 9)  # frames between start and target
 MAX_SCORED_PAIRS = 4000  # for each offset, evenly over all trials
@@ -116,75 +237,25 @@ def find_lost_joints(section: str) -> list[int]:
     return [skeleton.find_joint(name) for name in BODY_SECTIONS[section][1:]]
 
 
-IK_CARD = """\
-# {name}
-
-{title}
-
+IK_TRAINING = """\
 Learnable SMPLify regresses a pose from a start pose and the joint positions of another frame, in one evaluation. Trained by
-`mocapfix train ik` on {frame_count:,} frames at about 30 Hz of {subject_count} subjects, half of the batches mirrored.
-
-| subjects | with their frames |
-|---|---|
-| trained on | {trained_on} |
-| held out, for the scores | {held_out} |
-| never read, for the benchmarks | {test} |
-
-## Scores
-
-Held-out people, all joints given without noise, one evaluation; means over frames and 31 joints.
-
-| frames at 30 Hz from start to target | {offsets} |
-|---|{rule}|
-| the start itself, mm | {copied} |
-| position, mm | {one_step} |
-| world rotation, degrees | {rotation} |
-{hard_inputs}
-## Settings
-
-{settings}
-
-## Data
-
-{sources}{acknowledgement}"""
+`mocapfix train ik` on"""
 
 
-def write_ik_card(
-    path: Path, settings: LearnedIkSettings, sequences: FrameSequences, held_out: FrameSequences, scores: IkScores
-) -> None:
-    """Write a card, replacing the file atomically. Raises WriteError if it cannot be written."""
-    frame_counts, source_frames = sequences.frame_counts, Counter(sequences.source_frames + held_out.source_frames)
-    text = IK_CARD.format(
-        sources=format_sources(source_frames),
-        name=path.stem,
-        title=settings.title,
-        frame_count=sum(frame_counts.values()),
-        subject_count=len(frame_counts),
-        trained_on=format_frame_counts(frame_counts),
-        held_out=format_frame_counts(held_out.frame_counts),
-        test=", ".join(sorted(settings.test_subjects)),
-        offsets=" | ".join(map(str, scores.one_step_mm)),
-        rule="|".join("---" for _ in scores.one_step_mm),
-        copied=" | ".join(f"{value:.1f}" for value in scores.copied_mm.values()),
-        one_step=" | ".join(f"{value:.2f}" for value in scores.one_step_mm.values()),
-        rotation=" | ".join(f"{value:.1f}" for value in scores.rotation_deg.values()),
-        hard_inputs=format_hard_inputs(scores) if settings.has_corruption else "",
-        settings="\n".join(
-            f"- {key}: {value}"
-            for key, value in settings.model_dump(exclude={"title", "test_subjects", "held_out_subjects"}).items()
-        ),
-        acknowledgement=build_acknowledgement(source_frames, is_conformed=False),
-    )
-    with replace_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def format_hard_inputs(scores: IkScores) -> str:
-    """Return the sentence on noisy and missing joints."""
-    return (
-        f"\nWith noise of {1e3 * SCORED_SD_M:.0f} mm per axis and the frame before as the start: {scores.noisy_mm:.1f} mm.\n"
-        f"With the joints of the {LOST_SECTION} missing too: {scores.limb_mm:.1f} mm.\n"
-    )
+def format_ik_scores(scores: IkScores) -> str:
+    """Return the scores of a card."""
+    rows = {
+        "the start itself, mm": list(scores.copied_mm.values()),
+        "position, mm": list(scores.one_step_mm.values()),
+        "world rotation, degrees": list(scores.rotation_deg.values()),
+    }
+    table = format_table(["frames at 30 Hz from start to target", *map(str, scores.one_step_mm)], rows, ".2f")
+    text = f"Held-out people, all joints given without noise, one evaluation; means over frames and 31 joints.\n\n{table}\n"
+    if np.isnan(scores.noisy_mm):
+        return text
+    noise = f"With noise of {1e3 * SCORED_SD_M:.0f} mm per axis and the frame before as the start"
+    lost = f"With the joints of the {LOST_SECTION} missing too"
+    return f"{text}\n{noise}: {scores.noisy_mm:.1f} mm.\n{lost}: {scores.limb_mm:.1f} mm.\n"
 
 
 STEPS_PER_CHECKPOINT = 250
@@ -260,28 +331,28 @@ def train_learned_ik(
     model = fit_ik_model(settings, sequences, checkpoint, progress)
     progress("measuring")
     scores = measure_ik_scores(build_predictor(model), held_out, settings.has_corruption)
-    if isinstance(model, ClosedFormModel):
-        write_ik_network(target, model.extract_network())
-    else:
-        write_tensors(target, {name: each.half().numpy() for name, each in model.state_dict().items()})
-    write_ik_card(target.with_suffix(".md"), settings, sequences, held_out, scores)
+    write_ik_network(target, model.extract_network())
+    source_frames = Counter(sequences.source_frames + held_out.source_frames)
+    data = CardData(sequences.frame_counts, held_out.frame_counts, source_frames)
+    use = ", half of the batches\nmirrored."
+    write_card(target.with_suffix(".md"), settings, data, IK_TRAINING, use, format_ik_scores(scores))
     checkpoint.unlink(missing_ok=True)
     return scores
 
 
 def fit_ik_model(
     settings: LearnedIkSettings, sequences: FrameSequences, checkpoint: Path, progress: Callable[[str], object]
-) -> ClosedFormModel | GraphModel:
+) -> ClosedFormModel:
     """Return the trained model. Each step draws its pairs by its own number, so that an interrupted training can continue."""
     sampler = PairSampler(sequences, settings)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        model = ClosedFormModel(settings, sampler) if settings.network == "closed-form" else GraphModel(settings)
+        model = ClosedFormModel(settings, sampler)
     optimise_model(model, sampler, settings, checkpoint, progress)
     return model.eval()
 
 
-def build_predictor(model: ClosedFormModel | GraphModel) -> PosePredictor:
+def build_predictor(model: ClosedFormModel) -> PosePredictor:
     """Return the function that the scores are measured of."""
 
     def predict(batch: IkBatch) -> tuple[np.ndarray, np.ndarray]:
@@ -293,7 +364,7 @@ def build_predictor(model: ClosedFormModel | GraphModel) -> PosePredictor:
 
 
 def optimise_model(
-    model: ClosedFormModel | GraphModel,
+    model: ClosedFormModel,
     sampler: PairSampler,
     settings: LearnedIkSettings,
     checkpoint: Path,

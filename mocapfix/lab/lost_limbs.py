@@ -1,19 +1,15 @@
 """Benchmark of lost limbs: the error of an arm or a leg that is reconstructed after its markers were missing for a while.
 
 Recordings of subjects that no model was trained on are performed by the average body, which has the markers of its marker set and
-one on every joint. An arm or a leg, without shoulder or hip, is hidden in a gap, and the take is solved. For comparison, each
-method of filling the gap is also used alone.
+one on every joint. An arm or a leg, without shoulder or hip, is hidden in a gap, and the take is solved: under the trained prior,
+with the motion prior besides, and with neither.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.model.motion import Motion
@@ -31,7 +27,6 @@ from mocapfix.subject.library import load_marker_set
 
 LIMB_GAP_DURATIONS_S = (0.5, 1.0, 2.0)
 MIN_CONTEXT_S = 0.4  # frames that are visible before and after a gap
-EDGE_SPEED_WINDOW_S = 0.067  # interval over which the angular speed at the edge of a gap is measured
 LIMB_JOINTS = {  # joints whose rotations are lost, and joints whose positions are scored
     "arm": (("Arm", "ForeArm", "Hand"), ("ForeArm", "Hand", "FingerBase")),
     "leg": (("UpLeg", "Leg", "Foot"), ("Leg", "Foot", "ToeBase")),
@@ -89,8 +84,7 @@ def draw_limb_gaps(motions: list[PerformedMotion], duration_s: float, count: int
 
 
 def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator[tuple[str, Motion]]:
-    """Yield the names of methods and the motions: the solve of the take with the gap, and the same with the gap filled
-    otherwise."""
+    """Yield the names of methods and the solved motions of the take with the gap."""
     body, subject = load_cmu31_body(), build_full_marker_subject()
     prior, limits = load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
     take = remove_limb_markers(gap, limb, subject)
@@ -98,8 +92,6 @@ def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator
     conditioner = PriorConditioner(lambda: model, 1.0) if model else None
     solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=conditioner)
     yield "mocapfix", solution
-    lost_joints = np.array([body.skeleton.find_joint(gap.side + name) for name in LIMB_JOINTS[limb][0]])
-    yield from fill_limb_gap(solution, lost_joints, gap, model)
     if model is not None:
         with_motion_prior = PriorConditioner(lambda: model, 1.0, predict_shipped_gap)
         yield (
@@ -107,65 +99,6 @@ def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator
             motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=with_motion_prior),
         )
         yield "the take and time", motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
-
-
-def fill_limb_gap(
-    solution: Motion, lost_joints: Int[np.ndarray, " L"], gap: LimbGap, model: PoseModel | None
-) -> Iterator[tuple[str, Motion]]:
-    """Yield the names of methods and the solved motion with the lost joints' rotations in the gap filled by each method."""
-    first, last, rate_hz = gap.first, gap.last, gap.performance.rate_hz
-    frames, ends = np.arange(first, last + 1), np.array([first - 1, last + 1])
-    rotations = {j: solution.local_rotations[:, j] for j in lost_joints}
-    slerp = {j: Slerp(ends, Rotation.from_matrix(rotations[j][ends]))(frames) for j in lost_joints}
-    yield "slerp", replace_rotations(solution, frames, slerp)
-    cubic = {j: interpolate_hermite(rotations[j], ends, frames, rate_hz) for j in lost_joints}
-    yield "cubic", replace_rotations(solution, frames, cubic)
-    if model is not None:
-        inferred = infer_lost_joints(solution, lost_joints, np.arange(first - 1, last + 2), model)
-        inside = {j: Rotation.from_matrix(inferred[j][1:-1]) for j in lost_joints}
-        yield "model, each frame alone", replace_rotations(solution, frames, inside)
-        blended = {j: blend_edge_errors(inferred[j], rotations[j][ends]) for j in lost_joints}
-        yield "model, corrected at both edges", replace_rotations(solution, frames, blended)
-
-
-def replace_rotations(solution: Motion, frames: Int[np.ndarray, " N"], rotations: dict[int, Rotation]) -> Motion:
-    """Return the motion with other rotations of some joints in some frames."""
-    local_rotations = solution.local_rotations.copy()
-    for joint, rotation in rotations.items():
-        local_rotations[frames, joint] = rotation.as_matrix()
-    return replace(solution, local_rotations=local_rotations)
-
-
-def interpolate_hermite(
-    rotations: Float[np.ndarray, "T 3 3"], ends: Int[np.ndarray, "2"], frames: Int[np.ndarray, " N"], rate_hz: float
-) -> Rotation:
-    """Return the cubic Hermite interpolation of a joint's rotation vectors relative to the first end, with the speeds at both
-    ends."""
-    span, (a, b) = max(1, round(EDGE_SPEED_WINDOW_S * rate_hz)), ends
-    before, after = max(a - span, 0), min(b + span, len(rotations) - 1)
-    reference = Rotation.from_matrix(rotations[a])
-    vectors = (Rotation.from_matrix(rotations[[before, a, b, after]]) * reference.inv()).as_rotvec()
-    start_speed, end_speed = -vectors[0] / max(a - before, 1), (vectors[3] - vectors[2]) / max(after - b, 1)
-    return Rotation.from_rotvec(CubicHermiteSpline(ends, vectors[1:3], [start_speed, end_speed])(frames)) * reference
-
-
-def infer_lost_joints(
-    solution: Motion, lost_joints: Int[np.ndarray, " L"], frames: Int[np.ndarray, " N"], model: PoseModel
-) -> dict[int, Float[np.ndarray, "N 3 3"]]:
-    """Return the rotations that the model predicts for each lost joint in each frame, given the other joints."""
-    body = load_cmu31_body()
-    known_joints = np.array([j for j in np.flatnonzero(body.free_joints)[1:] if j not in lost_joints])
-    nearby = np.ones((len(frames), 4 * len(lost_joints)))
-    conditioner = PriorConditioner(lambda: model, 1.0)
-    quaternions = conditioner.predict_rotations(solution.local_rotations, known_joints, lost_joints, frames, nearby)
-    return {j: Rotation.from_quat(quaternions[:, 4 * i : 4 * i + 4]).as_matrix() for i, j in enumerate(lost_joints)}
-
-
-def blend_edge_errors(inferred: Float[np.ndarray, "N 3 3"], edges: Float[np.ndarray, "2 3 3"]) -> Rotation:
-    """Return inferred rotations inside a gap, corrected by a linear blend of their errors in the frames at its edges."""
-    share = np.linspace(0, 1, len(inferred))[1:-1, None]
-    errors = (Rotation.from_matrix(edges) * Rotation.from_matrix(inferred[[0, -1]]).inv()).as_rotvec()
-    return Rotation.from_rotvec((1 - share) * errors[0] + share * errors[1]) * Rotation.from_matrix(inferred[1:-1])
 
 
 def build_full_marker_subject() -> Subject:

@@ -5,7 +5,7 @@ The models are an autoencoder, probabilistic principal component analysis, or a 
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from sklearn.mixture import GaussianMixture
 
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.lab.autoencoder_training import train_network
-from mocapfix.lab.cards import PriorScores, write_prior_card
+from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.networks import copy_weights
-from mocapfix.lab.settings import AutoencoderSettings, GaussianSettings, MixtureSettings, PriorSettings
+from mocapfix.lab.settings import AutoencoderSettings, GaussianSettings, MixtureSettings, PriorSettings, SubjectSettings
 from mocapfix.lab.training_poses import TrainingPoses, compute_sampling_weights, conform_training_poses, gather_training_poses
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve.mean_pose import load_mean_pose_prior
@@ -32,19 +32,40 @@ MIN_RESIDUAL_SD_RAD = np.radians(1.0)  # lower bound of a joint's standard devia
 SCORE_STRIDE = 10  # the score of training poses is measured on every tenth pose
 
 
+PRIOR_SCORES = """\
+Error of a pose that is encoded and decoded, mean over frames and all joints except the root:
+
+{table}
+
+A code has {code_size} dimensions; the root mean square of the codes of held-out subjects is {code_rms:.2f}, where the model
+assumes 1. The standard deviation of a pose around the decoded pose is {low:.1f} to {high:.1f} degrees per axis, its median
+{median:.1f}.
+
+A better reconstruction does not make a better prior: choose a prior by its results in the solver."""
+
+
+@dataclass(frozen=True)
+class PriorScores:
+    """The accuracy of a pose prior.
+
+    training_deg, held_out_deg  degrees: mean reconstruction error of training and held-out poses over all joints except the root
+    code_rms                    root mean square of the codes of held-out poses
+    """
+
+    training_deg: float
+    held_out_deg: float
+    code_rms: float
+
+
 def train_pose_prior(
     settings: PriorSettings,
     folders: Sequence[Path],
     target: Path,
     progress: Callable[[str], object],
-    *,
-    is_interleaved: bool = False,
 ) -> PriorScores:
     """Train a model, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 
     Interrupted training of an autoencoder continues from `target` with the suffix .checkpoint when it is started again.
-
-    is_interleaved  train on three frames of every five of all subjects, which is MNN-IK's split; for comparison with MNN-IK only
 
     Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
     """
@@ -53,17 +74,18 @@ def train_pose_prior(
     skeleton = load_cmu31_body().skeleton
     reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects
-    gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
+    gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress)
     poses = conform_training_poses(gathered, skeleton.names, settings.subject_balance)
     checkpoint = target.with_suffix(".checkpoint")
     model, fit_summary = fit_pose_model(settings, skeleton.names, reference_rotations, poses, checkpoint, progress)
     progress("measuring")
-    # In MNN-IK's split the held-out poses are its test set, which must not determine any parameter.
-    vectors = poses.training_vectors if is_interleaved else select_measured_poses(poses)
+    vectors = select_measured_poses(poses)
     model = replace(model, residual_sd_rad=compute_residual_sd(model, vectors))
     scores = compute_prior_scores(model, poses)
     save_pose_model(target, model)
-    write_prior_card(target.with_suffix(".md"), settings, model, poses, scores, fit_summary)
+    use = f"{describe_pose_use(poses)}{fit_summary and f'{chr(10) * 2}{fit_summary}'}"
+    data, scored = build_card_data(settings, poses), format_prior_scores(model, scores)
+    write_card(target.with_suffix(".md"), settings, data, "Trained by `mocapfix train prior` on", use, scored)
     checkpoint.unlink(missing_ok=True)
     return scores
 
@@ -126,6 +148,33 @@ def fit_autoencoder(
     regularisation = 1e-6 * np.trace(covariance) / size  # for code dimensions that the network does not use
     cholesky = SD_INFLATION * np.linalg.cholesky(covariance + regularisation * np.eye(size))
     return replace(unscaled, code_mean=codes.mean(0), code_cholesky=cholesky)
+
+
+def describe_pose_use(poses: TrainingPoses) -> str:
+    """Return what a card says on the use of training poses."""
+    dropped = f"{poses.dropped_frames:,} more frames, beyond a jump in the solved motion, were not used."
+    return f", each also mirrored,\nwithout position and heading. {dropped}"
+
+
+def build_card_data(settings: SubjectSettings, poses: TrainingPoses) -> CardData:
+    """Return what a card says on the motion that poses come from."""
+    counts, names = poses.frame_counts, settings.held_out_subjects
+    trained_on, held_out = ({s: n for s, n in counts.items() if (s in names) == is_held} for is_held in (False, True))
+    return CardData(trained_on, held_out, poses.source_frames, is_conformed=True)
+
+
+def format_prior_scores(model: PoseModel, scores: PriorScores) -> str:
+    """Return the scores of a card."""
+    low, median, high = np.degrees(np.percentile(model.residual_sd_rad[1:], [0, 50, 100]))
+    rows = {"subjects trained on": [scores.training_deg], "held-out subjects": [scores.held_out_deg]}
+    return PRIOR_SCORES.format(
+        table=format_table(["", "degrees"], rows, ".2f"),
+        code_size=model.code_size,
+        code_rms=scores.code_rms,
+        low=low,
+        median=median,
+        high=high,
+    )
 
 
 def select_measured_poses(poses: TrainingPoses) -> Float[np.ndarray, "N J 3"]:

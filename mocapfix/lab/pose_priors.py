@@ -1,11 +1,7 @@
-"""The benchmark of pose priors: MNN-IK's tests, and the side effects of a prior where it is not needed.
+"""The benchmark of pose priors when a few random joints are given (MNN-IK, 4.2), or all of them.
 
-Benchmark of pose priors when joint positions are given: a few random joints (MNN-IK, 4.2), or all of them.
-
-With a few joints, accuracy, convergence and speed are measured. As in the paper, poses are at the origin without heading, and
-every solve starts at the mean pose. All priors solve the same poses with the same joints. The error of a pose is the mean over
-its 31 joints. The paper does not define its standard deviations; here they are those of the errors of poses.
-
+With a few joints, accuracy and speed are measured. As in the paper, poses are at the origin without heading, and every solve
+starts at the mean pose. The error of a pose is the mean over its 31 joints; standard deviations are those of the errors of poses.
 With all joints a prior is not needed; then its side effects are measured.
 """
 
@@ -26,11 +22,11 @@ from mocapfix.lab.compared_priors import (
     PlacedPoses,
     build_joint_task,
     load_compared_priors,
-    place_known_poses,
+    place_with_joints,
     solve_joint_task,
 )
 from mocapfix.lab.lost_limbs import measure_lost_limbs
-from mocapfix.lab.sound_takes import load_unseen_poses, sample_interleaved_poses, sample_subject_poses
+from mocapfix.lab.sound_takes import load_unseen_poses, sample_subject_poses
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import DEFAULT_PRIOR_NAME
@@ -57,7 +53,7 @@ def measure_all_joints(
     noise = np.random.default_rng(0).normal(0, ALL_JOINTS_SD_M, (*shape, 3))
     exact_task = build_joint_task(rotations, np.ones(shape, bool), ALL_JOINTS_SD_M)
     noisy_task = build_joint_task(rotations, np.ones(shape, bool), ALL_JOINTS_SD_M, noise)
-    truth = place_known_poses(exact_task.skeleton, np.zeros((len(rotations), 3)), rotations)
+    truth = place_with_joints(exact_task.skeleton, np.zeros((len(rotations), 3)), rotations)
     results: dict[str, dict[str, float]] = {}
     without_prior = None
     for name, model in priors.items():
@@ -104,8 +100,6 @@ def find_twist_bones(skeleton: Skeleton) -> tuple[Int[np.ndarray, " B"], Int[np.
 
 GIVEN_JOINT_COUNTS = (6, 8, 10, 15)
 GIVEN_JOINT_SD_M = 0.005  # standard deviation of a given position that the solver assumes
-CURVE_JOINT_COUNT = 10  # given joints of the curves over iterations
-MAX_SHOWN_ITERATIONS = 25
 SPEED_JOINT_COUNT = 10  # given joints of the poses that are timed
 SPEED_ROUNDS = 3  # the fastest round counts, because other programs slow down some rounds
 START_ROTATION_SD_RAD = 0.15  # per axis: difference between a pose and its start, as a smooth motion would give it
@@ -144,7 +138,7 @@ def draw_given_joints(pose_count: int, joint_count: int, given_count: int) -> Bo
 
 def compute_pose_errors(task: JointTask, solution: PlacedPoses) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Return the position error in metres and the rotation error in radians of each pose, as means over its joints."""
-    true = place_known_poses(task.skeleton, np.zeros((len(task.true_rotations), 3)), task.true_rotations)
+    true = place_with_joints(task.skeleton, np.zeros((len(task.true_rotations), 3)), task.true_rotations)
     position_error_m = np.linalg.norm(solution.joint_positions - true.joint_positions, axis=2).mean(axis=1)
     difference = np.swapaxes(task.true_rotations, 2, 3) @ solution.rotations
     angles = Rotation.from_matrix(difference.reshape(-1, 3, 3)).magnitude().reshape(difference.shape[:2])
@@ -175,49 +169,6 @@ def compute_improvements(results: GivenJointResults, name: str) -> dict[str, dic
 def compute_improvement_percent(results: GivenJointResults, name: str, other: str, key: str) -> float:
     """Return the mean over the numbers of given joints, as MNN-IK averages its 25 and 39 % (4.2)."""
     return 100 * float(np.mean([1 - rows[name][key] / rows[other][key] for rows in results.values()]))
-
-
-def measure_iterations(
-    rotations: Float[np.ndarray, "N J 3 3"],
-    priors: ComparedPriors,
-    reference_rotations: Float[np.ndarray, "J 3 3"],
-    name: str,
-    progress: ProgressCallback,
-) -> dict[str, Any]:
-    """Return means over poses after 0, 1, ... iterations of the solver (MNN-IK, Figure 5).
-
-    iterations   by prior: iterations used. A network is linearised between rounds of several iterations, and a later round is not
-                 interrupted, so that these may exceed the limit
-    position_mm  by prior: error of the joints
-    cost         of the solve with the prior `name`: `total`, and the parts of the `given` joints and of the `prior`
-    """
-    is_given = draw_given_joints(len(rotations), rotations.shape[1], CURVE_JOINT_COUNT)
-    task = build_joint_task(rotations, is_given, GIVEN_JOINT_SD_M)
-    results: dict[str, Any] = {"iterations": {}, "position_mm": {}}
-    for each, model in priors.items():
-        progress(f"iterations, {each}")
-        solutions = [
-            solve_joint_task(task, model, task.build_start(reference_rotations), limit)
-            for limit in range(MAX_SHOWN_ITERATIONS + 1)
-        ]
-        results["iterations"][each] = [float(solution.iterations.mean()) for solution in solutions]
-        results["position_mm"][each] = [1e3 * float(compute_pose_errors(task, solution)[0].mean()) for solution in solutions]
-        if each == name:
-            results["cost"] = compute_iteration_costs(task, solutions)
-    return results
-
-
-def compute_iteration_costs(task: JointTask, solutions: list[PlacedPoses]) -> dict[str, list[float]]:
-    """Return the mean cost of a pose after each iteration: half the sum of squares in standard deviations."""
-    total = np.array([solution.cost.mean() for solution in solutions])
-    given = np.array([compute_fit_costs(task, solution).mean() for solution in solutions])
-    return {"total": total.tolist(), "given": given.tolist(), "prior": (total - given).tolist()}
-
-
-def compute_fit_costs(task: JointTask, solution: PlacedPoses) -> Float[np.ndarray, " N"]:
-    """Return the cost of the distances between the given joints and their given positions."""
-    residuals = np.where(task.is_given[..., None], solution.joint_positions - task.given_positions, 0.0) / task.sd_m
-    return 0.5 * (residuals**2).sum(axis=(1, 2))
 
 
 def measure_prior_speed(
@@ -259,26 +210,19 @@ def time_rounds(call: Callable[[], object], rounds: int) -> list[float]:
 
 
 JOINT_SETS_PER_POSE = 3  # different sets of given joints for each pose
-MAX_CURVE_POSES = 200  # enough for the curves over iterations
 
 
-def measure_pose_priors(
-    motion_folder: Path | None, max_poses: int, paper_split_folder: Path | None, with_iterations: bool, progress: ProgressCallback
-) -> dict[str, Any]:
+def measure_pose_priors(motion_folder: Path | None, max_poses: int, progress: ProgressCallback) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON.
 
     motion_folder       motion whose test subjects give the poses; None for the shipped poses. Lost limbs need the motion in its
                         test.npz
     max_poses           maximum number of poses
-    paper_split_folder  weights that were trained on MNN-IK's own split, whose test is then done as well; needs `motion_folder`
-    with_iterations     whether to measure the errors over the iterations
 
     Raises SceneError or ReadError if motion or weights are missing or invalid.
     """
     if max_poses < 1:
         raise SceneError(f"The number of poses must be at least 1, not {max_poses}.")
-    if paper_split_folder and not motion_folder:
-        raise SceneError("The test on the paper's split needs the motion that was trained on; give its folder with --data.")
     priors = load_compared_priors()
     reference_rotations = load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
     progress("reading")
@@ -290,14 +234,6 @@ def measure_pose_priors(
     results["bias_mm"] = results["all_joints"][DEFAULT_PRIOR_NAME]["bias_mm"]
     results |= measure_prior_speed(poses, priors[DEFAULT_PRIOR_NAME], reference_rotations, progress)
     results["limb"] = measure_limbs_if_possible(motion_folder, priors[DEFAULT_PRIOR_NAME], progress)
-    if paper_split_folder and motion_folder:
-        interleaved = sample_interleaved_poses(motion_folder, max_poses)
-        split_priors = load_compared_priors(paper_split_folder)
-        results["paper_split"] = compare_priors(interleaved, split_priors, reference_rotations, progress)
-    if with_iterations:
-        curve_poses = poses[:: -(-len(poses) // MAX_CURVE_POSES)]
-        curves = measure_iterations(curve_poses, priors, reference_rotations, DEFAULT_PRIOR_NAME, progress)
-        results["iterations"] = curves
     return results
 
 

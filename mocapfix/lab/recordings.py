@@ -1,16 +1,13 @@
 """Recordings to train on: folders of BVH and AMC files, CMU shards, and AMASS.
 
 A shard holds `euler` int16 (frames, 31, 3) of all its trials, in the order ZYX, where 32767 is 180 degrees; skeletons.json is in
-the same folder. Shards of motion that was reconstructed from another skeleton (their name contains approx) are not read: they are
-2 cm off.
+the same folder. manifest.csv has one row per trial, whose columns `quality`, `source` and `licence` say where the motion comes
+from, and whether it was transferred from another skeleton; without a licence it is CMU's. Shards whose name contains approx are
+not read: their motion is 2 cm off.
 
-`poses` (T, 3 x joints) holds rotation vectors, Z up, and `mocap_framerate` the rate in Hz. In SMPL's rest pose all joints have
-the axes of the world. It faces the same way as the CMU skeleton, but arms and legs point in slightly different directions, by
-which the rotations are corrected. Hip stubs, upper neck, fingers, thumbs and toes have no counterpart and keep their rest
-rotation.
-
-manifest.csv in the folder of a shard has one row per trial. Its columns `quality`, `source` and `licence` say where the motion
-comes from, and whether it was transferred from another skeleton. Without a licence it is CMU's.
+AMASS: `poses` (T, 3 x joints) holds rotation vectors, Z up, and `mocap_framerate` the rate in Hz. In SMPL's rest pose all joints
+have the axes of the world. Arms and legs point in slightly different directions than in the CMU skeleton, by which the rotations
+are corrected. Hip stubs, upper neck, fingers, thumbs and toes have no counterpart and keep their rest rotation.
 
 In CMU's skeleton the clavicles do not move. Where they do in another source, the arm is given their rotation as well, so that it
 has the same direction in the world; the shoulder moves by about 2 cm.

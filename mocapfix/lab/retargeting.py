@@ -1,11 +1,9 @@
 """Measure retargeting: onto each preset and back, and onto characters of other proportions, beside copied rotations.
 
+Copied rotations are what constraints in Blender do: each bone turns from its rest pose as the source's bone does, in the world,
+and the pelvis moves as the source's does, from the height of its own rest pose.
+
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
-
-Rotation copying, as constraints in Blender do it: the baseline against which retargeting is measured.
-
-Each bone turns from its rest pose as the source's bone does, in the world, and the pelvis moves as the source's does, from the
-height of its own rest pose. Nothing else is kept.
 """
 
 import time

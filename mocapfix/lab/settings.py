@@ -6,11 +6,11 @@ Checkpoints of trainings, from which an interrupted training continues.
 from collections.abc import Mapping
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
 from mocapfix.errors import ReadError
 from mocapfix.io.files import replace_atomically
@@ -165,12 +165,7 @@ class LearnedIkSettings(SubjectSettings):
     """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior.
 
     seed             of weights and pairs
-    network          "closed-form": a multilayer perceptron that corrects poses brought to the joints in closed form;
-                     "graph": the network of the paper
     hidden_widths    widths of the hidden layers
-    graph_widths     "graph" only: channels of the ST-GCN blocks
-    is_normalised    "graph" only: whether joints are given in the human-centric frame (Eqs. 7-13), or in the axes of the world
-    is_residual      "graph" only: whether rotations relative to the start are predicted (Eq. 16), or the rotations themselves
     has_corruption   whether joints are noisy and missing, and some starts are not frames nearby
     frame_offsets    numbers of frames between start and target (Eq. 17)
     loss_weights     of joints, pose and vertices (Eq. 21)
@@ -182,11 +177,7 @@ class LearnedIkSettings(SubjectSettings):
 
     model: Literal["ik"]
     seed: int
-    network: Literal["closed-form", "graph"]
     hidden_widths: tuple[PositiveInt, ...]
-    graph_widths: tuple[PositiveInt, ...] = ()
-    is_normalised: bool = True
-    is_residual: bool = True
     has_corruption: bool
     frame_offsets: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
@@ -194,12 +185,6 @@ class LearnedIkSettings(SubjectSettings):
     batch_poses: PositiveInt
     learning_rate: PositiveFloat
     weight_decay: NonNegativeFloat
-
-    @model_validator(mode="after")
-    def _check_network(self) -> Self:
-        if self.network == "graph" and (self.has_corruption or not self.hidden_widths):
-            raise ValueError('the network "graph" has hidden layers and no has_corruption: it needs all joints')
-        return self
 
 
 def read_ik_settings(path: Path) -> LearnedIkSettings:

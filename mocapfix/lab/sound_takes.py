@@ -7,7 +7,7 @@ The data used in this project was obtained from mocap.cs.cmu.edu. The database w
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.lab.common_task import build_known_motion, find_bench_file
-from mocapfix.lab.recordings import Recording, read_recordings, read_shard_recordings
-from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints, select_interleaved_frames
+from mocapfix.lab.recordings import read_recordings, read_shard_recordings
+from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -165,36 +165,19 @@ def write_unseen_poses(target: Path, poses: Float[np.ndarray, "N J 3 3"]) -> Non
 def sample_subject_poses(
     motion_folder: Path, max_poses: int, subjects: frozenset[str] = UNSEEN_SUBJECTS
 ) -> Float[np.ndarray, "N J 3 3"]:
-    """Return poses of some subjects, evenly spaced over all their frames in a folder of motion.
+    """Return at most `max_poses` poses of some subjects, evenly spaced over their frames without jumps in a folder of motion.
 
     Raises ReadError if the folder holds no motion of these subjects.
     """
-
-    def select_subjects(recording: Recording, is_kept: np.ndarray) -> np.ndarray:
-        return is_kept & (recording.subject in subjects)
-
-    return sample_poses(motion_folder, max_poses, select_subjects)
-
-
-def sample_interleaved_poses(motion_folder: Path, max_poses: int) -> Float[np.ndarray, "N J 3 3"]:
-    """Return poses of all subjects out of the two of every five frames that MNN-IK's split does not train on (4.1)."""
-    return sample_poses(motion_folder, max_poses, lambda _, is_kept: is_kept & ~select_interleaved_frames(len(is_kept)))
-
-
-def sample_poses(
-    motion_folder: Path, max_poses: int, select: Callable[[Recording, Bool[np.ndarray, " _"]], Bool[np.ndarray, " _"]]
-) -> Float[np.ndarray, "N J 3 3"]:
-    """Return at most `max_poses` poses, evenly spaced over the frames that `select` keeps of those without jumps."""
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
-    parts: list[np.ndarray] = []
-    for recording in read_recordings([motion_folder]):
-        is_kept = np.zeros(len(recording.rotations), bool)
-        is_kept[find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)] = True
-        parts.append(recording.rotations[select(recording, is_kept)])
+    parts = [
+        each.rotations[find_longest_jump_free_slice(each.rotations[:, is_observed], each.rate_hz)]
+        for each in read_recordings([motion_folder])
+        if each.subject in subjects
+    ]
+    if not parts:
+        raise ReadError(f"{motion_folder}: holds no motion of the test subjects {', '.join(sorted(UNSEEN_SUBJECTS))}.")
     poses = np.concatenate(parts)
-    if not len(poses):
-        subjects = ", ".join(sorted(UNSEEN_SUBJECTS))
-        raise ReadError(f"{motion_folder}: holds no motion of the test subjects {subjects}.")
     poses = poses[np.linspace(0, len(poses) - 1, min(max_poses, len(poses))).astype(int)]
     poses[:, 0] = remove_heading(poses[:, 0])
     return np.ascontiguousarray(poses)

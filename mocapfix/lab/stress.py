@@ -1,13 +1,8 @@
 """Stress test: extreme motion with known truth, cleaned; limbs lost in sight, joint errors, and sound samples that were changed.
 
-Composed takes are those of `mocapfix.lab.stress` at several rates, with slender limbs and soft tissue, and with
-gaps. Performed takes are the fastest tenth of recordings of subjects that no model was trained on, by peak marker speed. Each is
-compared with ordinary motion of the same kind: takes of walking and reaching, and the recordings of median speed.
-
-Takes of extreme motion with known truth.
-
-The person warms up, as people do at the beginning of a session (without moving all joints they could not be calibrated), and does
-a motion of `extreme_motions` once and then with left and right exchanged.
+In composed takes the person warms up, without which it could not be calibrated, and does a motion of `extreme_motions` once and
+then mirrored, at several rates, with slender limbs and soft tissue, and with gaps. Performed takes are the fastest tenth of
+recordings of subjects that no model was trained on. Each is compared with ordinary motion of the same kind.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -38,10 +38,9 @@ class TrainingPoses:
     subject_index     (N,) the number of the subject of each training pose
     held_out_index    (M,) the same of each held-out pose
     is_retargeted     (S,) by the number of a subject: whether the motion was transferred from another skeleton
-    frame_counts      frames of each subject before mirroring; if interleaved, only those to train on
+    frame_counts      frames of each subject before mirroring
     dropped_frames    number of frames beyond a rotation jump, which are not used
-    source_frames     frames of each known source before mirroring, as in `frame_counts`
-    is_interleaved    whether training and held-out poses are frames of the same takes
+    source_frames     frames of each known source before mirroring
     """
 
     training_vectors: np.ndarray
@@ -52,7 +51,6 @@ class TrainingPoses:
     frame_counts: Counter[str]
     dropped_frames: int
     source_frames: Counter[RecordingSource] = field(default_factory=Counter[RecordingSource])
-    is_interleaved: bool = False
 
 
 def gather_training_poses(
@@ -61,10 +59,8 @@ def gather_training_poses(
     test_subjects: frozenset[str],
     held_out_subjects: frozenset[str],
     progress: Callable[[str], object],
-    *,
-    is_interleaved: bool = False,
 ) -> TrainingPoses:
-    """Return all poses in folders except those of `test_subjects`; if interleaved, those of all subjects by MNN-IK's split.
+    """Return all poses in folders except those of `test_subjects`.
 
     Raises ReadError if the folders hold no motion of the training subjects or none of the held-out subjects.
     """
@@ -76,23 +72,17 @@ def gather_training_poses(
     retargeted_subjects: set[str] = set()
     source_frames = Counter[RecordingSource]()
     for recording in read_recordings(folders):
-        if recording.subject in test_subjects and not is_interleaved:
+        if recording.subject in test_subjects:
             continue
         progress(f"reading {recording.name}")
         kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
         # Single precision, because there may be millions of poses.
         vectors = compute_pose_vectors(recording.rotations[kept], reference_rotations).astype(np.float32)
-        if is_interleaved:
-            is_training = select_interleaved_frames(len(recording.rotations))[kept]
-        else:
-            is_training = np.full(len(vectors), recording.subject not in held_out_subjects)
-        training.append(vectors[is_training])
-        held_out.append(vectors[~is_training])
-        frame_count = int(is_training.sum()) if is_interleaved else len(vectors)
-        for names, is_part in zip(subjects, (is_training, ~is_training), strict=True):
-            names += [recording.subject] * int(is_part.sum())
-        frame_counts[recording.subject] += frame_count
-        source_frames[recording.source] += frame_count
+        is_held_out = recording.subject in held_out_subjects
+        (held_out if is_held_out else training).append(vectors)
+        subjects[is_held_out].extend([recording.subject] * len(vectors))
+        frame_counts[recording.subject] += len(vectors)
+        source_frames[recording.source] += len(vectors)
         if recording.source.is_retargeted:
             retargeted_subjects.add(recording.subject)
         dropped_frames += len(recording.rotations) - len(vectors)
@@ -111,7 +101,6 @@ def gather_training_poses(
         frame_counts,
         dropped_frames,
         source_frames,
-        is_interleaved,
     )
 
 
@@ -132,11 +121,6 @@ def compute_sampling_weights(
 def find_weakly_observed_joints(joint_names: tuple[str, ...]) -> Bool[np.ndarray, " J"]:
     """Return which joints are weakly observed."""
     return np.array([name.endswith(WEAKLY_OBSERVED_JOINTS) for name in joint_names])
-
-
-def select_interleaved_frames(frame_count: int) -> Bool[np.ndarray, " T"]:
-    """Return which frames MNN-IK's split trains on: three of every five. The other two are its test frames (4.1)."""
-    return np.arange(frame_count) % 5 % 2 == 0
 
 
 def detect_rotation_jumps(rotations: Float[np.ndarray, "T J 3 3"], rate_hz: float) -> Bool[np.ndarray, "_ J"]:

@@ -1,7 +1,7 @@
 """Training of the twist regressor (HybrIK, section 3.3): from joint positions to cosine and sine of each bone's twist."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from mocapfix.errors import WriteError
 from mocapfix.lab.autoencoder_training import sample_epoch
-from mocapfix.lab.cards import TwistScores, write_twist_card
+from mocapfix.lab.cards import format_table, write_card
 from mocapfix.lab.frame_pairs import (
     HAS_TWIST,
     INPUT_COUNT,
@@ -21,14 +21,58 @@ from mocapfix.lab.frame_pairs import (
     compute_twist_targets,
 )
 from mocapfix.lab.networks import build_layers
-from mocapfix.lab.pose_prior_training import SD_INFLATION, select_measured_poses
+from mocapfix.lab.pose_prior_training import SD_INFLATION, build_card_data, describe_pose_use, select_measured_poses
 from mocapfix.lab.settings import TwistSettings
-from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses
+from mocapfix.lab.training_poses import (
+    compute_sampling_weights,
+    conform_training_poses,
+    gather_training_poses,
+    mirror_joint_name,
+)
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve.hybrik import TwistRegressor, write_twist_regressor
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 
 MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton
+
+
+TWIST_TRAINING = """\
+The twist of a bone is its rotation about itself. HybrIK regresses it from images (section 3.3, Eq. 19), this network from joint
+positions alone. Trained by `mocapfix train twist` on"""
+TWIST_SCORES = """\
+Error of the predicted twists of held-out subjects in degrees, mean over frames; equal for both sides, because every pose is also
+mirrored. For "displaced", joints are up to 30 mm off along each axis and some are missing. "SD" is the standard deviation that
+the solver assumes: larger than the error, so that markers outweigh the prediction.
+
+{table}
+
+Joints that cannot twist in CMU's skeleton (hip stubs, knees, clavicles, elbows) show no error here, though real ones twist. Leaf
+joints (head, toes, fingertips, thumbs) are not regressed, because no joint beyond them shows their rotation."""
+
+
+@dataclass(frozen=True)
+class TwistScores:
+    """(B,) degrees: mean error of each joint's twist.
+
+    no_twist_deg    of no twist
+    mean_twist_deg  of the mean twist of the training poses
+    regressed_deg   of the prediction from true joint positions
+    displaced_deg   of the prediction from displaced joints, some of them missing
+    """
+
+    no_twist_deg: np.ndarray
+    mean_twist_deg: np.ndarray
+    regressed_deg: np.ndarray
+    displaced_deg: np.ndarray
+
+
+def format_twist_scores(scores: TwistScores, sd_deg: Float[np.ndarray, " B"]) -> str:
+    """Return the scores of a card: the joints of the left side and the middle, and the mean over all joints."""
+    columns = np.stack([*vars(scores).values(), sd_deg], axis=1)
+    names = [name for name, has_twist in zip(load_cmu31_body().skeleton.names, HAS_TWIST, strict=True) if has_twist]
+    rows = {name: row.tolist() for name, row in zip(names, columns, strict=True) if name <= mirror_joint_name(name)}
+    rows["mean"] = [*columns[:, :-1].mean(axis=0), np.nan]
+    return TWIST_SCORES.format(table=format_table(["joint", "no twist", "mean twist", "regressed", "displaced", "SD"], rows))
 
 
 def train_twist_regressor(
@@ -56,7 +100,8 @@ def train_twist_regressor(
     scores, error_rad = compute_twist_scores(unscaled, training_rotations, held_out_rotations, rng)
     network = replace(unscaled, sd_rad=unscaled.sd_rad * np.maximum(SD_INFLATION * error_rad, MIN_TWIST_SD_RAD))
     write_twist_regressor(target, network)
-    write_twist_card(target.with_suffix(".md"), settings, network, poses, scores)
+    data, scored = build_card_data(settings, poses), format_twist_scores(scores, np.degrees(network.sd_rad[HAS_TWIST]))
+    write_card(target.with_suffix(".md"), settings, data, TWIST_TRAINING, describe_pose_use(poses), scored)
     return scores
 
 

@@ -87,12 +87,7 @@ def write_ik_network(path: Path, network: IkNetwork) -> None:
     tensors = {"input_mean": network.input_mean.astype(np.float32), "input_scale": network.input_scale.astype(np.float32)}
     for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
-    write_tensors(path, tensors, IK_KIND)
-
-
-def write_tensors(path: Path, tensors: dict[str, np.ndarray], kind: str = "graph") -> None:
-    """Write tensors and their kind, atomically. Raises WriteError if the folder cannot be written."""
-    metadata = {"mocapfix": json.dumps({"kind": kind, "joints": load_cmu31_skeleton().names})}
+    metadata = {"mocapfix": json.dumps({"kind": IK_KIND, "joints": load_cmu31_skeleton().names})}
     with replace_atomically(path) as temporary:
         save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
 

@@ -14,7 +14,7 @@ from mocapfix.model.skeleton import Skeleton
 
 NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
 # YAML files in priors/ that are not mean-pose priors; MODEL_FILES are training settings.
-MODEL_FILES = ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist", "ik", "ik-published", "motion")
+MODEL_FILES = ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist", "ik", "motion")
 OTHER_PRIOR_FILES = ("joint-limits", "shape", *MODEL_FILES)
 
 

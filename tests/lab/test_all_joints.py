@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.lab import pose_priors, sound_takes
-from mocapfix.lab.compared_priors import ComparedPriors, place_known_poses
+from mocapfix.lab.compared_priors import ComparedPriors, place_with_joints
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose, trained_priors
 
@@ -30,23 +30,23 @@ def test_twist_bones_have_one_child_at_some_distance():
 
 @pytest.mark.parametrize("angle", [0.3, -0.3, 3.0])
 def test_twist_error_is_the_rotation_about_the_bone(poses, angle):
-    truth, twisted = place_known_poses(SKELETON, ORIGIN, poses), poses.copy()
+    truth, twisted = place_with_joints(SKELETON, ORIGIN, poses), poses.copy()
     arm, elbow = SKELETON.find_joint("LeftArm"), SKELETON.find_joint("LeftForeArm")
     direction = SKELETON.offsets[elbow] / np.linalg.norm(SKELETON.offsets[elbow])
     rotation = Rotation.from_rotvec(angle * direction).as_matrix()
     twisted[:, arm] = twisted[:, arm] @ rotation
     twisted[:, elbow] = rotation.T @ twisted[:, elbow]
-    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, twisted), truth)
+    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_with_joints(SKELETON, ORIGIN, twisted), truth)
     bones = pose_priors.find_twist_bones(SKELETON)[0]
     np.testing.assert_allclose(errors[:, bones == arm], abs(angle), atol=1e-6)
     np.testing.assert_allclose(errors[:, bones != arm], 0, atol=1e-6)
 
 
 def test_swing_of_a_bone_is_not_a_twist(poses):
-    truth, rotated = place_known_poses(SKELETON, ORIGIN, poses), poses.copy()
+    truth, rotated = place_with_joints(SKELETON, ORIGIN, poses), poses.copy()
     arm, elbow = SKELETON.find_joint("RightArm"), SKELETON.find_joint("RightForeArm")
     rotated[:, arm] = rotated[:, arm] @ Rotation.from_rotvec(0.4 * np.cross(SKELETON.offsets[elbow], [0, 1, 0])).as_matrix()
-    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_known_poses(SKELETON, ORIGIN, rotated), truth)
+    errors = pose_priors.compute_bone_twist_errors(SKELETON, place_with_joints(SKELETON, ORIGIN, rotated), truth)
     np.testing.assert_allclose(errors[:, pose_priors.find_twist_bones(SKELETON)[0] == arm], 0, atol=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_bias_is_relative_to_no_prior_and_noise_is_the_same_for_all(poses, monke
 
     def solve(task, model, start):
         tasks.append(task)
-        return place_known_poses(SKELETON, ORIGIN + [offsets[model], 0, 0], poses)
+        return place_with_joints(SKELETON, ORIGIN + [offsets[model], 0, 0], poses)
 
     monkeypatch.setattr(pose_priors, "solve_joint_task", solve)
     priors: dict[str, Any] = {"none": None, "biased": "biased"}

@@ -121,7 +121,7 @@ def test_the_command_fails_if_something_became_worse_and_updates_on_request(moca
     now = {"error, mm": entry(10.1, 2.0), "new": entry(1.0)}
     monkeypatch.setattr(baseline, "measure_baseline", lambda _, run_count: run_counts.append(run_count) or now)
     status, out, _ = mocapfix("bench", "--baseline", "--file", path)
-    assert (status, "worse\n" in out.replace(" ", ""), "Not in the baseline: new." in out) == (0, False, True)
+    assert (status, "Worse: error" in out, "Not in the baseline: new." in out) == (0, False, True)
     now["error, mm"] = entry(10.3, 2.0)
     assert mocapfix("bench", "baseline", "--file", path)[0] == 1
     status, out, _ = mocapfix("bench", "baseline", "--file", path, "--json")

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.cli.console import EXIT_USAGE
 from mocapfix.io.capture import read_capture
 from mocapfix.lab import clean_speed
 from mocapfix.lab.clean_speed import ProcessUsage
@@ -72,9 +71,3 @@ def test_a_process_cleans_this_file_with_this_package(tmp_path: Path):
     assert (tmp_path / "out" / "animation.bvh").exists()
     assert usage.cpu_s > 0
     assert usage.peak_mb > 50
-
-
-def test_a_number_of_runs_below_one_is_a_usage_error(mocapfix):
-    status, _, error = mocapfix("bench", "clean", "--runs", "0")
-    assert status == EXIT_USAGE
-    assert "--runs must be at least 1" in error

@@ -55,9 +55,10 @@ def test_ratios_are_those_of_the_worst_take_and_errors_are_means():
     errors = [
         HeldFeetErrors(f"take {k}", WHOLE, "lock", 1.0, 1.0, float(k), 1.0, 1.0, 1.0 + k, 1.0, 0.0, np.nan) for k in range(3)
     ]
-    assert average_errors(errors, "drift_mm") == pytest.approx(1.0)
-    assert average_errors(errors, "acceleration_ratio") == pytest.approx(3.0)
-    assert np.isnan(average_errors(errors, "lost_fill_mm"))
+    means = average_errors(errors)
+    assert means["drift_mm"] == pytest.approx(1.0)
+    assert means["acceleration_ratio"] == pytest.approx(3.0)
+    assert np.isnan(means["lost_fill_mm"])
 
 
 def test_holding_feet_of_a_composed_take():

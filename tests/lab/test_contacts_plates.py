@@ -9,11 +9,13 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor, Gait
 from mocapfix.contacts.plate_contacts import PlateContact
 from mocapfix.lab.contacts import (
     PlateAgreement,
+    PlateEventError,
     clean_without_plates,
     compare_events,
-    compute_frame_f1,
+    compute_agreement,
     find_contact_between_events,
     measure_plate_events,
+    summarise_contacts,
 )
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
@@ -51,8 +53,10 @@ def test_a_foot_is_in_contact_between_its_events():
 
 def test_f1_by_frame_is_over_all_loads():
     agreements = [PlateAgreement("a", "events", 10, 10, 10), PlateAgreement("b", "events", 10, 30, 10)]
-    assert compute_frame_f1(agreements, "events") == pytest.approx(2 * 20 / 60)
-    assert np.isnan(compute_frame_f1(agreements, "height and speed"))
+    assert compute_agreement(agreements)["f1"] == pytest.approx(2 * 20 / 60)
+    tables = summarise_contacts([], [], [PlateEventError("a", "left", "foot off", 4.0)], agreements)
+    assert tables["plate frames"]["events"]["recall"] == 1
+    assert tables["plate events"]["foot off"] == {"events": 1, "found": 1, "median_error_ms": 4.0, "median_delay_ms": 4.0}
 
 
 def test_files_without_plates_are_left_out(tmp_path):
@@ -68,4 +72,4 @@ def test_events_of_a_walk_agree_with_its_plates():
     errors, frames = measure_plate_events(CAPTURES / "FunctionalWalk.c3d")
     assert len(errors) == 6
     assert np.abs([each.error_ms for each in errors]).max() < 25
-    assert compute_frame_f1(frames, "events") > 0.95
+    assert compute_agreement([each for each in frames if each.method == "events"])["f1"] > 0.95

@@ -1,6 +1,5 @@
 """Matching of detected and injected faults, and the table, on known faults."""
 
-import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -204,20 +203,3 @@ def test_pipeline_finds_and_fills_flickers(damaged_take):
     assert score.overlap == [1.0]
     assert len(score.true_error) == 10
     assert score.true_error.max() < 0.02
-
-
-def test_command_prints_the_results(mocapfix, monkeypatch):
-    nothing = {"recall": None, "overlap": None, "false_alarms_per_minute": 0.0, "predicted_mm": None, "true_mm": None}
-    summary = {"gap": nothing | {"recall": 0.5, "overlap": 0.8, "true_mm": 3.21}, "all": nothing}
-    calls = []
-    monkeypatch.setattr(fault_detection, "measure_fault_detection", lambda *arguments: calls.append(arguments[:2]) or summary)
-    status, out, _ = mocapfix("bench", "faults", "--takes", "2", "--json")
-    assert (status, json.loads(out), calls) == (0, summary, [(None, 2)])
-    monkeypatch.setattr(fault_detection, "measure_mixed_faults", lambda progress: {"labels": nothing, "all": nothing})
-    status, out, _ = mocapfix("bench", "faults", "--short", "--json")
-    assert (status, list(json.loads(out)), len(calls)) == (0, ["labels", "all"], 1)
-    status, out, _ = mocapfix("bench", "faults")
-    assert status == 0
-    assert "50%" in out
-    assert "3.2" in out
-    assert "None" not in out

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.lab import compared_priors, pose_priors
-from mocapfix.lab.compared_priors import ComparedPriors, build_joint_task, place_known_poses
+from mocapfix.lab.compared_priors import ComparedPriors, build_joint_task, place_with_joints
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import mean_pose, trained_priors
 
@@ -37,7 +37,7 @@ def test_all_priors_solve_the_same_tasks_from_the_same_start(poses, monkeypatch)
     def solve(task, model, start):
         tasks.setdefault(model is None, []).append(task)
         np.testing.assert_array_equal(start[1], np.tile(REFERENCE, (12, 1, 1, 1)))
-        return place_known_poses(SKELETON, *start)
+        return place_with_joints(SKELETON, *start)
 
     monkeypatch.setattr(pose_priors, "solve_joint_task", solve)
     messages: list[str] = []
@@ -53,7 +53,7 @@ def test_all_priors_solve_the_same_tasks_from_the_same_start(poses, monkeypatch)
 
 def test_true_poses_have_no_error(poses, monkeypatch):
     def solve(task, model, start):
-        return place_known_poses(SKELETON, start[0], task.true_rotations)
+        return place_with_joints(SKELETON, start[0], task.true_rotations)
 
     monkeypatch.setattr(pose_priors, "solve_joint_task", solve)
     results = pose_priors.measure_given_joints(poses, {"oracle": None}, REFERENCE, 1, lambda text: None)
@@ -66,13 +66,13 @@ def test_true_poses_have_no_error(poses, monkeypatch):
 def test_pose_errors_are_means_over_joints(poses):
     task = build_joint_task(poses, pose_priors.draw_given_joints(6, 31, 6), 0.005)
     position_error, rotation_error = pose_priors.compute_pose_errors(
-        task, place_known_poses(SKELETON, np.tile([0.03, 0.0, 0.04], (6, 1)), poses)
+        task, place_with_joints(SKELETON, np.tile([0.03, 0.0, 0.04], (6, 1)), poses)
     )
     np.testing.assert_allclose(position_error, 0.05)
     np.testing.assert_allclose(rotation_error, 0, atol=1e-6)
     other = poses.copy()
     other[:, 22] = other[:, 22] @ Rotation.from_rotvec([0, 0.31, 0]).as_matrix()  # a leaf joint
-    position_error, rotation_error = pose_priors.compute_pose_errors(task, place_known_poses(SKELETON, np.zeros((6, 3)), other))
+    position_error, rotation_error = pose_priors.compute_pose_errors(task, place_with_joints(SKELETON, np.zeros((6, 3)), other))
     np.testing.assert_allclose(position_error, 0, atol=1e-12)
     np.testing.assert_allclose(rotation_error, 0.01)
 

@@ -51,12 +51,3 @@ def test_json_has_its_keys(capsys):
     assert list(results["fps_by_way"]) == VARIANTS
     assert min(results["fps"], results["from_markers_fps"], *results["fps_by_way"].values()) > 0
     assert results["starts"]["composed"]["hybrik-x"]["wrong"] == 1
-
-
-def test_tables_are_printed_and_errors_drawn(tmp_path, capsys):
-    assert bench("--figures", tmp_path / "pictures") == 0
-    output = capsys.readouterr().out
-    for part in ("20 poses of people outside the training data", "as given", "LeftForeArm, degrees", "composed: 7 frames"):
-        assert part in output
-    assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["hybrik-jitter.png"]
-    assert (tmp_path / "pictures" / "hybrik-jitter.png").read_bytes().startswith(b"\x89PNG\r\n")

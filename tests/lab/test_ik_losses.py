@@ -3,8 +3,9 @@
 import numpy as np
 import torch
 
-from mocapfix.lab import graph_ik
-from mocapfix.lab.graph_ik import PoseTensors, TransferTensors, TreeLevels
+from mocapfix.lab import learned_ik_training
+from mocapfix.lab.learned_ik_training import PoseTensors, TransferTensors, TreeLevels
+from mocapfix.lab.networks import compute_rotation_tensor
 from mocapfix.solve.learned_ik import build_transfer_tree, correct_poses, transfer_poses
 from tests.solve.ik_cases import JOINTS, SKELETON, draw_poses, place
 
@@ -28,7 +29,9 @@ def test_differentiable_correction_equals_the_compiled_one():
     root, local = correct_poses(tree, start, transferred, corrections)
     fields = (start, *(getattr(transferred, n) for n in ("rotation", "direction", "authority", "root", "root_unit")))
     tensors = TransferTensors(*map(to_tensor, fields))
-    poses = graph_ik.correct_pose_tensors(tree, TreeLevels.build(SKELETON.parents), tensors, torch.as_tensor(corrections))
+    poses = learned_ik_training.correct_pose_tensors(
+        tree, TreeLevels.build(SKELETON.parents), tensors, torch.as_tensor(corrections)
+    )
     positions, rotations = place(local, root)
     np.testing.assert_allclose(poses.position.numpy(), positions, atol=2e-5)
     np.testing.assert_allclose(poses.rotation.numpy(), rotations, atol=2e-5)
@@ -39,9 +42,9 @@ def test_gradients_are_finite_at_the_closed_form():
     fields = (start, *(getattr(transferred, n) for n in ("rotation", "direction", "authority", "root", "root_unit")))
     corrections = torch.zeros((12, 3 * JOINTS + 3), requires_grad=True)
     levels = TreeLevels.build(SKELETON.parents)
-    poses = graph_ik.correct_pose_tensors(tree, levels, TransferTensors(*map(to_tensor, fields)), corrections)
+    poses = learned_ik_training.correct_pose_tensors(tree, levels, TransferTensors(*map(to_tensor, fields)), corrections)
     true = PoseTensors(*map(to_tensor, place(draw_poses(1))))
-    graph_ik.compute_ik_loss(poses, true, (5.0, 1.0, 1.0)).backward()
+    learned_ik_training.compute_ik_loss(poses, true, (5.0, 1.0, 1.0)).backward()
     assert corrections.grad is not None
     assert torch.isfinite(corrections.grad).all()
     assert corrections.grad.abs().max() > 0
@@ -49,12 +52,12 @@ def test_gradients_are_finite_at_the_closed_form():
 
 def test_loss_of_the_truth_is_zero_and_weights_scale_its_parts():
     true = PoseTensors(*map(to_tensor, place(draw_poses(1))))
-    assert float(graph_ik.compute_ik_loss(true, true, (5.0, 1.0, 1.0))) < 1e-3
+    assert float(learned_ik_training.compute_ik_loss(true, true, (5.0, 1.0, 1.0))) < 1e-3
     moved = PoseTensors(true.position + torch.tensor([0.1, 0.0, 0.0]), true.rotation)
-    np.testing.assert_allclose(float(graph_ik.compute_ik_loss(moved, true, (5.0, 0.0, 0.0))), 0.5, rtol=1e-3)
-    np.testing.assert_allclose(float(graph_ik.compute_ik_loss(moved, true, (0.0, 0.0, 2.0))), 0.2, rtol=1e-3)
+    np.testing.assert_allclose(float(learned_ik_training.compute_ik_loss(moved, true, (5.0, 0.0, 0.0))), 0.5, rtol=1e-3)
+    np.testing.assert_allclose(float(learned_ik_training.compute_ik_loss(moved, true, (0.0, 0.0, 2.0))), 0.2, rtol=1e-3)
 
 
 def test_angles_are_geodesic():
-    turned = graph_ik.compute_rotation_exponential(torch.tensor([[0.0, 0.7, 0.0], [1.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(graph_ik.compute_angles(turned, torch.eye(3)).numpy(), [0.7, 1.0], atol=1e-5)
+    turned = compute_rotation_tensor(torch.tensor([[0.0, 0.7, 0.0], [1.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(learned_ik_training.compute_angles(turned, torch.eye(3)).numpy(), [0.7, 1.0], atol=1e-5)

@@ -1,6 +1,5 @@
 """The benchmark of labelling: known answers of its scores, and the takes that it finds in a folder."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -46,13 +45,3 @@ def test_captures_of_known_sets_are_found(tmp_path: Path) -> None:
     (tmp_path / "broken.c3d").write_bytes(b"nothing")
     (take,) = label_recovery.iterate_captures(tmp_path)
     assert (take.name, take.marker_set.name, take.markers.shape[1]) == ("walk", "cmu41", 41)
-
-
-def test_the_command_prints_a_table_or_json(mocapfix, monkeypatch: pytest.MonkeyPatch) -> None:
-    scores = [LabelScore("tracks", "a", 1.0, 41, 0.99, 0.98, 0.985, 0.1)]
-    monkeypatch.setattr(label_recovery, "measure_label_recovery", lambda *_: scores)
-    status, out, _ = mocapfix("bench", "labels", "--json")
-    assert (status, json.loads(out)[0]["f1"]) == (0, 0.985)
-    status, out, _ = mocapfix("bench", "labels")
-    assert status == 0
-    assert "tracks" in out

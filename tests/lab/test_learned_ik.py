@@ -70,25 +70,9 @@ def test_smplify_approaches_the_joints_from_the_start():
 SD_M = np.full((12, 31), 1e-3)
 
 
-@pytest.mark.parametrize("has_selector", [False, True])
-def test_followed_take_reaches_given_joints(has_selector, monkeypatch):
-    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 4)
+def test_followed_take_reaches_given_joints():
     rotations = draw_poses(1)
     positions, _ = place(rotations)
     model = PoseRegressor(build_network(scale=0.0), SKELETON)
-    first = np.zeros((1, 3)), rotations[:1]
-    root, local = follow_take(model, first, positions, SD_M, has_selector=has_selector)
+    root, local = follow_take(model, (np.zeros((1, 3)), rotations[:1]), positions)
     np.testing.assert_allclose(place(local, root)[0], positions, atol=1e-3)
-
-
-def test_selector_copies_a_pose_that_fits_better(monkeypatch):
-    monkeypatch.setattr(learned_ik, "FIRST_SELECTED_FRAME", 0)
-    rotations = np.repeat(draw_poses(1)[:1], 12, axis=0)
-    positions, _ = place(rotations)
-    model = PoseRegressor(build_network(scale=5.0), SKELETON)
-    sd_m = np.full((12, 31), 0.1)
-    free, selected = (
-        follow_take(model, (np.zeros((1, 3)), rotations[:1]), positions, sd_m, has_selector=each) for each in (False, True)
-    )
-    np.testing.assert_allclose(selected[1], rotations, atol=1e-9)
-    assert np.abs(free[1] - rotations).max() > 0.1

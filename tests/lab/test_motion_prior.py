@@ -53,9 +53,9 @@ def test_trained_prior_loads_and_has_a_card(motion, tmp_path, mocapfix):
     assert read_motion_prior(tmp_path / "mine.safetensors").block_count == 1
     card = (tmp_path / "mine.md").read_text(encoding="utf-8")
     assert "| trained on | 01 (80), 14 (80) |" in card
-    assert "| held out, for the scores and the weight of the predictions | 03 (80) |" in card
+    assert "| held out, for standard deviations and scores | 03 (80) |" in card
     assert "NSF EIA-0196217" in card
-    assert "| whole body | 0.2 to 0.4 |" in card
+    assert "| whole body, 0.2 to 0.4 s |" in card
     assert "retargeted_poses" not in card
     assert not (tmp_path / "mine.checkpoint").exists()
     assert mocapfix("train", "motion", *options)[0] == 1

@@ -72,26 +72,6 @@ def test_trained_prior_loads_and_has_a_card(tmp_path, motion, capsys, name, chan
     assert "mine.safetensors: reconstructs training poses to" in capsys.readouterr().out
 
 
-def test_interleaved_split_trains_on_all_subjects(tmp_path, motion):
-    assert train("pca", motion, tmp_path, "--interleaved", components=4) == 0
-    card = (tmp_path / "mine.md").read_text(encoding="utf-8")
-    assert "| trained on | 01 (28), 02 (14), 03 (14), 14 (14) |" in card
-    assert "70 frames" in card
-    assert "two of every five frames, between those trained on" in card
-    assert "never read" not in card
-    assert "| held-out frames |" in card
-    model = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
-    poses = pose_prior_training.gather_training_poses(
-        [motion], model.reference_rotations, frozenset(), frozenset(), lambda text: None, is_interleaved=True
-    )
-    np.testing.assert_allclose(
-        model.residual_sd_rad, pose_prior_training.compute_residual_sd(model, poses.training_vectors), rtol=1e-5
-    )
-    assert not np.allclose(
-        model.residual_sd_rad, pose_prior_training.compute_residual_sd(model, poses.held_out_vectors), rtol=1e-5
-    )
-
-
 def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
     assert train("pca", motion, tmp_path, components=4) == 0
     before = (tmp_path / "mine.safetensors").read_bytes()

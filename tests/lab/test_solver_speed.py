@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import re
 
 import pytest
 
@@ -16,11 +15,12 @@ from mocapfix.lab.compared_solvers import TimingEffort
 def results():
     """Return the output of `mocapfix bench solver --json --quick` with a single repetition."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MOCAPFIX_DEBUG", "")  # which the command line sets
         written, before = [], dict(os.environ)
         patch.setattr(
             compared_solvers,
             "QUICK_EFFORT",
-            TimingEffort(rounds=1, samples_per_round=1, directions_per_sample=1, scipy_frame_count=2),
+            TimingEffort(rounds=1, samples_per_round=1, scipy_frame_count=2),
         )
         patch.setattr("mocapfix.cli.app.sys.stdout.write", written.append)
         with pytest.raises(SystemExit) as exited:
@@ -43,39 +43,17 @@ def test_poses_are_converged(results):
     assert 2.15 < results["joint_error_mm"]["noisy"] <= 2.23
 
 
-def test_directions_have_times_by_joints_and_ratios(results):
-    for key in ("direction_us", "dense_direction_us"):
-        assert set(results[key]) == {"23", "31", "51"}
-        assert all(math.isfinite(value) and value > 0 for value in results[key].values())
-    assert results["k51_over_k23"] == results["direction_us"]["51"] / results["direction_us"]["23"]
-    for joints in (23, 51):
-        rows = [row["speedup"] for row in results["experiments"] if (row["experiment"], row["joints"]) == (1, joints)]
-        assert results[f"sparse_speedup_k{joints}"] == pytest.approx(math.prod(rows) ** (1 / 5))
-    assert all(row["speedup"] == row["dense_us"] / row["sparse_us"] for row in results["experiments"])
-
-
 def test_tables_show_the_results(results, monkeypatch, capsys):
     monkeypatch.setattr(compared_solvers, "measure_in_fresh_process", lambda is_quick: results)
     with pytest.raises(SystemExit) as exited:
         run_command_line(["bench", "solver"])
     shown = capsys.readouterr().out
     assert exited.value.code == 0
-    assert f"{results['joint_error_mm']['noisy']:.2f}" in shown
-    assert f"51 joints take {results['k51_over_k23']:.2f} times as long as 23" in shown
-    assert len(re.findall(r"│ 3 +│ 51 +│ 416 ", shown)) == 11
+    assert f"{results['joint_error_mm']['noisy']:.4g}" in shown
+    assert "scipy, fps" in shown
 
 
 def test_minimum_of_the_medians_counts():
     one, other = iter([5.0, 1.0, 4.0, 3.0, 9.0, 2.0]), iter([1.0, 1.0, 1.0, 0.5, 7.0, 7.0])
     samples = [lambda: next(one), lambda: next(other)]
-    assert compared_solvers.time_samples(
-        samples, TimingEffort(rounds=2, samples_per_round=3, directions_per_sample=1, scipy_frame_count=1)
-    ) == [3.0, 1.0]
-
-
-def test_speedup_is_a_geometric_mean():
-    rows = [
-        {"experiment": experiment, "joints": joints, "speedup": ratio}
-        for experiment, joints, ratio in ((1, 23, 2.0), (1, 23, 8.0), (1, 51, 100.0), (2, 23, 100.0))
-    ]
-    assert compared_solvers.compute_speedup(rows, 1, 23) == pytest.approx(4.0)
+    assert compared_solvers.time_samples(samples, TimingEffort(rounds=2, samples_per_round=3, scipy_frame_count=1)) == [3.0, 1.0]

@@ -129,11 +129,6 @@ def test_poses_are_evenly_spaced_without_heading(motion):
     np.testing.assert_allclose(sound_takes.sample_subject_poses(motion, 3), expected[[0, 23, 47]], atol=1e-6)
 
 
-def test_interleaved_poses_are_the_test_frames_of_mnn_ik(motion):
-    expected = np.concatenate([draw_motion(seed)[np.isin(np.arange(24) % 5, (1, 3))] for seed in (1, 2, 5)])
-    np.testing.assert_allclose(sound_takes.sample_interleaved_poses(motion, 1000), remove_headings(expected), atol=1e-6)
-
-
 def test_folder_without_test_subjects_raises(motion):
     for name in ("02_01", "05_03"):
         (motion / f"{name}.bvh").unlink()

@@ -62,22 +62,6 @@ def test_missing_subjects_raise(folder):
         gather(folder)
 
 
-def test_interleaved_split_trains_on_three_of_every_five_frames_of_all_subjects(folder):
-    poses = gather_training_poses(
-        [folder], REFERENCE, frozenset(["02"]), frozenset(["03"]), lambda text: None, is_interleaved=True
-    )
-    is_training = np.isin(np.arange(24) % 5, (0, 2, 4))
-    vectors = [compute_pose_vectors(draw_motion(seed), REFERENCE) for seed in (1, 2, 3)]
-    half = len(poses.training_vectors) // 2
-    np.testing.assert_allclose(poses.training_vectors[:half], np.concatenate([each[is_training] for each in vectors]), atol=1e-5)
-    np.testing.assert_allclose(
-        poses.held_out_vectors[: len(poses.held_out_vectors) // 2], np.concatenate([p[~is_training] for p in vectors]), atol=1e-5
-    )
-    assert poses.frame_counts == {"01": 14, "02": 14, "03": 14}
-    assert poses.is_interleaved
-    assert not gather(folder).is_interleaved
-
-
 def test_retargeted_subjects_are_sampled_less_often():
     subject_index, is_retargeted = np.repeat([0, 1], [30, 10]), np.array([True, False])
     np.testing.assert_allclose(compute_sampling_weights(subject_index, 0.0, is_retargeted, 0.5), np.repeat([0.5, 1.0], [30, 10]))
