@@ -367,7 +367,7 @@ def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResul
     return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
 
 
-def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " M"], Take]]) -> Take:
+def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " _"], Take]]) -> Take:
     """Return the whole take with the markers of its parts, at their indices, and with the unlabelled trajectories of the last."""
 
     def insert(get: Callable[[Take], np.ndarray]) -> np.ndarray:
