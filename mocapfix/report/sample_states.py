@@ -95,7 +95,9 @@ def find_estimated_samples(outcome: Integer[np.ndarray, "*shape"]) -> Bool[np.nd
     return (outcome == SampleOutcome.FILLED) | (outcome == SampleOutcome.REPLACED)
 
 
-def classify_input_samples(visible: Bool[np.ndarray, "*shape"], outcome: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
+def classify_input_samples(
+    visible: Bool[np.ndarray, "*shape"], outcome: Integer[np.ndarray, "*shape"]
+) -> Int[np.ndarray, "*shape"]:
     """Return the state of every input sample: MEASURED, SUSPECT (faulty), RELABELLED (of another marker) or EMPTY.
 
     visible  whether the input has the sample
