@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from mocapfix import pipeline
+from mocapfix import pipeline, surveys
 from mocapfix.errors import MocapfixError, OptionError, WriteError, describe_error
 
 MAX_MESSAGE_LENGTH = 220
@@ -32,16 +33,16 @@ def takes(brief, tmp_path) -> list[Path]:
     return paths
 
 
-def break_pipeline(monkeypatch, name: str, error: BaseException) -> None:
-    """Let a function of the pipeline raise an error for the take two.c3d."""
-    original = getattr(pipeline, name)
+def break_pipeline(monkeypatch, name: str, error: BaseException, module: ModuleType = pipeline) -> None:
+    """Let a function of the pipeline, or of another module, raise an error for the take two.c3d, given by its path or read."""
+    original = getattr(module, name)
 
-    def run(path, *arguments, **options):
-        if Path(path).stem == "two":
+    def run(take, *arguments, **options):
+        if Path(getattr(take, "path", take)).stem == "two":
             raise error
-        return original(path, *arguments, **options)
+        return original(take, *arguments, **options)
 
-    monkeypatch.setattr(pipeline, name, run)
+    monkeypatch.setattr(module, name, run)
 
 
 @pytest.mark.parametrize("kind", UNEXPECTED)
@@ -68,7 +69,7 @@ def test_debug_shows_the_traceback(mocapfix, takes, monkeypatch):
 
 
 def test_unexpected_error_in_one_take_does_not_stop_the_others(mocapfix, brief, takes, monkeypatch, tmp_path):
-    break_pipeline(monkeypatch, "clean", UNEXPECTED["RecursionError"])
+    break_pipeline(monkeypatch, "clean_capture", UNEXPECTED["RecursionError"])
     status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out")
     assert status == 1
     assert err.startswith(f"{takes[1]}: An error in mocapfix in ")
@@ -77,7 +78,7 @@ def test_unexpected_error_in_one_take_does_not_stop_the_others(mocapfix, brief, 
 
 
 def test_take_that_cannot_be_used_does_not_stop_a_calibration(mocapfix, takes, monkeypatch, tmp_path):
-    break_pipeline(monkeypatch, "read_capture", UNEXPECTED["KeyError"])
+    break_pipeline(monkeypatch, "read_capture", UNEXPECTED["KeyError"], surveys)
     for target in (tmp_path / "person.yaml", tmp_path / "people"):
         status, out, err = mocapfix("calibrate", *takes[:2], "-o", target)
         assert status == 1
@@ -90,7 +91,7 @@ def test_take_that_cannot_be_used_does_not_stop_a_calibration(mocapfix, takes, m
 
 
 def test_interrupt_stops_all_takes(mocapfix, takes, monkeypatch, tmp_path):
-    break_pipeline(monkeypatch, "clean", KeyboardInterrupt())
+    break_pipeline(monkeypatch, "clean_capture", KeyboardInterrupt())
     status, out, err = mocapfix("clean", *takes[1:], "--out", tmp_path / "out")
     assert (status, out, err.strip()) == (1, "", "Stopped; no file was left incomplete.")
     assert not (tmp_path / "out").exists()

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 
 from mocapfix.io import shipped
-from mocapfix.keypoints import keypoint_scene
 from mocapfix.subject import library
 from mocapfix.synthetic import compose_take, write_synthetic_take
+from tests.keypoints.example_film import compose_example_film
 
 
 def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    keypoints, _, _ = keypoint_scene.compose_example_film("coco", 0.3, 10.0)
+    keypoints, _, _ = compose_example_film("coco", 0.3, 10.0)
     (tmp_path / "film.json").write_text(json.dumps(keypoints), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n")
     status, out, _ = mocapfix("run", "mine.yaml")
