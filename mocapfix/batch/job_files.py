@@ -167,8 +167,7 @@ def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
     return list(found)
 
 
-JOB_OPTIONS = [option for option in OPTIONS if option.job_key]
-"""the options that a job file can set"""
+JOB_OPTIONS = [option for option in OPTIONS if option.job_key]  # the options that a job file can set
 
 
 def _get_yaml_type(option: Option) -> Any:

@@ -145,14 +145,10 @@ def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
 
 
 BVH_UNITS_M = (1.0, 0.01, 0.001, 0.0254)
-UNIT_TOLERANCE = 1e-4
-"""relative difference from one of BVH_UNITS_M, up to which a scale is that unit"""
-DEFAULT_END_FRACTION = 0.3
-"""length of a last bone without a tail, as a fraction of its parent's"""
-MIN_END_M = 0.01
-"""and at least so much"""
-BVH_NAME_SEPARATORS = re.compile(r"[\s{}]+")
-"""what a name in a BVH must not have"""
+UNIT_TOLERANCE = 1e-4  # relative difference from one of BVH_UNITS_M, up to which a scale is that unit
+DEFAULT_END_FRACTION = 0.3  # length of a last bone without a tail, as a fraction of its parent's
+MIN_END_M = 0.01  # and at least so much
+BVH_NAME_SEPARATORS = re.compile(r"[\s{}]+")  # what a name in a BVH must not have
 
 
 def write_character_bvh(target: Path, character: Character, motion: CharacterMotion) -> None:
@@ -233,12 +229,10 @@ def _choose_unit(character: Character) -> float:
     return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
-BLENDER_VARIABLE = "MOCAPFIX_BLENDER"
-"""names an executable of Blender, or of a Python that has the module bpy"""
+BLENDER_VARIABLE = "MOCAPFIX_BLENDER"  # names an executable of Blender, or of a Python that has the module bpy
 BLENDER_TIMEOUT_S = 300.0
 EXPORT_SCRIPT = Path(__file__).with_name("fbx_export.py")
-MAX_ERROR_CHARACTERS = 200
-"""of Blender's own message, in ours"""
+MAX_ERROR_CHARACTERS = 200  # of Blender's own message, in ours
 
 
 def find_blender() -> list[str] | None:

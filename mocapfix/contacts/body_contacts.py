@@ -90,30 +90,23 @@ def _compute_place_on_shin(subject: Subject, marker: int, ankle: int) -> float:
     return float(np.clip(subject.marker_offsets[marker] @ shin / (shin @ shin), 0, 1))
 
 
-LEG_SEGMENTS = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))
-"""Thigh and shin, in the order of FOOT_JOINTS."""
+LEG_SEGMENTS = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))  # thigh and shin, in the order of FOOT_JOINTS
 LEG_JOINTS = ("LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
-CONTACT_SD_M = 0.0003
-"""Standard deviation of a joint about its place in a contact."""
+CONTACT_SD_M = 0.0003  # standard deviation of a joint about its place in a contact
 LEG_ROTATION_SD_RAD = 0.05
 """Standard deviation of a leg's joint about its rotation before; of the root's rotation and position it is smaller."""
 ROOT_ROTATION_SD_RAD = 0.0005
 ROOT_SD_M = 0.01
 """Standard deviation of the root: a leg that is straight bends far for a foot that comes nearer by a few millimetres."""
-MAX_ROOT_DISPLACEMENT_M = 0.0015
-"""Largest displacement of the root, which carries pelvis, trunk, head and arms along."""
-ROOT_LIMIT_EXPONENT = 4
-"""Exponent with which the displacement approaches its limit; smaller ones change those below it more."""
+MAX_ROOT_DISPLACEMENT_M = 0.0015  # largest displacement of the root, which carries pelvis, trunk, head and arms along
+ROOT_LIMIT_EXPONENT = 4  # exponent with which the displacement approaches its limit; smaller ones change those below it more
 FIXED_ROOT_SHARE = 1e-3
 """Share of these deviations by which a root that is fixed may move during the solve; it is where it was afterwards."""
-LEG_MARKER_SD_M = 0.003
-"""Standard deviation of thighs' and shins' markers about their places, while their foot is displaced."""
-MARKER_DISPLACEMENT_M = 0.005
-"""Displacement of a foot at which the markers of its leg have half their weight."""
+LEG_MARKER_SD_M = 0.003  # standard deviation of thighs' and shins' markers about their places, while their foot is displaced
+MARKER_DISPLACEMENT_M = 0.005  # displacement of a foot at which the markers of its leg have half their weight
 MIN_KERNEL_WEIGHT = 1e-6
 """Share of a kernel within visible frames below which a residual is not known; the marker's share is 0 there."""
-MIN_DISPLACEMENT_M = 2e-5
-"""Displacement below which a frame is not solved."""
+MIN_DISPLACEMENT_M = 2e-5  # displacement below which a frame is not solved
 
 
 def hold_feet(
@@ -268,15 +261,11 @@ def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_sh
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))
 """The segments that a held foot moves, from the thigh on, in the order of FOOT_JOINTS."""
 MIN_JUMP_FRAMES = 3
-MIN_JUMP_M_S2 = 40.0
-"""Acceleration of a knee below which it does not jump; that of a calm motion is 10 to 40 m/s^2."""
-MAX_JUMP_RATIO = 1.5
-"""Acceleration above which it does, relative to the largest before within JUMP_REACH_S."""
+MIN_JUMP_M_S2 = 40.0  # acceleration of a knee below which it does not jump; that of a calm motion is 10 to 40 m/s^2
+MAX_JUMP_RATIO = 1.5  # acceleration above which it does, relative to the largest before within JUMP_REACH_S
 JUMP_REACH_S = 0.1
-JUMP_SHARE = 0.5
-"""Share of its displacement to which a foot is reduced where its knee jumps."""
-MIN_HOLDING_SHARE = 0.5
-"""Share of its displacement below which a foot is not held."""
+JUMP_SHARE = 0.5  # share of its displacement to which a foot is reduced where its knee jumps
+MIN_HOLDING_SHARE = 0.5  # share of its displacement below which a foot is not held
 PARTIAL_ROUNDS = 3
 """Rounds in which a foot is held in part where it moved visible markers too far; afterwards it is not held there."""
 MAX_YIELD_ROUNDS = 8

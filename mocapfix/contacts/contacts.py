@@ -14,29 +14,20 @@ from mocapfix.model.motion import Motion
 from mocapfix.options import FEET_OFF
 from mocapfix.stats.sequences import find_runs
 
-TOE_HEIGHT_M = 0.025
-"""Height of the toe joint above the sole of a person of average size, standing flat."""
-MAX_LEVEL_DEVIATION_M = 0.06
-"""Largest height of a standing joint above its level; half a low step."""
+TOE_HEIGHT_M = 0.025  # height of the toe joint above the sole of a person of average size, standing flat
+MAX_LEVEL_DEVIATION_M = 0.06  # largest height of a standing joint above its level; half a low step
 MAX_SUPPORT_ABOVE_OTHER_M = 0.02
 """Height of a toe above that of the other foot, where both stand, up to which its foot may bear the weight on a level."""
-MIN_LEVEL_STEP_M = 0.1
-"""Smallest height of a step between two levels."""
-MIN_LEVEL_S = 0.3
-"""Time for which feet stand on a level, all together, at least."""
-BASE_PERCENTILE = 10.0
-"""The share of standing frames, in percent, that may be below a level: noise, and feet that roll."""
+MIN_LEVEL_STEP_M = 0.1  # smallest height of a step between two levels
+MIN_LEVEL_S = 0.3  # time for which feet stand on a level, all together, at least
+BASE_PERCENTILE = 10.0  # the share of standing frames, in percent, that may be below a level: noise, and feet that roll
 MIN_TILT_PLACES = 6
-MIN_TILT_EXTENT_M = 1.5
-"""Number of places, and their extent in a direction, from which a tilt is estimated."""
-MIN_TILT_RAD = np.deg2rad(0.3)
-"""Smallest tilt that is distinguished from a level floor."""
-MIN_RAMP_RAD = np.deg2rad(1.5)
-"""The same where the places extend in one direction only: few of them then decide."""
+MIN_TILT_EXTENT_M = 1.5  # number of places, and their extent in a direction, from which a tilt is estimated
+MIN_TILT_RAD = np.deg2rad(0.3)  # smallest tilt that is distinguished from a level floor
+MIN_RAMP_RAD = np.deg2rad(1.5)  # the same where the places extend in one direction only: few of them then decide
 MAX_TILT_RAD = np.deg2rad(12.0)
 """Largest tilt of a floor, that of steep ramps; stairs, of which each step is trodden on once, rise by 20 degrees or more."""
-MAX_TILT_RESIDUAL_M = 0.03
-"""Largest deviation of nine of ten places from a tilted floor; otherwise it has levels."""
+MAX_TILT_RESIDUAL_M = 0.03  # largest deviation of nine of ten places from a tilted floor; otherwise it has levels
 
 
 @dataclass(frozen=True)

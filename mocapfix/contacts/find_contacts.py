@@ -32,25 +32,18 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
-MAX_SHOWN_JOINT_SD_M = 0.03
-"""Standard deviation above which a joint's position is never known."""
-MAX_SD_RATIO = 1.5
-"""Standard deviation, relative to the take's usual one, above which the joint lacks its markers."""
-BORDER_S = 0.08
-"""Time beside unknown frames in which the smoothness of the motion carries their error into known ones."""
+MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
+MAX_SD_RATIO = 1.5  # standard deviation, relative to the take's usual one, above which the joint lacks its markers
+BORDER_S = 0.08  # time beside unknown frames in which the smoothness of the motion carries their error into known ones
 USUAL_SD_PERCENTILE = 25
 MAX_PLACE_CHANGE_M = 0.025
 """Distance between the places before and after up to which they are one: a foot that stands rolls by 10 to 20 mm."""
-MAX_CERTAIN_GAP_S = 0.5
-"""A foot cannot step away and return to its place in this time."""
-MAX_OTHER_STEPS = 1
-"""Steps of the other foot in a longer gap, above which the person may be walking on the spot."""
+MAX_CERTAIN_GAP_S = 0.5  # a foot cannot step away and return to its place in this time
+MAX_OTHER_STEPS = 1  # steps of the other foot in a longer gap, above which the person may be walking on the spot
 STILL_TIME_S = 1.0
 """Time beside a gap at the beginning or the end of a take for which both feet stand, if the person stands still."""
-MAX_END_GAP_S = 2.0
-"""Longest such gap: in a longer one a person may have stood on the other leg."""
-PLACE_WINDOW_S = 0.1
-"""Time over which the place beside a gap is averaged."""
+MAX_END_GAP_S = 2.0  # longest such gap: in a longer one a person may have stood on the other leg
+PLACE_WINDOW_S = 0.1  # time over which the place beside a gap is averaged
 
 
 def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
@@ -108,14 +101,11 @@ def _find_frames_beside(first: int, last: int, frame_count: int, rate: float) ->
 
 STANDING_SPEED_M_S = 0.09
 """Speed at which standing and moving are equally likely. Chosen on CMU training people: F1 changes by 0.002 from 0.08 to 0.1."""
-LOG_SPEED_WIDTH = 0.3
-"""Change of the logarithm of the speed that changes the cost by 1."""
-MAX_STATE_COST = 3.0
-"""Largest cost of a state in a frame: a single fast frame is no proof of a step."""
+LOG_SPEED_WIDTH = 0.3  # change of the logarithm of the speed that changes the cost by 1
+MAX_STATE_COST = 3.0  # largest cost of a state in a frame: a single fast frame is no proof of a step
 STANDING_CHANGE_COST = 2.0
 """Cost of a change of state, at the rate for which it was chosen; several frames must contradict a state to change it."""
-MIN_STANDING_S = 0.1
-"""Shortest time for which a joint stands."""
+MIN_STANDING_S = 0.1  # shortest time for which a joint stands
 MIN_SPEED_M_S = 1e-4
 
 
@@ -156,8 +146,7 @@ def remove_short_runs(is_standing: Bool[np.ndarray, " T"], rate: float) -> Bool[
     return kept
 
 
-MAX_OTHER_HEIGHT_M = 0.13
-"""Height above the floor up to which a knee or a wrist that stands still is in contact."""
+MAX_OTHER_HEIGHT_M = 0.13  # height above the floor up to which a knee or a wrist that stands still is in contact
 
 
 def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.ndarray, "T J 3"], rate: float) -> BodyContacts:

@@ -17,10 +17,8 @@ from mocapfix.stats.sequences import find_runs, smooth_path
 
 HORIZONTAL_AXES = [0, 2]
 UP_AXIS = 1
-MIN_HELD_SHARE = 1e-3
-"""Share that a joint which is not held counts beside one that is."""
-MIN_DISTANCE_M = 1e-3
-"""Distance from ankle to toes below which the direction from one to the other is not known."""
+MIN_HELD_SHARE = 1e-3  # share that a joint which is not held counts beside one that is
+MIN_DISTANCE_M = 1e-3  # distance from ankle to toes below which the direction from one to the other is not known
 STEEP_FOOT_SINES = (0.5, 0.85)
 """Sine of a foot's slope up to which ankle and toes move horizontally alone, and from which they move along the foot: on the toes
 a small change of its length would take a large horizontal movement of the ankle."""
@@ -53,23 +51,18 @@ def restore_foot_length(
     return ankle + ankle_part * correction, toe - (1 - ankle_part) * correction
 
 
-SOFT_SMOOTHING_S = 0.3
-"""Standard deviation of the kernel that smooths a standing foot."""
+SOFT_SMOOTHING_S = 0.3  # standard deviation of the kernel that smooths a standing foot
 LOCK_EXTENSION_SPEED_M_S = 0.2
 """Speed up to which a lock extends beyond the contact: the foot is rolling on or off, in contact with the floor."""
 MAX_LOCK_EXTENSION_S = 0.2
 MAX_LOCK_DISPLACEMENT_M = 0.035
 """Distance from its mean place up to which a joint is held there; a foot that stands rolls by 10 to 20 mm."""
-RETURN_TIME_S = 0.06
-"""Time constant with which a displacement begins before a contact and ends after it."""
-CONTACT_WEIGHT = 1000.0
-"""Weight of the displacement within contacts relative to that of no displacement between them."""
+RETURN_TIME_S = 0.06  # time constant with which a displacement begins before a contact and ends after it
+CONTACT_WEIGHT = 1000.0  # weight of the displacement within contacts relative to that of no displacement between them
 MAX_DISPLACEMENT_ACCELERATION_M_S2 = 4.0
 """Acceleration of the displacement above which it is made smoother there; a joint of a calm motion has 10 to 40 m/s^2."""
-ACCELERATION_ROUNDS = 4
-"""Solutions with more stiffness where the one before exceeded that acceleration."""
-ACCELERATION_REACH_S = 0.03
-"""Time on both sides of such a frame in which stiffness is added."""
+ACCELERATION_ROUNDS = 4  # solutions with more stiffness where the one before exceeded that acceleration
+ACCELERATION_REACH_S = 0.03  # time on both sides of such a frame in which stiffness is added
 
 
 def compute_foot_displacements(

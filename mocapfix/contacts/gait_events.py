@@ -27,13 +27,11 @@ from mocapfix.stats.sequences import find_runs
 
 HEEL_PER_FOOT = -0.35
 """The heel along the foot, as a share of the length from the ankle to the toe base; negative is behind the ankle."""
-MAX_HEEL_MARKER_M = 0.02
-"""The foremost place along the foot, before the ankle, of a marker that stands for the heel."""
+MAX_HEEL_MARKER_M = 0.02  # the foremost place along the foot, before the ankle, of a marker that stands for the heel
 MIN_TOE_MARKER_SHARE = 0.9
 """The rearmost place along the foot, before the ankle, of a marker that stands for the toes, as a share of the length from the
 ankle to the toe base: one farther back leaves the floor before the toes do."""
-MIN_SHOWN_SHARE = 0.8
-"""Share of frames in which such a marker is visible; the body shows where it is in the others."""
+MIN_SHOWN_SHARE = 0.8  # share of frames in which such a marker is visible; the body shows where it is in the others
 
 
 @dataclass(frozen=True)
@@ -123,22 +121,16 @@ STANDING_POINT_SPEED_M_S = 0.3
 STANDING_POINT_SPEED_SHARE = 0.03
 """Speed of a heel or toes below which these stand: the first, or this share of a swing for sprinters. At 8 strikes on plates in
 4 walks the heel had 0.2 to 0.4 m/s."""
-SWING_PERCENTILE = 98.0
-"""Percentile of a point's speed that is the speed of its swing."""
+SWING_PERCENTILE = 98.0  # percentile of a point's speed that is the speed of its swing
 LOWEST_PERCENTILE = 5.0
-MIN_CONTACT_S = 0.06
-"""Shortest contact, and shortest time without contact."""
-MIN_SEEN_S = 0.05
-"""Time before and after an event for which the take must last and markers must show the foot."""
+MIN_CONTACT_S = 0.06  # shortest contact, and shortest time without contact
+MIN_SEEN_S = 0.05  # time before and after an event for which the take must last and markers must show the foot
 LOWPASS_HZ = 25.0
 """Cut-off of the positions before they are differentiated twice; the impact of a strike is above the usual 6 to 12 Hz."""
-MAX_LOWPASS_SHARE = 0.4
-"""The same at most, as a share of the frame rate."""
+MAX_LOWPASS_SHARE = 0.4  # the same at most, as a share of the frame rate
 STRIKE_WINDOW_S = (0.08, 0.08)
-OFF_WINDOW_S = (0.06, 0.15)
-"""Seconds before and after the ends of a contact in which its events are searched."""
-MAX_STRIKE_HEIGHT_M = 0.03
-"""Height of the point that strikes above its low places in the contact."""
+OFF_WINDOW_S = (0.06, 0.15)  # seconds before and after the ends of a contact in which its events are searched
+MAX_STRIKE_HEIGHT_M = 0.03  # height of the point that strikes above its low places in the contact
 MAX_STRIKE_SPEED_M_S = 0.8
 MAX_STRIKE_SPEED_SHARE = 0.2
 """Speed of a point at its strike: at most the first, or this share of its swing. The toes of a sprinter land at 3 of 20 m/s."""
@@ -147,8 +139,7 @@ MIN_STRIKE_ACCELERATION_M_S2 = 3.0
 PEAK_SHARE = 0.93
 """Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak. Against 21 strikes
 and 20 offs on plates the medians are -3 and +2 ms; from 0.9 to 0.98 they grow by 6 and 8 ms, standard deviations of 9 ms by 1."""
-MIN_FRAMES = 30
-"""Frames below which no acceleration is computed."""
+MIN_FRAMES = 30  # frames below which no acceleration is computed
 
 
 class PointMotion(NamedTuple):

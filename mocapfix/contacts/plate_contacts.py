@@ -16,16 +16,11 @@ from mocapfix.contacts.gait_events import FootPoints, find_foot_near_floor
 from mocapfix.io.force_plates import ForcePlate
 from mocapfix.stats.sequences import find_runs
 
-LOAD_N = 20.0
-"""Vertical force from which a plate is loaded, as is usual in gait analysis."""
-MIN_LOAD_S = 0.06
-"""Shortest load that is a step."""
-USUAL_STRIDE_S = 1.0
-"""Time from one strike of a foot to its next in walking, for takes that show no two."""
-MAX_EVENT_DISAGREEMENT_S = 0.05
-"""Difference between the times of one event by two sources above which it is reported."""
-MAX_FILE_EVENT_ERROR_S = 0.025
-"""Difference from the load of a plate above which an event of the file is wrong."""
+LOAD_N = 20.0  # vertical force from which a plate is loaded, as is usual in gait analysis
+MIN_LOAD_S = 0.06  # shortest load that is a step
+USUAL_STRIDE_S = 1.0  # time from one strike of a foot to its next in walking, for takes that show no two
+MAX_EVENT_DISAGREEMENT_S = 0.05  # difference between the times of one event by two sources above which it is reported
+MAX_FILE_EVENT_ERROR_S = 0.025  # difference from the load of a plate above which an event of the file is wrong
 
 
 class PlateContact(NamedTuple):

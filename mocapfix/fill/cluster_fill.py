@@ -17,30 +17,19 @@ from mocapfix.stats.gaussian_process import interpolate_residual
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
-MAX_DISTANCE_CHANGE_M = 0.1
-"""Variation of the distance of two markers above which one does not predict the other."""
-MIN_DISTANCE_CHANGE_M = 0.003
-"""Variation of a distance on one rigid body, which bounds the weight of a marker."""
-MIN_CLUSTER_MARKERS = 3
-"""Markers that define axes."""
-MAX_CLUSTER_MARKERS = 12
-"""Markers that predict one position."""
-MIN_CLUSTER_FRAMES = 30
-"""Frames in which the missing marker and its cluster must be visible."""
-MAX_CLUSTER_TRAINING_FRAMES = 300
-"""Evenly spaced frames from which distances and deformations are learned."""
-SHAPE_RIDGE_M = 0.01
-"""Ridge of the regression: deformations far below it are ignored."""
+MAX_DISTANCE_CHANGE_M = 0.1  # variation of the distance of two markers above which one does not predict the other
+MIN_DISTANCE_CHANGE_M = 0.003  # variation of a distance on one rigid body, which bounds the weight of a marker
+MIN_CLUSTER_MARKERS = 3  # markers that define axes
+MAX_CLUSTER_MARKERS = 12  # markers that predict one position
+MIN_CLUSTER_FRAMES = 30  # frames in which the missing marker and its cluster must be visible
+MAX_CLUSTER_TRAINING_FRAMES = 300  # evenly spaced frames from which distances and deformations are learned
+SHAPE_RIDGE_M = 0.01  # ridge of the regression: deformations far below it are ignored
 INDEPENDENT_FRAME_S = 0.5
 """Time after which another frame shows an independent deformation: frames in between do not make the regression more certain."""
-CROSS_VALIDATION_FOLDS = 4
-"""Stretches of the take, each predicted from the others, that give the error of the regression."""
-CLUSTER_RESIDUAL_FADE_S = 0.3
-"""Time scale of the correlation of the residual."""
-CLUSTER_RESIDUAL_REACH_S = 0.1
-"""Time on either side of a gap that is used."""
-MIN_CLUSTER_RESIDUAL_M = 0.001
-"""Smallest standard deviation of the residual."""
+CROSS_VALIDATION_FOLDS = 4  # stretches of the take, each predicted from the others, that give the error of the regression
+CLUSTER_RESIDUAL_FADE_S = 0.3  # time scale of the correlation of the residual
+CLUSTER_RESIDUAL_REACH_S = 0.1  # time on either side of a gap that is used
+MIN_CLUSTER_RESIDUAL_M = 0.001  # smallest standard deviation of the residual
 
 
 class AlignedCluster(NamedTuple):

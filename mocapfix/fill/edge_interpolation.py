@@ -22,34 +22,21 @@ from mocapfix.fill.fill_methods import (
 from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, MIN_FILL_SD_M, build_hermite_map, fit_edge_parabola
 from mocapfix.model.take import SAMPLE_NOISE_M
 
-DAMPED_VELOCITY_S = 0.12
-"""Time in which the velocity at an edge decays, in the damped method."""
+DAMPED_VELOCITY_S = 0.12  # time in which the velocity at an edge decays, in the damped method
 WORLD_ERROR_RATIO = 0.155
 """Expected error of the straight method in the world, relative to the path of the marker's varying velocity in a gap of 1 s."""
-WORLD_ERROR_GROWTH = 1.1
-"""Power of the gap's duration with which this error grows."""
-CLUSTER_ERROR_RATIO = 1.2
-"""Expected error of the straight method in moving axes, relative to the marker's variation in them."""
-CLUSTER_ERROR_TIME_S = 0.5
-"""Duration of a gap for which it holds; the error grows with the square root of the duration."""
-MAX_CLUSTER_ERROR_GROWTH = 2.0
-"""Largest growth of this error with the duration."""
-DAMPED_ERROR_RATIO = 1.1
-"""Expected error of the damped method, relative to the straight one."""
-DAMPED_ERROR_TIME_S = 5.0
-"""Duration of a gap in which this ratio is larger by one, in moving axes."""
-CUBIC_ERROR_TIME_S = 1.0
-"""Duration of a gap in which the expected error of the cubic method is twice that of the straight one."""
-WORLD_RATIO_POWER = 0.6
-"""Power with which the neighbours' errors in the gap determine the expected error in the world."""
-LIMB_RATIO_POWER = 0.4
-"""The same for the straight method in moving axes, where a limb is lost."""
-LIMB_METHOD_POWER = 0.5
-"""The same for the errors of the other methods there, relative to the straight one."""
-ACTIVITY_POWER = 0.5
-"""Power with which the motion relative to neighbours grows with their own."""
-ONE_EDGE_ERROR_RATIO = 2.0
-"""Expected error in a gap with one edge, relative to a gap with two."""
+WORLD_ERROR_GROWTH = 1.1  # power of the gap's duration with which this error grows
+CLUSTER_ERROR_RATIO = 1.2  # expected error of the straight method in moving axes, relative to the marker's variation in them
+CLUSTER_ERROR_TIME_S = 0.5  # duration of a gap for which it holds; the error grows with the square root of the duration
+MAX_CLUSTER_ERROR_GROWTH = 2.0  # largest growth of this error with the duration
+DAMPED_ERROR_RATIO = 1.1  # expected error of the damped method, relative to the straight one
+DAMPED_ERROR_TIME_S = 5.0  # duration of a gap in which this ratio is larger by one, in moving axes
+CUBIC_ERROR_TIME_S = 1.0  # duration of a gap in which the expected error of the cubic method is twice that of the straight one
+WORLD_RATIO_POWER = 0.6  # power with which the neighbours' errors in the gap determine the expected error in the world
+LIMB_RATIO_POWER = 0.4  # the same for the straight method in moving axes, where a limb is lost
+LIMB_METHOD_POWER = 0.5  # the same for the errors of the other methods there, relative to the straight one
+ACTIVITY_POWER = 0.5  # power with which the motion relative to neighbours grows with their own
+ONE_EDGE_ERROR_RATIO = 2.0  # expected error in a gap with one edge, relative to a gap with two
 WORLD_SATURATION_S = 0.8
 """Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
 ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
@@ -183,12 +170,10 @@ def estimate_from_edges(
     return estimates
 
 
-RESTING_SPEED_M_S = 0.02
-"""Speed that is added to all, below which markers count as equally at rest."""
+RESTING_SPEED_M_S = 0.02  # speed that is added to all, below which markers count as equally at rest
 MAX_EDGE_SPEED_SHARE = 0.5
 """Exponent of the speed at the edges in the expected speed within a short gap; the marker's usual speed has the rest."""
-REST_TIME_S = 5.0
-"""Time in which this share decays."""
+REST_TIME_S = 5.0  # time in which this share decays
 SIMILAR_SPEED_RATIO = 2.0
 """Ratio of the speeds of a gap and a stretch at which the stretch has the weight of one standard deviation, 0.61."""
 

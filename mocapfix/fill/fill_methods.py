@@ -23,8 +23,7 @@ from mocapfix.fill.spline_fill import (
 from mocapfix.io.changes_file import Correction, RequestedFill
 from mocapfix.model.detected import MarkerEpochs
 
-CLUSTER_SATURATION_S = 0.4
-"""Time scale in which the error of an interpolation in moving axes stops growing."""
+CLUSTER_SATURATION_S = 0.4  # time scale in which the error of an interpolation in moving axes stops growing
 
 
 class FillMethod(IntEnum):
@@ -174,16 +173,11 @@ class GapEstimate(NamedTuple):
         return self._replace(expected_sd=self.expected_sd * factor)
 
 
-MAX_SPEED_RATIO = 3.0
-"""Speed of an estimate, relative to the fastest visible motion, above which it is rejected."""
-SPEED_PERCENTILE = 99.9
-"""Percentile of the speeds of visible markers that counts as the fastest visible motion."""
-SPEED_MARGIN_S = 0.25
-"""Time around an impossible speed in which estimates are rejected."""
-VELOCITY_LAG_S = 0.1
-"""Time over which the variation of velocities is measured."""
-MIN_SPEED_LIMIT_M_S = 2.0
-"""Smallest value of this fastest speed, for takes with little motion."""
+MAX_SPEED_RATIO = 3.0  # speed of an estimate, relative to the fastest visible motion, above which it is rejected
+SPEED_PERCENTILE = 99.9  # percentile of the speeds of visible markers that counts as the fastest visible motion
+SPEED_MARGIN_S = 0.25  # time around an impossible speed in which estimates are rejected
+VELOCITY_LAG_S = 0.1  # time over which the variation of velocities is measured
+MIN_SPEED_LIMIT_M_S = 2.0  # smallest value of this fastest speed, for takes with little motion
 
 
 class SpeedLimit(NamedTuple):

@@ -58,22 +58,14 @@ from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_gap_estimates
 from mocapfix.stats.sequences import group_gaps, sample_evenly
 
-MAX_HIDDEN_STRETCHES = 12
-"""Stretches that are hidden for one gap."""
-MIN_STRETCH_STARTS = 2
-"""First frames that must be possible for stretches of a length."""
-MIN_STARTS_PER_LENGTH = 0.05
-"""The same, relative to the length."""
-SHORTER_STRETCH_RATIO = 0.7
-"""Ratio by which stretches are shortened at a time while too few first frames are possible."""
-MAX_EXAMINED_STARTS = 4000
-"""First frames that are examined."""
-MAX_GAP_POINTS = 7
-"""Points along a gap at which errors are measured."""
-MAX_EDGE_SAMPLES = 4
-"""Samples at each edge of a gap that are used."""
-EDGE_CONTEXT_S = 0.06
-"""Time on either side of a gap whose samples determine position and velocity at its edge."""
+MAX_HIDDEN_STRETCHES = 12  # stretches that are hidden for one gap
+MIN_STRETCH_STARTS = 2  # first frames that must be possible for stretches of a length
+MIN_STARTS_PER_LENGTH = 0.05  # the same, relative to the length
+SHORTER_STRETCH_RATIO = 0.7  # ratio by which stretches are shortened at a time while too few first frames are possible
+MAX_EXAMINED_STARTS = 4000  # first frames that are examined
+MAX_GAP_POINTS = 7  # points along a gap at which errors are measured
+MAX_EDGE_SAMPLES = 4  # samples at each edge of a gap that are used
+EDGE_CONTEXT_S = 0.06  # time on either side of a gap whose samples determine position and velocity at its edge
 
 
 def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> GapWindow:
@@ -121,20 +113,13 @@ def find_stretches(is_usable: Bool[np.ndarray, " T"], length: int, lead: int, ta
         length = max(1, int(length * SHORTER_STRETCH_RATIO))
 
 
-MAX_RATIO_NEIGHBOURS = 8
-"""Number of neighbours, the steadiest first, whose errors are compared with the expected ones."""
-COMPARED_ERROR_MARGIN_M = 0.001
-"""Length that is added to both errors: smaller ones count as equal."""
-VELOCITY_SPAN_S = 0.1
-"""Time over which speeds are measured."""
-MIN_COMPARED_SPEED_M_S = 0.02
-"""Speed below which neighbours count as equally at rest."""
-MIN_COMPARED_STEPS = 5
-"""Steps in which a neighbour must be visible while the marker is."""
-MIN_KNOWN_GAP_SHARE = 0.8
-"""Share of a gap in which a neighbour must be visible."""
-MAX_ACTIVITY_RATIO = 30.0
-"""Largest ratio of the neighbours' speeds."""
+MAX_RATIO_NEIGHBOURS = 8  # number of neighbours, the steadiest first, whose errors are compared with the expected ones
+COMPARED_ERROR_MARGIN_M = 0.001  # length that is added to both errors: smaller ones count as equal
+VELOCITY_SPAN_S = 0.1  # time over which speeds are measured
+MIN_COMPARED_SPEED_M_S = 0.02  # speed below which neighbours count as equally at rest
+MIN_COMPARED_STEPS = 5  # steps in which a neighbour must be visible while the marker is
+MIN_KNOWN_GAP_SHARE = 0.8  # share of a gap in which a neighbour must be visible
+MAX_ACTIVITY_RATIO = 30.0  # largest ratio of the neighbours' speeds
 
 
 class NeighbourActivity:
@@ -217,18 +202,12 @@ def measure_neighbour_errors(
     return NeighbourErrors(np.log((size + COMPARED_ERROR_MARGIN_M) / (expected + COMPARED_ERROR_MARGIN_M)))
 
 
-CLUSTER_SIZES = (4, 8)
-"""Numbers of the steadiest neighbours that define axes."""
-MIN_LIMB_MARKERS = 3
-"""Markers lost together from which all others define axes too."""
-MAX_VARIATION_FRAMES = 100
-"""Frames that show how much a marker varies in the axes of a cluster."""
-MAX_LONE_SPLINE_GAP_S = 0.5
-"""Duration of the longest gap that is filled by a spline alone."""
-MAX_LONE_SPLINE_SD_M = 0.0005
-"""Standard deviation of a spline up to which nothing else is tried."""
-MAX_KNOWN_SD_M = 0.003
-"""Standard deviation of a filled gap below which it serves as visible for longer gaps."""
+CLUSTER_SIZES = (4, 8)  # numbers of the steadiest neighbours that define axes
+MIN_LIMB_MARKERS = 3  # markers lost together from which all others define axes too
+MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
+MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
+MAX_LONE_SPLINE_SD_M = 0.0005  # standard deviation of a spline up to which nothing else is tried
+MAX_KNOWN_SD_M = 0.003  # standard deviation of a filled gap below which it serves as visible for longer gaps
 
 
 def estimate_without_body(markers: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float) -> MarkerEstimate:

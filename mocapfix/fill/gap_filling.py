@@ -44,10 +44,8 @@ from mocapfix.stats.sequences import find_runs
 
 GAUSSIAN_PROCESS_CORRELATION = 0.8
 """The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
-MAX_SPLINE_GAP_S = 0.5
-"""Duration of the longest gap that is filled by splines."""
-SETTLED_SPLINE_SD_M = 0.001
-"""Standard deviation of a spline below which its samples are used as known ones by the clusters."""
+MAX_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by splines
+SETTLED_SPLINE_SD_M = 0.001  # standard deviation of a spline below which its samples are used as known ones by the clusters
 PARTIAL_BODY_SD_RATIO = 2.0
 """Ratio of errors to predicted standard deviations where a body has few markers, or a set that was learned from the take."""
 
@@ -148,18 +146,13 @@ def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarra
     return factor
 
 
-BODY_RESIDUAL_FADE_S = 0.2
-"""Time scale of the correlation of a marker's residual."""
-BODY_RESIDUAL_REACH_S = 0.3
-"""Time on either side of a gap that is used."""
-MIN_BODY_RESIDUAL_M = 0.002
-"""Smallest standard deviation of the residual."""
-MIN_BODY_FILL_SD_M = 0.0005
-"""Smallest standard deviation of a fill."""
+BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
+BODY_RESIDUAL_REACH_S = 0.3  # time on either side of a gap that is used
+MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
+MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
 MAX_EDGE_RESIDUAL_M = 0.05
 """Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
-MAX_EDGE_RESIDUAL_RATIO = 4.0
-"""The same relative to the marker's median residual."""
+MAX_EDGE_RESIDUAL_RATIO = 4.0  # the same relative to the marker's median residual
 
 
 def fill_from_body(

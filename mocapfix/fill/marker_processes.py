@@ -23,40 +23,25 @@ from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_
 
 MAX_SETTLED_SD_M = 0.01
 """Standard deviation of other estimates below which a gap is not filled here, if it holds throughout the gap."""
-MAX_INPUT_SD_M = 0.03
-"""Standard deviation of other estimates below which a filled sample is an input, like a visible one."""
-MIN_VISIBLE_SHARE = 0.05
-"""Share of the frames in which a marker must be visible."""
-MIN_PROCESS_TRAINING_FRAMES = 8
-"""Frames that learning a gap requires."""
-MIN_INPUT_MARKERS = 4
-"""Markers that the state of the body requires."""
-MIN_SHARED_FRAME_SHARE = 0.5
-"""Share of the frames with the lost markers in which all input markers must be known together."""
-MIN_GAP_PIECE_S = 0.1
-"""Duration above which a gap with too few input markers is divided."""
-FEATURE_MARKER_COUNT = 36
-"""Number of input markers for which the units below are defined."""
-MARKER_VELOCITY_HALF_SPAN_S = 0.067
-"""Time before and after a frame over which velocities are measured."""
-MARKER_POSITION_UNIT_M = 0.9
-"""Difference of positions, over all markers together, that counts as one."""
-MARKER_SPEED_UNIT_M_S = 20.0
-"""Difference of velocities, over all markers together, that counts as one."""
-TRUNK_UP_UNIT = 0.5
-"""Difference of the up direction in trunk axes that counts as one."""
-TRUNK_HEIGHT_UNIT_M = 0.5
-"""Difference of the height of the trunk that counts as one."""
-TRUNK_SPEED_UNIT_M_S = 5.0
-"""Difference of the velocity of the trunk that counts as one."""
-TRUNK_SPIN_UNIT_RAD_S = 20.0
-"""Difference of the angular velocity of the trunk that counts as one."""
+MAX_INPUT_SD_M = 0.03  # standard deviation of other estimates below which a filled sample is an input, like a visible one
+MIN_VISIBLE_SHARE = 0.05  # share of the frames in which a marker must be visible
+MIN_PROCESS_TRAINING_FRAMES = 8  # frames that learning a gap requires
+MIN_INPUT_MARKERS = 4  # markers that the state of the body requires
+MIN_SHARED_FRAME_SHARE = 0.5  # share of the frames with the lost markers in which all input markers must be known together
+MIN_GAP_PIECE_S = 0.1  # duration above which a gap with too few input markers is divided
+FEATURE_MARKER_COUNT = 36  # number of input markers for which the units below are defined
+MARKER_VELOCITY_HALF_SPAN_S = 0.067  # time before and after a frame over which velocities are measured
+MARKER_POSITION_UNIT_M = 0.9  # difference of positions, over all markers together, that counts as one
+MARKER_SPEED_UNIT_M_S = 20.0  # difference of velocities, over all markers together, that counts as one
+TRUNK_UP_UNIT = 0.5  # difference of the up direction in trunk axes that counts as one
+TRUNK_HEIGHT_UNIT_M = 0.5  # difference of the height of the trunk that counts as one
+TRUNK_SPEED_UNIT_M_S = 5.0  # difference of the velocity of the trunk that counts as one
+TRUNK_SPIN_UNIT_RAD_S = 20.0  # difference of the angular velocity of the trunk that counts as one
 MARKER_FILL_KERNEL = StateCovariance(
     time_scale_s=0.25, similarity_rate=1.2, time_power=0.02, recurrence_power=2.0, linear_power=1.2, noise_power=3e-5
 )
 """Covariance of marker positions between frames."""
-PROCESS_SAMPLE_NOISE_M = 0.001
-"""Noise of a sample."""
+PROCESS_SAMPLE_NOISE_M = 0.001  # noise of a sample
 
 
 class BodyAxes(NamedTuple):
@@ -177,12 +162,9 @@ def compute_marker_state_features(
     return np.concatenate([positions, velocities, *trunk], axis=1)
 
 
-MAX_HIDDEN_PROCESS_STRETCHES = 8
-"""Hidden stretches in which the errors of a process are measured."""
-MAX_EDGE_TRAINING_FRAMES = 6
-"""Frames beside each of them on which the process is trained."""
-MAX_HELD_OUT_SHARE = 0.7
-"""Share of the training frames above which a hidden stretch leaves too few."""
+MAX_HIDDEN_PROCESS_STRETCHES = 8  # hidden stretches in which the errors of a process are measured
+MAX_EDGE_TRAINING_FRAMES = 6  # frames beside each of them on which the process is trained
+MAX_HELD_OUT_SHARE = 0.7  # share of the training frames above which a hidden stretch leaves too few
 
 
 class MarkerProcesses:

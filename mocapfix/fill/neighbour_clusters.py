@@ -35,28 +35,19 @@ from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, build_residual
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import sample_evenly
 
-MIN_KEPT_FRAME_SHARE = 0.7
-"""Share of these frames that the cluster must keep when a marker is added to it."""
-MIN_DISTANCE_FRAMES = 9
-"""Frames that show how constant a distance is."""
-MAX_EXAMINED_FRAMES = 600
-"""Evenly spaced frames among which those with different configurations are selected."""
-RESTING_FRAME_WEIGHT = 0.1
-"""Weight of a frame at rest in this selection, relative to a frame with average motion."""
-UNKNOWN_CHANGE_RATIO = 0.1
-"""Expected variation of a distance, relative to it, where too few frames show it."""
-DISTANCE_PERCENTILES = (0.05, 0.95)
-"""Quantiles of a distance, between which it varies."""
-DISTANCE_RANGE_SD = 3.29
-"""Their difference for a normal distribution, in standard deviations."""
+MIN_KEPT_FRAME_SHARE = 0.7  # share of these frames that the cluster must keep when a marker is added to it
+MIN_DISTANCE_FRAMES = 9  # frames that show how constant a distance is
+MAX_EXAMINED_FRAMES = 600  # evenly spaced frames among which those with different configurations are selected
+RESTING_FRAME_WEIGHT = 0.1  # weight of a frame at rest in this selection, relative to a frame with average motion
+UNKNOWN_CHANGE_RATIO = 0.1  # expected variation of a distance, relative to it, where too few frames show it
+DISTANCE_PERCENTILES = (0.05, 0.95)  # quantiles of a distance, between which it varies
+DISTANCE_RANGE_SD = 3.29  # their difference for a normal distribution, in standard deviations
 HIDDEN_FOLDS = 4
 """Groups of hidden stretches, each predicted by a regression without it, and stretches of the take that give its error."""
-MAX_HIDDEN_SHARE = 0.7
-"""Share of the training frames above which a group of hidden stretches leaves too few."""
+MAX_HIDDEN_SHARE = 0.7  # share of the training frames above which a group of hidden stretches leaves too few
 MAX_CLUSTER_INFLATION = 3.0
 """Largest factor by which the error of a learned estimate is increased for gaps that are long relative to what was learned."""
-MAX_RESIDUAL_SAMPLES = 6
-"""Samples at each edge of a gap from which the residual is interpolated."""
+MAX_RESIDUAL_SAMPLES = 6  # samples at each edge of a gap from which the residual is interpolated
 
 
 def select_configurations(markers: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray, " N"]:
@@ -242,8 +233,7 @@ class _Regression:
         return np.linalg.solve(self.square - a.T @ a + ridge, self.moment - a.T @ b)
 
 
-MAX_CLUSTER_SHAPE_FRAMES = 200
-"""Evenly spread frames from which the common shape of a cluster is estimated."""
+MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated
 
 
 class ChangingCluster(NamedTuple):

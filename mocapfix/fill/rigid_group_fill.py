@@ -18,18 +18,13 @@ from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, CommonShape, align_to_shape, fit_common_shape
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
-MAX_SHAPE_FRAMES = 600
-"""Evenly spread frames in which the shape of a group is measured."""
-MIN_SHAPE_FRAMES = 10
-"""Frames in which a marker must be visible with three others of the group to have a place in its shape."""
+MAX_SHAPE_FRAMES = 600  # evenly spread frames in which the shape of a group is measured
+MIN_SHAPE_FRAMES = 10  # frames in which a marker must be visible with three others of the group to have a place in its shape
 MAX_POSE_SD_RATIO = 10.0
 """Error of a pose at a missing marker relative to that of one marker, above which the visible ones are nearly on one line."""
-MAX_POSE_CONDITION = 1e6
-"""Condition number of the information on a pose above which the visible markers are on one line."""
-MAX_TWIST_LAGS = 8
-"""Distances in time, doubled each, at which the error of an interpolated angle is measured."""
-MIN_TWIST_FRAMES = 20
-"""Frames that show this error."""
+MAX_POSE_CONDITION = 1e6  # condition number of the information on a pose above which the visible markers are on one line
+MAX_TWIST_LAGS = 8  # distances in time, doubled each, at which the error of an interpolated angle is measured
+MIN_TWIST_FRAMES = 20  # frames that show this error
 
 
 class GroupPoses(NamedTuple):

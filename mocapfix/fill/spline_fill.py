@@ -12,18 +12,12 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
-SPLINE_CONTEXT_S = 0.06
-"""Time on either side of a gap whose samples determine position and velocity at the edge."""
-MIN_EDGE_SAMPLES = 3
-"""Samples that a parabola requires at each edge."""
-MAX_TRIAL_STRETCHES = 60
-"""Complete stretches on which a map is tested."""
-MIN_TRIAL_STRETCHES = 8
-"""Complete stretches that measuring the error requires."""
-MAX_TRIAL_STARTS = 20_000
-"""Evenly spaced frames that are examined to find complete stretches."""
-MIN_FILL_SD_M = 0.0003
-"""Smallest standard deviation per axis of a fill, and of an estimate of one."""
+SPLINE_CONTEXT_S = 0.06  # time on either side of a gap whose samples determine position and velocity at the edge
+MIN_EDGE_SAMPLES = 3  # samples that a parabola requires at each edge
+MAX_TRIAL_STRETCHES = 60  # complete stretches on which a map is tested
+MIN_TRIAL_STRETCHES = 8  # complete stretches that measuring the error requires
+MAX_TRIAL_STARTS = 20_000  # evenly spaced frames that are examined to find complete stretches
+MIN_FILL_SD_M = 0.0003  # smallest standard deviation per axis of a fill, and of an estimate of one
 
 GapPattern = tuple[int, tuple[int, ...], tuple[int, ...]]
 """The length of a gap in frames, and which samples before and after it are visible, as distances from its edges."""

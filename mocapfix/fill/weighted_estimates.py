@@ -14,20 +14,14 @@ from jaxtyping import Float, Int8
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MarkerEstimate
 from mocapfix.fill.spline_fill import MIN_FILL_SD_M
 
-EXPECTED_WEIGHT = 2.0
-"""Number of independent hidden stretches that the expected covariance is worth."""
-FIRST_STRETCH_DISCOUNT = 0.5
-"""Number of stretches that are subtracted: a single one shows little."""
-EXPECTED_CORRELATION = 0.45
-"""Expected correlation of the errors of two estimates of one sample."""
-SAME_AXES_CORRELATION = 0.75
-"""The same where both were made in the same axes."""
-COVARIANCE_RIDGE = 1e-3
-"""Relative increase of the variances, so that equal estimates share their weight."""
+EXPECTED_WEIGHT = 2.0  # number of independent hidden stretches that the expected covariance is worth
+FIRST_STRETCH_DISCOUNT = 0.5  # number of stretches that are subtracted: a single one shows little
+EXPECTED_CORRELATION = 0.45  # expected correlation of the errors of two estimates of one sample
+SAME_AXES_CORRELATION = 0.75  # the same where both were made in the same axes
+COVARIANCE_RIDGE = 1e-3  # relative increase of the variances, so that equal estimates share their weight
 
 
-ESTIMATE_CORRELATION = 0.5
-"""Correlation of the errors of two estimates of one sample."""
+ESTIMATE_CORRELATION = 0.5  # correlation of the errors of two estimates of one sample
 PREDICTED_SPREAD_DOF = 6.0
 """Degrees of freedom that the predicted standard deviations are worth beside the differences of the estimates."""
 

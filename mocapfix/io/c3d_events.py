@@ -25,14 +25,12 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.io.patches import check_copy_with_events
 
 EVENT_GROUP = "EVENT"
-MAX_EVENTS = 255
-"""Events that one parameter can hold."""
+MAX_EVENTS = 255  # events that one parameter can hold
 MAX_REPEATED_EVENT_S = 0.25
 """Time from an event of the file up to which another of the same foot and kind is the same: half a step in walking."""
 LABELS = {"foot strike": "Foot Strike", "foot off": "Foot Off"}
 ICONS = {"foot strike": 1, "foot off": 2}
-EVENT_TIME_UNIT_S = 60.0
-"""The unit of the first of the two numbers of a time: a minute."""
+EVENT_TIME_UNIT_S = 60.0  # the unit of the first of the two numbers of a time: a minute
 SIDE_PATTERN = re.compile(
     r"^(L(?:EFT)?|R(?:IGHT)?)(?=[ _.-]|HS|TO$|FS|FO$|IC|ON$|OFF$|HEEL|TOE|FOOT|INITIAL)[ _.-]*|[ _.-]+(LEFT|RIGHT|L|R)$"
 )

@@ -11,8 +11,7 @@ import sys
 from fractions import Fraction
 from typing import Any
 
-MAX_RATE_DENOMINATOR = 1001
-"""of a rate such as 60000/1001 Hz"""
+MAX_RATE_DENOMINATOR = 1001  # of a rate such as 60000/1001 Hz
 MAX_BLENDER_FPS = 32767
 
 

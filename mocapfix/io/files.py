@@ -34,8 +34,7 @@ HOST_DIGEST_LENGTH = 8
 TEMPORARY_PREFIX = ".mocapfix-" + hashlib.sha256(socket.gethostname().encode()).hexdigest()[:HOST_DIGEST_LENGTH] + "-"
 """of the names of temporary folders: with a digest of the machine's name"""
 TEMPORARY_PATTERN = ".mocapfix-" + "?" * HOST_DIGEST_LENGTH + "-*"
-LOCK_NAME = ".lock"
-"""the file in a temporary folder that its owner has locked"""
+LOCK_NAME = ".lock"  # the file in a temporary folder that its owner has locked
 FOREIGN_AGE_S = 24 * 3600.0
 """age from which what another machine left is removed too: not every network file system knows the locks of other machines"""
 
@@ -109,8 +108,7 @@ def _remove_folder(path: Path) -> None:
 
 OUTPUT_FOLDER_SUFFIX = ".mocapfix"
 """suffix of the folder beside a take into which its outputs are written; captures in such a folder are outputs"""
-JSON_REPORT_SUFFIX = ".report.json"
-"""what follows the stem of a take, or of one of its subjects, in the name of its report"""
+JSON_REPORT_SUFFIX = ".report.json"  # what follows the stem of a take, or of one of its subjects, in the name of its report
 
 
 @contextmanager

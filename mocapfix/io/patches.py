@@ -43,8 +43,7 @@ POINT_COUNT_BYTES, DATA_BLOCK_BYTES = range(2, 4), range(16, 18)  # of the heade
 LABEL_PARAMETERS = ("LABELS", "DESCRIPTIONS")
 WRITTEN_CELL_PADDING = ' "\r'
 
-Unstorable = Collection[tuple[int, int]]
-"""frame and marker of samples that the format of a file cannot store"""
+Unstorable = Collection[tuple[int, int]]  # frame and marker of samples that the format of a file cannot store
 
 
 def check_c3d_copy(target: Path, copy: Path, before: Take, after: Take, unstorable: Unstorable) -> None:

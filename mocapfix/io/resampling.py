@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.model.motion import Motion
 
-FRAME_TOLERANCE = 1e-9
-"""Distance in frames below which a new frame coincides with an original one."""
+FRAME_TOLERANCE = 1e-9  # distance in frames below which a new frame coincides with an original one
 
 
 def is_frame_subset(rate: float, new_rate: float) -> bool:

@@ -10,10 +10,8 @@ import yaml
 
 from mocapfix.errors import SceneError
 
-MAX_YAML_DEPTH = 100
-"""lists and mappings that may contain each other; those of mocapfix are four deep"""
-MAX_YAML_VALUES = 1_000_000
-"""values that a document with aliases may have with these written out"""
+MAX_YAML_DEPTH = 100  # lists and mappings that may contain each other; those of mocapfix are four deep
+MAX_YAML_VALUES = 1_000_000  # values that a document with aliases may have with these written out
 ALIAS_PATTERN = re.compile(r"[\s\[,:]\*\w")
 BRACKET_PATTERN = re.compile(r"[\[{\]}]")
 DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)

@@ -103,8 +103,7 @@ def remove_outdated_files(folder: Path) -> None:
                 each.unlink()
 
 
-CACHE_FOLDER = choose_cache_folder()
-"""Where compiled kernels are kept; None if nothing can be written."""
+CACHE_FOLDER = choose_cache_folder()  # where compiled kernels are kept; None if nothing can be written
 if CACHE_FOLDER:
     config.CACHE_DIR = str(CACHE_FOLDER)
 

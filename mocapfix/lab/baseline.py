@@ -121,13 +121,11 @@ BASELINE_STRESS_MOTIONS = ("arm circle", "cartwheel")  # in the first, arms were
 BASELINE_STRESS_RATES_HZ = (60.0,)
 ACCURACY_TOLERANCE_PERCENT = 2.0
 """Results are the same on the same versions of the libraries; other versions change the last digits."""
-COUNT_TOLERANCE_PERCENT = 5.0
-"""of quantities that change by steps, such as the share of injected faults that is detected"""
+COUNT_TOLERANCE_PERCENT = 5.0  # of quantities that change by steps, such as the share of injected faults that is detected
 FALSE_ALARM_TOLERANCE = 6.0  # false alarms a minute: one in the short version's take
 CHANGED_TOLERANCE_PERCENT_POINTS = 0.02  # of sound samples that were changed
 COVERAGE_TOLERANCE_POINTS = 2.0  # percentage points
-SPEED_TOLERANCE_PERCENT = 33.0
-"""Ratios of processor times on shared machines vary by less than this; see docs/benchmarks.md."""
+SPEED_TOLERANCE_PERCENT = 33.0  # ratios of processor times on shared machines vary by less than this; see docs/benchmarks.md
 SCIPY_TOLERANCE_PERCENT = 35.0  # scipy and the solver use memory and processor differently, so their ratio varies more
 MEMORY_TOLERANCE_PERCENT = 15.0
 ONE_SIGMA_SHARE = 0.6827  # of a normal distribution within one standard deviation

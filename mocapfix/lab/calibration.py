@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.errors import ReadError
-from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.sound_takes import (
     SOUND_TAKE_DURATION_S,
     SOUND_TAKE_RATE_HZ,
     PerformedMotion,
+    build_known_motion,
     read_performed_motions,
     resample_performance,
 )
@@ -128,10 +128,8 @@ def compute_bone_length_error(estimated: Skeleton, true: Skeleton) -> float:
     return float(np.abs(np.linalg.norm(estimated.offsets, axis=1) - lengths)[is_bone].mean())
 
 
-MIN_OWN_RECORDING_S = 4.0
-"""Shorter recordings are not used."""
-COMPOSED_SEGMENT_S = 20.0
-"""Duration of the whole composed motion, from which takes of other motion are cut."""
+MIN_OWN_RECORDING_S = 4.0  # shorter recordings are not used
+COMPOSED_SEGMENT_S = 20.0  # duration of the whole composed motion, from which takes of other motion are cut
 
 
 class SessionPerson(NamedTuple):

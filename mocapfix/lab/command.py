@@ -42,7 +42,7 @@ def run_bench_baseline(
     `mocapfix bench --baseline` is the same.
     """
     from mocapfix.lab import baseline
-    from mocapfix.lab.common_task import find_bench_file
+    from mocapfix.lab.sound_takes import find_bench_file
 
     path = file or find_bench_file("baseline.json")
     known = {} if update else baseline.read_baseline(path)

@@ -1,30 +1,27 @@
 """The common task: a take with known truth, on which pose solvers are timed and compared.
 
 It is defined by scenes/bench/common-task.yaml and a fixed seed of NumPy's random numbers, and so the same on every machine.
-
-Clean a composed take as a user would: written to a file, read and cleaned.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-import mocapfix
-from mocapfix.errors import SceneError
-from mocapfix.io.shipped import find_shipped_folder, read_yaml
-from mocapfix.model.motion import Motion
+from mocapfix import pipeline
+from mocapfix.io.shipped import read_yaml
+from mocapfix.lab.sound_takes import build_known_motion, find_bench_file
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.options import CleanOptions
+from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.synthetic import SyntheticTake, write_synthetic_take
 
-if TYPE_CHECKING:
-    from mocapfix.result import CleaningResult
+DEFAULT_BENCH_OPTIONS = CleanOptions()
 
 
 @dataclass(frozen=True)
@@ -51,14 +48,6 @@ class CommonTask:
         """Return the mean distance of the joints from the truth in metres over the first T frames."""
         positions = kinematics.compute_world_poses(self.subject.skeleton, build_known_motion(root, rotations))[0]
         return float(np.linalg.norm(positions - self.joint_positions[: len(root)], axis=-1).mean())
-
-
-def find_bench_file(name: str) -> Path:
-    """Return the path of a file in scenes/bench. Raises SceneError in an installed package, which holds no such files."""
-    folder = find_shipped_folder("scenes") / "bench"
-    if not folder.is_dir():
-        raise SceneError(f"{name}: the data of the benchmarks is not installed; run this in a checkout of the repository.")
-    return folder / name
 
 
 def build_common_task() -> CommonTask:
@@ -137,19 +126,9 @@ def compute_zyx_rotations(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.nda
     return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
-def build_known_motion(root_position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Motion:
-    """Return known poses as a motion: positions in metres, local rotations, and standard deviations of zero."""
-    zeros, joint_sd = np.zeros(len(root_position), int), np.zeros(rotations.shape[:2])
-    root_position, rotations = np.ascontiguousarray(root_position), np.ascontiguousarray(rotations)
-    return Motion(root_position, rotations, zeros, zeros, joint_sd[:, :0], joint_sd)
-
-
-DEFAULT_BENCH_OPTIONS = CleanOptions()
-
-
-def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_BENCH_OPTIONS) -> "CleaningResult":
+def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_BENCH_OPTIONS) -> CleaningResult:
     """Return the result of the pipeline for a composed take, which is written to a file and read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         write_synthetic_take(path, truth)
-        return mocapfix.clean(path, options)
+        return pipeline.clean(path, options)

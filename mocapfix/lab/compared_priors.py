@@ -16,8 +16,8 @@ from torch import Tensor
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.kernels.terms import ScalarTerm
-from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.networks import AutoencoderNetwork, compute_rotation_tensor, restore_network, use_one_torch_thread
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.solve import kinematics

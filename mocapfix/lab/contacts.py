@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-import mocapfix
+from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import compute_speed, remove_short_runs
 from mocapfix.contacts.foot_displacements import HORIZONTAL_AXES
@@ -39,16 +39,12 @@ if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
 
 
-TRUE_STANDING_SPEED_M_S = 0.1
-"""Speed of a true joint below which it stands."""
-MAX_TRUE_HEIGHT_M = 0.06
-"""Height above its lowest standing places up to which it stands on the floor."""
+TRUE_STANDING_SPEED_M_S = 0.1  # speed of a true joint below which it stands
+MAX_TRUE_HEIGHT_M = 0.06  # height above its lowest standing places up to which it stands on the floor
 LOWEST_SHARE_PERCENT = 10.0
-LOSS_DURATION_S = (0.5, 2.0)
-"""Shortest and longest time for which the markers of a foot are lost."""
+LOSS_DURATION_S = (0.5, 2.0)  # shortest and longest time for which the markers of a foot are lost
 LOSSES_PER_FOOT = 3
-MIN_SEEN_S = 0.1
-"""Time before and after a loss in which the foot stands and its markers are visible."""
+MIN_SEEN_S = 0.1  # time before and after a loss in which the foot stands and its markers are visible
 MAX_FOOT_MARKER_DISTANCE_M = 0.13
 """Mean distance of a marker from ankle or toes up to which it is lost with the foot; the ankle's marker is on the shin."""
 
@@ -116,8 +112,7 @@ CONTACT_TAKES = 6
 WHOLE, LOST_FEET = "whole", "feet lost"
 HELD_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
 KNEES = ("LeftLeg", "RightLeg")
-WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")
-"""quantities of which the largest value of all takes counts"""
+WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")  # quantities of which the largest value of all takes counts
 MM = 1e3
 
 
@@ -290,10 +285,8 @@ def average_errors(errors: Sequence[HeldFeetErrors]) -> dict[str, float]:
 
 HIDDEN_GROUPS = {b"FORCE_PLATFORM": b"HIDDEN_PLATFOR", b"EVENT": b"HIDEV"}
 """names of the groups of the plates and of events, and others of the same length"""
-MAX_EVENT_ERROR_S = 0.15
-"""Time from an event of a plate up to which an event of markers is the same."""
-JUDGED_MARGIN_S = 0.3
-"""Time before and after a load in which frames are compared."""
+MAX_EVENT_ERROR_S = 0.15  # time from an event of a plate up to which an event of markers is the same
+JUDGED_MARGIN_S = 0.3  # time before and after a load in which frames are compared
 RULE_HEIGHT_M, RULE_SPEED_M_S = 0.114, 0.93
 """The height-and-speed rule: below both an ankle or a toe base is in contact (UnderPressure, 2022, baseline)."""
 
@@ -355,7 +348,7 @@ def clean_without_plates(path: Path) -> "CleaningResult | None":
         for name, other in HIDDEN_GROUPS.items():
             head = head.replace(name, other)
         hidden.write_bytes(head + data[layout.data_start_byte :])
-        return mocapfix.clean(hidden, CleanOptions().change(feet=FEET_OFF))
+        return pipeline.clean(hidden, CleanOptions().change(feet=FEET_OFF))
 
 
 def find_loads(path: Path, result: "CleaningResult") -> list[PlateContact]:

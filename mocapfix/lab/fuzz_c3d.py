@@ -35,15 +35,11 @@ from mocapfix.options import ReadOptions
 from mocapfix.output_formats import write_cleaned_copy
 
 C3D_FUZZ_LIMITS = FuzzLimits(slow_s=5.0, timeout_s=60.0)
-READ_OPTIONS = ReadOptions(accept_contradictions=True)
-"""the points are those of no body, whatever their labels are"""
-ODD_SHARE = 0.3
-"""of the files that are nearly valid only"""
-SECOND_ODDITY_SHARE = 0.3
-"""of these that have two oddities"""
+READ_OPTIONS = ReadOptions(accept_contradictions=True)  # the points are those of no body, whatever their labels are
+ODD_SHARE = 0.3  # of the files that are nearly valid only
+SECOND_ODDITY_SHARE = 0.3  # of these that have two oddities
 MANY_POINTS_SHARE, MANY_FRAMES_SHARE = 0.02, 0.002
-CLEANED_SHARE = 0.05
-"""of the files of which a changed copy is written"""
+CLEANED_SHARE = 0.05  # of the files of which a changed copy is written
 MAX_HEADER_EVENTS = 18
 EVENT_KEY = 12_345
 UNITS = {"mm": 1.0, "cm": 0.1, "m": 0.001}
@@ -407,8 +403,7 @@ def _choose_oddity(rng: np.random.Generator, content: C3dContent) -> C3dOddity:
     return oddities[int(rng.integers(len(oddities)))]
 
 
-Parameter = tuple[int, tuple[int, ...], bytes]
-"""type, dimensions and values"""
+Parameter = tuple[int, tuple[int, ...], bytes]  # type, dimensions and values
 
 
 def _build_file(rng: np.random.Generator, content: C3dContent, oddity: C3dOddity) -> bytes:

@@ -21,10 +21,8 @@ from mocapfix.io.gltf import BINARY_CHUNK, GLB_CHUNK_HEADER, GLB_HEADER, GLB_MAG
 from mocapfix.lab.fuzz_files import ANY_MUTATIONS, TEXT_MUTATIONS
 from mocapfix.model.skeleton import load_cmu31_skeleton
 
-MAX_CHARACTER_MUTATIONS = 4
-"""of one file"""
-CONTAINER_SHARE = 0.2
-"""of the damaged GLB files of which the bytes are changed, with their lengths; of the others it is the JSON"""
+MAX_CHARACTER_MUTATIONS = 4  # of one file
+CONTAINER_SHARE = 0.2  # of the damaged GLB files of which the bytes are changed, with their lengths; of the others it is the JSON
 SEED_VRM_BONES: Mapping[str, str] = {
     "hips": "Hips", "spine": "LowerBack", "chest": "Spine", "head": "Head",
     **{f"{side.lower()}{bone}": f"{side}{joint}" for side in ("Left", "Right") for bone, joint in (

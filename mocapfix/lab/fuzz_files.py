@@ -176,13 +176,10 @@ STRANGE_BYTES = (0, 1, 2, 4, 80, 84, 85, 86, 127, 128, 129, 253, 254, 255)
 TEXT_TOKEN_PATTERN = re.compile(rb"[^\s,;:{}\[\]\"']+")
 NUMBER_PATTERN = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 HEAD_LINE_COUNT = 12
-MAX_DEPTH = 20_000
-"""of brackets in brackets"""
-MAX_REPEATS = 20_000
-"""of a line or a token"""
+MAX_DEPTH = 20_000  # of brackets in brackets
+MAX_REPEATS = 20_000  # of a line or a token
 C3D_BLOCK = 512
-C3D_HEADER_FLOATS = (12, 20)
-"""byte offsets of the scale and of the rate"""
+C3D_HEADER_FLOATS = (12, 20)  # byte offsets of the scale and of the rate
 
 
 def replace_span(data: bytes, start: int, end: int, new: bytes) -> bytes:

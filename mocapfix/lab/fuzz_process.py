@@ -35,13 +35,10 @@ from mocapfix.synthetic import compose_take, write_synthetic_take
 FindingKind = Literal["exception", "message", "slow", "timeout", "memory", "crash"]
 REFUSED = "refused"
 POLL_S = 0.1
-START_S = 300.0
-"""time that a child may take to start and to compile what its first case needs"""
+START_S = 300.0  # time that a child may take to start and to compile what its first case needs
 HEAP_ALLOWANCE_BYTES = 1_000_000_000
-FILE_ALLOWANCE = 4
-"""memory that a case may take: this many times its file, and HEAP_ALLOWANCE_BYTES"""
-MAX_FRAME_LINES = 12
-"""lines of a traceback that a finding keeps"""
+FILE_ALLOWANCE = 4  # memory that a case may take: this many times its file, and HEAP_ALLOWANCE_BYTES
+MAX_FRAME_LINES = 12  # lines of a traceback that a finding keeps
 
 
 @runtime_checkable
@@ -62,8 +59,7 @@ class FuzzCase(Protocol):
         ...
 
 
-CaseBuilder = Callable[[int], FuzzCase]
-"""a function of a seed; it must be importable by name, since children import it"""
+CaseBuilder = Callable[[int], FuzzCase]  # a function of a seed; it must be importable by name, since children import it
 
 
 @dataclass(frozen=True)
@@ -258,8 +254,7 @@ def _shorten_traceback() -> str:
 
 
 KILLED_TAKE_S = 1.0
-COMMAND_SHARE = 0.1
-"""of the runs that are of the whole command"""
+COMMAND_SHARE = 0.1  # of the runs that are of the whole command
 CLEAN_ARGUMENTS = ("-m", "mocapfix", "clean", "--overwrite", "--out")
 
 

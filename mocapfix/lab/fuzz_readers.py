@@ -39,10 +39,8 @@ from mocapfix.subject.library import load_marker_set, read_subject
 from mocapfix.synthetic import SyntheticTake, compose_motion, compose_take, draw_subject
 
 READER_FUZZ_LIMITS = FuzzLimits(slow_s=3.0, timeout_s=30.0)
-MAX_MUTATIONS = 4
-"""of one file"""
-COMPANION_SHARE = 0.5
-"""of the files with a companion of which the companion is damaged instead"""
+MAX_MUTATIONS = 4  # of one file
+COMPANION_SHARE = 0.5  # of the files with a companion of which the companion is damaged instead
 
 
 def read_job(path: Path) -> object:
@@ -131,8 +129,7 @@ def build_folder_builder(folder: Path) -> Callable[[int], ReaderCase]:
 
 BASE_SEEDS = (0, 1, 2)
 BASE_RATES_HZ = (30.0, 120.0)
-BASE_FRAME_COUNTS = (40, 40, 100, 200)
-"""of the takes to which the strange things happen"""
+BASE_FRAME_COUNTS = (40, 40, 100, 200)  # of the takes to which the strange things happen
 STRANGE_RATES_HZ = (0.01, 1.0, 5.0, 15.0, 500.0, 1_000.0, 10_000.0)
 STRANGE_SCALES = (1e-3, 0.01, 0.1, 10.0, 1e3)
 MAX_STRANGE_FRAMES = 5
@@ -402,12 +399,9 @@ def _compose_base(seed: int, rate: float) -> SyntheticTake:
 
 
 CLEAN_FUZZ_LIMITS = FuzzLimits(slow_s=10.0, timeout_s=90.0)
-ANIMATION_SHARE = 0.12
-"""of the cases that are BVH files"""
-MAX_STRANGENESSES = 3
-"""of one take"""
-OPTION_SHARE = 0.35
-"""of the cases that are cleaned with other options than the default"""
+ANIMATION_SHARE = 0.12  # of the cases that are BVH files
+MAX_STRANGENESSES = 3  # of one take
+OPTION_SHARE = 0.35  # of the cases that are cleaned with other options than the default
 RANDOM_OPTIONS: tuple[dict[str, object], ...] = (
     {"is_fast": True}, {"prior": "none"}, {"init_method": "registration"}, {"init_method": "previous"},
     {"prior_scope": "every-frame"}, {"known_sets_only": True}, {"marker_set": "cmu41"}, {"max_gap_s": 0.1},
@@ -419,8 +413,7 @@ ANIMATION_RATES_HZ = (30.0, 120.0)
 ANIMATION_DURATION_S = 2.0
 ANIMATION_FRAME_COUNTS = (1, 2, 3, 5, 30, 60)
 STRANGE_FACTORS = (0.0, 0.01, 10.0, 1e3, -1.0)
-STRANGE_CHANNEL_SDS = (0.1, 5.0, 90.0)
-"""standard deviations of noise in degrees, and in centimetres of the root"""
+STRANGE_CHANNEL_SDS = (0.1, 5.0, 90.0)  # standard deviations of noise in degrees, and in centimetres of the root
 
 
 @dataclass(frozen=True)

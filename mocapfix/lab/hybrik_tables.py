@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback

@@ -24,7 +24,6 @@ from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
 from mocapfix.kernels.compilation import count_cores
-from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.hybrik_tables import (
     NO_TWISTS,
     build_cmu41_subject,
@@ -35,6 +34,7 @@ from mocapfix.lab.hybrik_tables import (
 from mocapfix.lab.pose_priors import time_rounds
 from mocapfix.lab.sound_takes import (
     PerformedMotion,
+    build_known_motion,
     find_informative_markers,
     load_unseen_poses,
     read_performed_motions,

@@ -45,16 +45,11 @@ from mocapfix.solve.motion_prior import (
     write_motion_prior,
 )
 
-ROTATION_LOSS_M_RAD = 0.03
-"""Weight of rotation errors compared with position errors."""
-DEVIATION_LOSS_WEIGHT = 0.02
-"""Weight of the likelihood from which the standard deviations are learned."""
-SHORT_GAP_WEIGHT_S = 0.1
-"""Gaps have a weight that is inverse to their duration plus this."""
-MIN_MOTION_FEATURE_SD = 0.05
-"""Least standard deviation of a feature."""
-MIN_ERROR_M = 0.005
-"""Position errors below this count by their square."""
+ROTATION_LOSS_M_RAD = 0.03  # weight of rotation errors compared with position errors
+DEVIATION_LOSS_WEIGHT = 0.02  # weight of the likelihood from which the standard deviations are learned
+SHORT_GAP_WEIGHT_S = 0.1  # gaps have a weight that is inverse to their duration plus this
+MIN_MOTION_FEATURE_SD = 0.05  # least standard deviation of a feature
+MIN_ERROR_M = 0.005  # position errors below this count by their square
 
 
 class MixingBlock(nn.Module):
@@ -184,8 +179,7 @@ def average_moments(errors: Float[np.ndarray, " R"]) -> Float[np.ndarray, " B"]:
     return errors.reshape(-1, INNER_COUNT).mean(axis=1)
 
 
-SCORED_DURATIONS_S = (0.2, 0.4, 0.75, 1.25, 2.1)
-"""Limits of the durations that the card distinguishes."""
+SCORED_DURATIONS_S = (0.2, 0.4, 0.75, 1.25, 2.1)  # limits of the durations that the card distinguishes
 MOTION_TRAINING = """\
 It is given a second of motion before and after a gap, with what is seen in the gap, and predicts the difference of what is lost
 from its interpolation, with standard deviations. Trained by `mocapfix train motion` on"""
@@ -216,17 +210,12 @@ def format_gap_scores(scores: GapScores) -> str:
     return f"Mean error of the 31 joints in mm during gaps of held-out people, and the ratio of both.\n\n{table}"
 
 
-CHECKPOINT_STEPS = 250
-"""Steps between two checkpoints."""
-RISE_STEPS = 100
-"""Steps in which the learning rate rises."""
-DECAY_SHARE = 0.3
-"""Share of the steps, the last ones, in which the learning rate falls to zero."""
+CHECKPOINT_STEPS = 250  # steps between two checkpoints
+RISE_STEPS = 100  # steps in which the learning rate rises
+DECAY_SHARE = 0.3  # share of the steps, the last ones, in which the learning rate falls to zero
 GRADIENT_NORM_LIMIT = 1.0
-NORMALISATION_WINDOWS = 512
-"""Windows that show the mean and standard deviation of the features."""
-AVERAGED_STEPS = 100
-"""Steps over which the reported loss is averaged."""
+NORMALISATION_WINDOWS = 512  # windows that show the mean and standard deviation of the features
+AVERAGED_STEPS = 100  # steps over which the reported loss is averaged
 
 
 SCORE_BATCHES, SCORE_WINDOWS = 12, 128

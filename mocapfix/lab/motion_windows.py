@@ -27,20 +27,14 @@ from mocapfix.solve.motion_prior import (
     compute_token_times,
 )
 
-MIN_STRETCH_FRAMES = 30
-"""Shorter stretches between jumps of the solved motion are not used."""
-MAX_RATE_DEVIATION = 0.02
-"""Motion whose rate differs by a smaller share from that of the motion prior is not resampled."""
-MIN_GAP_FRAMES, MAX_GAP_FRAMES = 5, 62
-"""Durations of occlusions."""
-MIN_KNOWN_FRAMES = 4
-"""Known frames on either side of an occlusion."""
-BODY_GAP_SHARE = 0.4
-"""Share of windows in which the whole body is missing."""
+MIN_STRETCH_FRAMES = 30  # shorter stretches between jumps of the solved motion are not used
+MAX_RATE_DEVIATION = 0.02  # motion whose rate differs by a smaller share from that of the motion prior is not resampled
+MIN_GAP_FRAMES, MAX_GAP_FRAMES = 5, 62  # durations of occlusions
+MIN_KNOWN_FRAMES = 4  # known frames on either side of an occlusion
+BODY_GAP_SHARE = 0.4  # share of windows in which the whole body is missing
 SEVERAL_LIMBS_SHARE = 0.15
 PARTIAL_LIMB_SHARE = 0.15
-SECOND_GAP_SHARE = 0.2
-"""Share of windows with another occlusion of a limb at another time."""
+SECOND_GAP_SHARE = 0.2  # share of windows with another occlusion of a limb at another time
 OCCLUDED_LIMBS = (
     ("LeftArm", "LeftForeArm", "LeftHand"),
     ("RightArm", "RightForeArm", "RightHand"),

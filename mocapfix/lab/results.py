@@ -9,8 +9,7 @@ from rich.table import Table
 
 from mocapfix.cli.console import EXIT_DONE, print_json, stdout_console
 
-UNIT_PATTERN = re.compile(r"_(mm|deg|fps|mb|ms|us|s)(?=_|$)")
-"""a unit in the key of a result"""
+UNIT_PATTERN = re.compile(r"_(mm|deg|fps|mb|ms|us|s)(?=_|$)")  # a unit in the key of a result
 
 
 def print_results(results: Any, as_json: bool) -> int:

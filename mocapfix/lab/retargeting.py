@@ -56,8 +56,7 @@ SKATE_RATE_HZ = 30.0
 MAX_STANDING_STEP_M = 0.005
 """Movement of a foot in contact from one of 30 frames a second to the next from which it skates. Papers that have no contacts
 count 25 mm of any foot below 50 mm, which feet that swing low exceed."""
-TOUCHING_DISTANCE_M = 0.115
-"""Distance of a palm from the axis of a thigh below which they penetrate, of a person of average size."""
+TOUCHING_DISTANCE_M = 0.115  # distance of a palm from the axis of a thigh below which they penetrate, of a person of average size
 MAX_MOTIONS = 40
 UNTURNED_JOINTS = ("HipJoint", "FingerBase", "Index1", "Thumb", "ToeBase")
 """Ends of the names of joints whose rotations are not retargeted, or whose rotation no marker shows."""

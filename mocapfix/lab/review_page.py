@@ -27,8 +27,7 @@ RATE_HZ = 60.0
 PAGE_TAKE_S, MEMORY_TAKE_S = 60.0, 600.0
 LOAD_COUNT, EDIT_COUNT = 5, 21
 PLAY_S = 4.0
-NEIGHBOUR_DISTANCE_M = 0.03
-"""of the markers beyond those of the composed body from markers on it"""
+NEIGHBOUR_DISTANCE_M = 0.03  # of the markers beyond those of the composed body from markers on it
 CHROMIUM_ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
 ADDRESS_PATTERN = re.compile(r"http://\S+")

@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.lab.common_task import build_known_motion, find_bench_file
+from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab.recordings import read_recordings, read_shard_recordings
 from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 from mocapfix.model.motion import Motion
@@ -181,3 +181,18 @@ def sample_subject_poses(
     poses = poses[np.linspace(0, len(poses) - 1, min(max_poses, len(poses))).astype(int)]
     poses[:, 0] = remove_heading(poses[:, 0])
     return np.ascontiguousarray(poses)
+
+
+def find_bench_file(name: str) -> Path:
+    """Return the path of a file in scenes/bench. Raises SceneError in an installed package, which holds no such files."""
+    folder = find_shipped_folder("scenes") / "bench"
+    if not folder.is_dir():
+        raise SceneError(f"{name}: the data of the benchmarks is not installed; run this in a checkout of the repository.")
+    return folder / name
+
+
+def build_known_motion(root_position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Motion:
+    """Return known poses as a motion: positions in metres, local rotations, and standard deviations of zero."""
+    zeros, joint_sd = np.zeros(len(root_position), int), np.zeros(rotations.shape[:2])
+    root_position, rotations = np.ascontiguousarray(root_position), np.ascontiguousarray(rotations)
+    return Motion(root_position, rotations, zeros, zeros, joint_sd[:, :0], joint_sd)

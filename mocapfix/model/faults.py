@@ -14,8 +14,7 @@ FaultKind = Literal[
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide",
 ]  # fmt: skip
-Decision = Literal["accept", "reject", "keep"]
-"""what a reviewer decides about a change (see `mocapfix.model.changes.Change`)"""
+Decision = Literal["accept", "reject", "keep"]  # what a reviewer decides about a change (see `mocapfix.model.changes.Change`)
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
 
 # Missing samples.

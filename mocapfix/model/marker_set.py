@@ -11,35 +11,25 @@ from mocapfix.errors import format_name_list
 from mocapfix.model.skeleton import BODY_SECTIONS, MIN_WHOLE_BODY_LIMBS, load_cmu31_body
 from mocapfix.model.take import SUBJECT_SEPARATORS
 
-LABEL_SEPARATORS = re.compile(r"[\s._-]+")
-"""the characters between the words of a label"""
-MIN_REQUIRED_MARKER_FRACTION = 0.6
-"""the fraction of the required markers of a set that a take must have to show a whole body"""
-MIN_MARKERS_PER_LIMB = 2
-"""the number of markers on a limb with which its pose can be estimated"""
-MIN_SECTION_MARKERS = 3
-"""the number of markers on a section of the body with which it belongs to a part of a body"""
+LABEL_SEPARATORS = re.compile(r"[\s._-]+")  # the characters between the words of a label
+MIN_REQUIRED_MARKER_FRACTION = 0.6  # the fraction of the required markers of a set that a take must have to show a whole body
+MIN_MARKERS_PER_LIMB = 2  # the number of markers on a limb with which its pose can be estimated
+MIN_SECTION_MARKERS = 3  # the number of markers on a section of the body with which it belongs to a part of a body
 MIN_SECTION_MARKER_FRACTION = 0.6
 """the fraction of the required markers on a section that a take must have, so that a few equal labels are no match"""
-MIN_SINGLE_LIMB_MARKERS = 5
-"""the number of markers on a limb with which it is a part of a body without pelvis or trunk"""
-MIN_SINGLE_SEGMENT_MARKERS = 2
-"""the number of them on its upper and on its lower segment"""
-SHOULDER_JOINTS = frozenset(("LeftArm", "RightArm"))
-"""joints whose centres move with the thorax: both of them locate it"""
+MIN_SINGLE_LIMB_MARKERS = 5  # the number of markers on a limb with which it is a part of a body without pelvis or trunk
+MIN_SINGLE_SEGMENT_MARKERS = 2  # the number of them on its upper and on its lower segment
+SHOULDER_JOINTS = frozenset(("LeftArm", "RightArm"))  # joints whose centres move with the thorax: both of them locate it
 ARMS, LEGS = ("left arm", "right arm"), ("left leg", "right leg")
-MAX_LISTED_MISSING = 4
-"""missing markers that a sentence lists after the limbs that cannot be located"""
-MAX_LISTED_PARTS = 3
-"""parts of the body that a sentence lists"""
+MAX_LISTED_MISSING = 4  # missing markers that a sentence lists after the limbs that cannot be located
+MAX_LISTED_PARTS = 3  # parts of the body that a sentence lists
 LIMB_JOINT_NAMES = {
     "left arm": ("LeftArm", "LeftForeArm", "LeftHand"),
     "right arm": ("RightArm", "RightForeArm", "RightHand"),
     "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
     "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
 }
-MAX_MISSING_LIMBS = len(LIMB_JOINT_NAMES) - MIN_WHOLE_BODY_LIMBS
-"""the number of limbs that may have fewer markers"""
+MAX_MISSING_LIMBS = len(LIMB_JOINT_NAMES) - MIN_WHOLE_BODY_LIMBS  # the number of limbs that may have fewer markers
 
 
 @dataclass(frozen=True)

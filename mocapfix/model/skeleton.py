@@ -27,8 +27,7 @@ BODY_SECTIONS: dict[str, tuple[str, ...]] = {
     "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
 }
 """the joints of each section of the body"""
-MIN_WHOLE_BODY_LIMBS = 3
-"""the number of limbs with markers, besides pelvis and trunk, of a whole body"""
+MIN_WHOLE_BODY_LIMBS = 3  # the number of limbs with markers, besides pelvis and trunk, of a whole body
 
 
 @dataclass(frozen=True)

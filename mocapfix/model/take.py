@@ -23,8 +23,7 @@ MAX_C3D_WORD = 65_535  # largest value of a 16-bit word
 MAX_RESIDUAL_COUNTS = 255  # largest residual: a residual word has cameras in its high byte and the residual in its low byte
 
 
-SAMPLE_NOISE_M = 0.0005
-"""Noise of a measured sample per axis, caused by the cameras."""
+SAMPLE_NOISE_M = 0.0005  # noise of a measured sample per axis, caused by the cameras
 
 
 @dataclass(frozen=True)

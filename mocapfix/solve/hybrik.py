@@ -41,12 +41,9 @@ from mocapfix.solve.parallel import run_over_frames
 
 SUBTREE_ROOTS = ("Head", "LeftHand", "RightHand")
 """The roots of the sub-trees, which are also the end joints of the body (HybrIK-X, 3.2.3)."""
-MIN_JOINT_DISTANCE_M = 1e-4
-"""Distance below which two joints count as coincident, with no bone between them."""
-STIFF_JOINT_SD_RAD = 0.1
-"""Standard deviation of the rotation of a joint that hardly turns, such as a clavicle."""
-BONE_MARKER_SD_M = 0.01
-"""Standard deviation per axis of a marker about its offset."""
+MIN_JOINT_DISTANCE_M = 1e-4  # distance below which two joints count as coincident, with no bone between them
+STIFF_JOINT_SD_RAD = 0.1  # standard deviation of the rotation of a joint that hardly turns, such as a clavicle
+BONE_MARKER_SD_M = 0.01  # standard deviation per axis of a marker about its offset
 WEAK_TRUNK_SD_M = 10.0
 """Standard deviation of trunk joints in the registration of the root: negligible weight unless no point at the hips is known."""
 
@@ -329,16 +326,12 @@ def check_twist_regressor(network: TwistRegressor) -> TwistRegressor:
 HybrikVariant = Literal["naive", "adaptive", "x"]
 
 VARIANT_CODES: dict[str, int] = {"naive": HYBRIK_NAIVE, "adaptive": HYBRIK_ADAPTIVE, "x": HYBRIK_X}
-DEFAULT_JOINT_SD_M = 0.01
-"""Standard deviation per axis of a joint position for which none is given."""
-MIN_JOINT_SD_M = 1e-6
-"""Smallest accepted standard deviation of a joint position."""
+DEFAULT_JOINT_SD_M = 0.01  # standard deviation per axis of a joint position for which none is given
+MIN_JOINT_SD_M = 1e-6  # smallest accepted standard deviation of a joint position
 MAX_REACH_ERROR_M = 0.02
 """Distance between a hand or the head and the nearest position its bones can reach above which the frame's status says so."""
-NO_TWIST_INFORMATION = 1e-6
-"""Information, in 1/rad^2, of a zero twist for bones whose twist is unknown."""
-MIN_ROOT_POINTS = 3
-"""Points of a frame that determine the root rotation."""
+NO_TWIST_INFORMATION = 1e-6  # information, in 1/rad^2, of a zero twist for bones whose twist is unknown
+MIN_ROOT_POINTS = 3  # points of a frame that determine the root rotation
 
 
 class RootRegistration(NamedTuple):

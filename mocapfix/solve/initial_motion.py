@@ -32,10 +32,8 @@ from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.solve.segment_registration import register_poses
 
-MIN_MARKER_SPREAD_M = 1e-7
-"""Smallest marker spread, which bounds the weight of a marker."""
-MAX_JOINT_SD_M = 0.5
-"""Standard deviation of a joint position above which it counts as unknown."""
+MIN_MARKER_SPREAD_M = 1e-7  # smallest marker spread, which bounds the weight of a marker
+MAX_JOINT_SD_M = 0.5  # standard deviation of a joint position above which it counts as unknown
 
 
 class JointEstimate(NamedTuple):
@@ -318,8 +316,7 @@ def insert_poses(motion: Motion, frames: Int[np.ndarray, " N"], poses: Motion) -
 
 
 LEARNED_START_PASSES = 2  # a third changes hardly anything
-MIN_SEGMENT_TRUST = 0.25
-"""Robust weight from which a marker shows the rotation of its segment."""
+MIN_SEGMENT_TRUST = 0.25  # robust weight from which a marker shows the rotation of its segment
 
 
 def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subject, rate_hz: float) -> Motion:

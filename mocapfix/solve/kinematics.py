@@ -11,11 +11,9 @@ from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_over_frames
 
-Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]
-"""root positions in metres and local rotations"""
+Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
 
-DISTANCE_BLOCK_FRAMES = 4096
-"""Frames whose marker positions are held at a time where only their distances are needed."""
+DISTANCE_BLOCK_FRAMES = 4096  # frames whose marker positions are held at a time where only their distances are needed
 
 
 def build_kinematic_tree(skeleton: Skeleton) -> KinematicTree:

@@ -197,10 +197,8 @@ def _run(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
 
 TRUNK_ACCELERATION_DENSITY = 0.6
 """m^2/s^3 by which the variance of a velocity grows per second: pelvis, trunk and head of recorded people"""
-LIMB_ACCELERATION_DENSITY = 2.0
-"""the same of knees, elbows and shoulders"""
-TIP_ACCELERATION_DENSITY = 5.0
-"""the same of hands and feet"""
+LIMB_ACCELERATION_DENSITY = 2.0  # the same of knees, elbows and shoulders
+TIP_ACCELERATION_DENSITY = 5.0  # the same of hands and feet
 TIP_NAME_PARTS = ("Foot", "Toe", "Hand", "Finger", "Thumb")
 LIMB_NAME_PARTS = ("LeftLeg", "RightLeg", "Arm")
 MAX_SMOOTHED_SD_M = 0.08  # a joint that is less certain is missing

@@ -22,14 +22,10 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
 
-MIN_CONSISTENT_MARKERS = 3
-"""the number of seen, mutually consistent markers that show where a part of the body is"""
-MIN_LOST_DISTANCE_M = 0.06
-"""compared with the mean distance of a part's consistent markers from the body"""
-MIN_DISTANCE_TOLERANCE_M = 0.025
-"""by which the distance of two markers on one segment may differ from its median over the take"""
-DISTANCE_TOLERANCE_SD = 4.0
-"""the same in robust standard deviations of that distance, for pairs whose skin moves more"""
+MIN_CONSISTENT_MARKERS = 3  # the number of seen, mutually consistent markers that show where a part of the body is
+MIN_LOST_DISTANCE_M = 0.06  # compared with the mean distance of a part's consistent markers from the body
+MIN_DISTANCE_TOLERANCE_M = 0.025  # by which the distance of two markers on one segment may differ from its median over the take
+DISTANCE_TOLERANCE_SD = 4.0  # the same in robust standard deviations of that distance, for pairs whose skin moves more
 CHAIN_TOLERANCE_M = 0.04
 """by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error
 of the bones, and the motion of the skin"""

@@ -21,14 +21,11 @@ MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
 AIMED_GROWTH_SHARE = 0.9
 """Share of that growth to which a term is reduced, so that other windows of about the same length keep the limit too."""
-RESIDUAL_WINDOW_S = 0.1
-"""Time over which distances are averaged: noise cancels, and a strike does not."""
+RESIDUAL_WINDOW_S = 0.1  # time over which distances are averaged: noise cancels, and a strike does not
 SHARE_SMOOTHING_S = 0.08
 """Standard deviation of the kernel that smooths a share: a displacement of 60 mm then changes by at most 2.3 m/s^2."""
-MAX_REDUCTIONS = 5
-"""Times that a share is reduced; it is usually small enough after one or two."""
-SHARE_REACH_SD = 3.0
-"""Half the length of that kernel, in standard deviations."""
+MAX_REDUCTIONS = 5  # times that a share is reduced; it is usually small enough after one or two
+SHARE_REACH_SD = 3.0  # half the length of that kernel, in standard deviations
 
 
 def measure_residual_growth(

@@ -32,8 +32,7 @@ from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import SolveOrder, order_independently, run_over_frames
 from mocapfix.solve.terms import ShapeDeformations
 
-NEGLIGIBLE_COST_DECREASE = MIN_COST_DECREASE
-"""Decrease of the cost that does not count."""
+NEGLIGIBLE_COST_DECREASE = MIN_COST_DECREASE  # decrease of the cost that does not count
 
 KernelTerms: TypeAlias = tuple[Any, ...]
 """Terms of the kernels; a tuple, since the kernels are compiled for the classes in it, in this order."""
@@ -193,14 +192,10 @@ def compute_uncertainty(
     return uncertainty
 
 
-INITIAL_DAMPING = 1e-3
-"""Marquardt damping of the shared unknowns at the start."""
-MIN_DAMPING = 1e-6
-"""Smallest damping after accepted steps."""
-MAX_DAMPING = 1e3
-"""Damping above which the search ends without an accepted step."""
-MIN_RELATIVE_DECREASE = 1e-3
-"""Relative decrease of the cost below which the search ends."""
+INITIAL_DAMPING = 1e-3  # marquardt damping of the shared unknowns at the start
+MIN_DAMPING = 1e-6  # smallest damping after accepted steps
+MAX_DAMPING = 1e3  # damping above which the search ends without an accepted step
+MIN_RELATIVE_DECREASE = 1e-3  # relative decrease of the cost below which the search ends
 MIN_CURVATURE_CHANGE_DECREASE = 0.02
 """Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
 

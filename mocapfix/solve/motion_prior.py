@@ -30,16 +30,13 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.skeleton import load_cmu31_body
 
-MOTION_RATE_HZ = 30.0
-"""Rate of the training data."""
+MOTION_RATE_HZ = 30.0  # rate of the training data
 CONTEXT_DISTANCES_S = np.array([0, 1, 2, 4, 7, 12, 19, 29]) / MOTION_RATE_HZ
 """Times from the last known frame before a gap, or the first one after it, to the moments in which the motion is given."""
-INNER_COUNT = 16
-"""Evenly spaced moments inside a gap."""
+INNER_COUNT = 16  # evenly spaced moments inside a gap
 TOKEN_COUNT = INNER_COUNT + 2 * len(CONTEXT_DISTANCES_S)
 INNER_TOKENS = slice(len(CONTEXT_DISTANCES_S), len(CONTEXT_DISTANCES_S) + INNER_COUNT)
-EDGE_SOFTENING_S = 0.1
-"""Harmonic distance from the edges of a gap at which an output has half of its scale."""
+EDGE_SOFTENING_S = 0.1  # harmonic distance from the edges of a gap at which an output has half of its scale
 FIXED_JOINT_NAMES = ("LeftShoulder", "RightShoulder")
 FEATURE_POINT_NAMES = ("Head", "ForeArm", "Hand", "FingerBase", "Leg", "Foot", "ToeBase")
 """Joints whose positions the network is given, on both sides."""
@@ -195,8 +192,7 @@ def interpolate_missing_values(
     return InterpolatedWindows(filled, filled_position, edge_s)
 
 
-INVERSE_SIGNS = np.array([-1, -1, -1, 1], np.float32)
-"""Factors that turn a unit quaternion into that of the inverse rotation."""
+INVERSE_SIGNS = np.array([-1, -1, -1, 1], np.float32)  # factors that turn a unit quaternion into that of the inverse rotation
 
 
 def compute_output_scale(edge_s: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
@@ -264,12 +260,9 @@ def compute_window_features(
     return np.concatenate([part.astype(np.float32) for part in parts], axis=-1)
 
 
-MIN_LOG_SD, MAX_LOG_SD = -7.0, 2.0
-"""Limits of the logarithms of standard deviations, relative to the initial one."""
-INITIAL_LOG_SD = -1.5
-"""Logarithm of the standard deviations in radians and metres, of an output of zero."""
-NORMALISATION_EPSILON = 1e-5
-"""Added to the variance of a moment's channels."""
+MIN_LOG_SD, MAX_LOG_SD = -7.0, 2.0  # limits of the logarithms of standard deviations, relative to the initial one
+INITIAL_LOG_SD = -1.5  # logarithm of the standard deviations in radians and metres, of an output of zero
+NORMALISATION_EPSILON = 1e-5  # added to the variance of a moment's channels
 MIN_PREDICTED_GAP_S, MAX_PREDICTED_GAP_S = 0.15, 2.3
 """Durations from the last known frame to the next; other gaps were not trained on."""
 
@@ -440,10 +433,8 @@ def write_motion_prior(path: Path, model: MotionPrior) -> None:
 
 MOTION_VARIANCE_FACTOR = 2.0
 """Factor of the predicted variance in the weight: new people and captures differ from the training data."""
-PREDICTION_CORRELATION = 0.4
-"""Correlation of the errors of the prediction with those of other estimates."""
-CROPPED_CONTEXT_S = 1.1
-"""Time on either side of a gap that a prediction is given; more than the network uses."""
+PREDICTION_CORRELATION = 0.4  # correlation of the errors of the prediction with those of other estimates
+CROPPED_CONTEXT_S = 1.1  # time on either side of a gap that a prediction is given; more than the network uses
 
 
 class GapPrediction(NamedTuple):

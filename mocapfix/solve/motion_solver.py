@@ -57,14 +57,10 @@ from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
 
-MIN_ESTIMATED_MARKER_SD_M = 0.001
-"""Smallest estimate of the marker error per axis."""
-MAX_ABSORBED_SHARE = 0.9
-"""Share of its squared error that the pose absorbs above which a marker does not enter the estimate."""
-UNCERTAINTY_BLOCK_FRAMES = 4096
-"""Frames whose problem is held at a time."""
-MIN_TRACKING_SD_RAD = 0.01
-"""Smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result."""
+MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
+MAX_ABSORBED_SHARE = 0.9  # share of its squared error that the pose absorbs above which a marker does not enter the estimate
+UNCERTAINTY_BLOCK_FRAMES = 4096  # frames whose problem is held at a time
+MIN_TRACKING_SD_RAD = 0.01  # smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result
 GAP_VARIANCE_INFLATION = 3.0
 """Variance with which the solve tracks a joint's trajectory across a gap, over the mean squared error of the result, measured on
 CMU's training subjects: the solve must not trust a trajectory too much."""
@@ -226,14 +222,11 @@ def _solve_inferred_joints(
     return unmarked.minimise((root_position, start), problem.options.robust_scales_m[-1:], tracking).local_rotations
 
 
-MAX_MEAN_MARKER_DISTANCE_M = 0.03
-"""Mean distance of a frame's markers from the body above which the frame's status is POOR_FIT."""
+MAX_MEAN_MARKER_DISTANCE_M = 0.03  # mean distance of a frame's markers from the body above which the frame's status is POOR_FIT
 PLACED_JOINT_SD_M = 0.015
 """Standard deviation per axis of joints and markers of poses that were not solved: measured on composed takes."""
-UNSEEN_JOINT_SD_M = 0.05
-"""The same on segments that no visible marker shows."""
-MIN_FRAME_MARKERS = 3
-"""Visible markers below which the status of a frame is GUESSED."""
+UNSEEN_JOINT_SD_M = 0.05  # the same on segments that no visible marker shows
+MIN_FRAME_MARKERS = 3  # visible markers below which the status of a frame is GUESSED
 
 
 def solve_motion(

@@ -30,20 +30,13 @@ from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
 from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
 
-VELOCITY_HALF_SPAN_S = 0.067
-"""Time before and after a frame over which velocities are measured."""
-ROTATION_UNIT_RAD = 1.0
-"""Difference of joint rotations that counts as one."""
-ANGULAR_VELOCITY_UNIT_RAD_S = 50.0
-"""Difference of joint angular velocities that counts as one."""
-ROOT_UP_UNIT = 0.5
-"""Difference of the up direction in root axes that counts as one."""
-ROOT_HEIGHT_UNIT_M = 0.5
-"""Difference of root heights that counts as one."""
-ROOT_SPEED_UNIT_M_S = 5.0
-"""Difference of root velocities that counts as one."""
-ROOT_SPIN_UNIT_RAD_S = 20.0
-"""Difference of root angular velocities that counts as one."""
+VELOCITY_HALF_SPAN_S = 0.067  # time before and after a frame over which velocities are measured
+ROTATION_UNIT_RAD = 1.0  # difference of joint rotations that counts as one
+ANGULAR_VELOCITY_UNIT_RAD_S = 50.0  # difference of joint angular velocities that counts as one
+ROOT_UP_UNIT = 0.5  # difference of the up direction in root axes that counts as one
+ROOT_HEIGHT_UNIT_M = 0.5  # difference of root heights that counts as one
+ROOT_SPEED_UNIT_M_S = 5.0  # difference of root velocities that counts as one
+ROOT_SPIN_UNIT_RAD_S = 20.0  # difference of root angular velocities that counts as one
 ESTIMATED_ROTATION_KERNEL = StateCovariance(
     time_scale_s=0.3, similarity_rate=0.6, time_power=0.06, recurrence_power=1.6, linear_power=0.8, noise_power=1.5e-4
 )
@@ -93,20 +86,14 @@ def compute_joint_state_features(
 
 MAX_UNOBSERVED_SHARE = 0.5
 """Share of the joints that may be unobserved; with more, too little of the body is left to infer the rest from."""
-MIN_TRAINING_FRAMES = 3
-"""Frames with known rotations that a gap requires."""
-DEFAULT_ROTATION_POWER_RAD2 = 0.02
-"""Signal power of a joint rotation for which there are no data."""
-DEFAULT_POWER_FRAMES = 10
-"""Number of frames that this default power is worth in the estimate of the power."""
-VARIANCE_INFLATION = 1.5
-"""Actual squared error of the prediction over the variance that the process predicts."""
-MIN_QUERY_SD_RAD = 0.1
-"""Standard deviation of the prediction above which the pose model is used; below, no model improves it."""
+MIN_TRAINING_FRAMES = 3  # frames with known rotations that a gap requires
+DEFAULT_ROTATION_POWER_RAD2 = 0.02  # signal power of a joint rotation for which there are no data
+DEFAULT_POWER_FRAMES = 10  # number of frames that this default power is worth in the estimate of the power
+VARIANCE_INFLATION = 1.5  # actual squared error of the prediction over the variance that the process predicts
+MIN_QUERY_SD_RAD = 0.1  # standard deviation of the prediction above which the pose model is used; below, no model improves it
 QUERY_STEP_S = 1 / 30
 """Largest time between the frames of a gap in which the pose model is used; its innovation is interpolated between them."""
-PRIOR_INNOVATION_SD_RAD = 0.3
-"""Standard deviation per axis of people's limbs about the innovation of the pose model."""
+PRIOR_INNOVATION_SD_RAD = 0.3  # standard deviation per axis of people's limbs about the innovation of the pose model
 
 
 def infer_occluded_joints(

@@ -39,12 +39,9 @@ from mocapfix.solve.terms import (
 )
 from mocapfix.stats.sequences import find_runs
 
-GAP_BORDER_S = 0.05
-"""Time before and after its gaps for which a marker is ignored."""
-POSE_PERSISTENCE_S = 1.0
-"""Time in which the prior applies once, instead of once a frame."""
-MIN_GAP_DURATION_S = 0.025
-"""Gaps up to this duration are flicker and have no borders."""
+GAP_BORDER_S = 0.05  # time before and after its gaps for which a marker is ignored
+POSE_PERSISTENCE_S = 1.0  # time in which the prior applies once, instead of once a frame
+MIN_GAP_DURATION_S = 0.025  # gaps up to this duration are flicker and have no borders
 
 
 def find_gap_borders(
@@ -259,10 +256,8 @@ def build_pose_problem(
 
 SMOOTHING_REACH_S = 0.5
 """Time over which a frame affects the solution of others: twice the windows in which accelerations are measured."""
-MAX_WINDOW_SHARE = 0.6
-"""Share of the take in windows above which the whole take is solved."""
-MAX_WINDOW_FRAMES = 8192
-"""Frames of a window; the arrays of one hold 50 kB per frame."""
+MAX_WINDOW_SHARE = 0.6  # share of the take in windows above which the whole take is solved
+MAX_WINDOW_FRAMES = 8192  # frames of a window; the arrays of one hold 50 kB per frame
 
 
 class FrameChanges(NamedTuple):

@@ -17,12 +17,9 @@ from scipy.spatial.transform import Rotation
 from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
 
-OBSERVED_JOINT_SD_RAD = 0.05
-"""Standard deviation of the rotation of a joint with markers."""
-CODE_ITERATIONS = 4
-"""Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
-MAX_CONDITIONING_FRAMES = 64
-"""Frames per batch; the derivatives of one frame take about 20 kB."""
+OBSERVED_JOINT_SD_RAD = 0.05  # standard deviation of the rotation of a joint with markers
+CODE_ITERATIONS = 4  # gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses
+MAX_CONDITIONING_FRAMES = 64  # frames per batch; the derivatives of one frame take about 20 kB
 
 
 class ObservedErrors(NamedTuple):

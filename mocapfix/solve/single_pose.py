@@ -33,8 +33,7 @@ from mocapfix.solve.terms import (
 
 ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
 
-JOINT_ORIGIN = (0.0, 0.0, 0.0)
-"""The offset of the joint itself, in metres."""
+JOINT_ORIGIN = (0.0, 0.0, 0.0)  # the offset of the joint itself, in metres
 
 
 @dataclass(frozen=True)
@@ -117,8 +116,7 @@ Constraint: TypeAlias = PositionConstraint | DirectionConstraint | OrientationCo
 
 CONSTRAINT_TYPES = (PositionConstraint, DirectionConstraint, OrientationConstraint, DistanceConstraint, PixelConstraint)
 """The types of constraints, in the order of their terms."""
-ROTATION_TOLERANCE = 1e-3
-"""Error of the entries of a rotation matrix that is accepted, since people write a few digits."""
+ROTATION_TOLERANCE = 1e-3  # error of the entries of a rotation matrix that is accepted, since people write a few digits
 
 ConstraintTerms = tuple[PointTerm, DirectionTerm, OrientationTerm, DistanceTerm, ReprojectionTerm]
 JointConstraint = TypeVar("JointConstraint", PositionConstraint, DirectionConstraint, OrientationConstraint, PixelConstraint)
@@ -296,8 +294,7 @@ def build_constraint_error(constraint: Constraint, problem: str) -> ConstraintEr
     return ConstraintError(f"{type(constraint).__name__} of {names}: {problem}.")
 
 
-MAX_SINGLE_POSE_ITERATIONS = 100
-"""Iterations of the solve; a single pose may take more time than a frame."""
+MAX_SINGLE_POSE_ITERATIONS = 100  # iterations of the solve; a single pose may take more time than a frame
 START_HEADINGS_RAD = np.deg2rad([0, 90, 180, 270])
 """Headings of the starts; from the opposite heading a body would have to turn through itself."""
 REST_POSE_SD_RAD = 3.0

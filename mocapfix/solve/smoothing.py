@@ -21,16 +21,11 @@ from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
 
-ROTATION_JITTER_SD_RAD = 0.01
-"""Noise of a joint's rotation from frame to frame, in addition to its motion: skin and cameras."""
-ROOT_JITTER_SD_M = 0.001
-"""The same of the root's position, per axis."""
-ROTATION_TRACKING_SD_RAD = 0.1
-"""Standard deviation of a joint's rotation about its smooth trajectory."""
-ROOT_TRACKING_SD_M = 0.03
-"""The same of the root's position, per axis."""
-ACCELERATION_STEP_S = 0.06
-"""Step of the second differences that measure the acceleration."""
+ROTATION_JITTER_SD_RAD = 0.01  # noise of a joint's rotation from frame to frame, in addition to its motion: skin and cameras
+ROOT_JITTER_SD_M = 0.001  # the same of the root's position, per axis
+ROTATION_TRACKING_SD_RAD = 0.1  # standard deviation of a joint's rotation about its smooth trajectory
+ROOT_TRACKING_SD_M = 0.03  # the same of the root's position, per axis
+ACCELERATION_STEP_S = 0.06  # step of the second differences that measure the acceleration
 SMOOTHING_POWER_WINDOW_S = 0.25
 """Window over which the acceleration power is averaged; short, since a landing has far more power than the flight before."""
 MAX_POWER_SAMPLE_SD = 0.1
@@ -38,20 +33,13 @@ MAX_POWER_SAMPLE_SD = 0.1
 MAX_OBSERVED_SAMPLE_SD_RAD = 0.3
 """The same for joints whose markers are visible. Shoulder and elbow share an arm's twist, so that neither is known alone, yet
 both turn as the markers show. Without these frames the power of a strike would be that of the quieter moments around it."""
-MIN_WINDOW_SHARE = 0.1
-"""Share of usable frames that a window needs to give an estimate of the power."""
-PEAK_POWER_RATIO = 2.0
-"""Assumed power over the window's mean: the fastest motion in a window must not be smoothed away."""
-GAP_POWER_RATIO = 20.0
-"""The same across a gap, where a trajectory with too small a variance would mislead the solve."""
-MIN_POWER_SHARE = 0.02
-"""Smallest power, as a share of the take's mean: a joint at rest may still start to move."""
-FRAME_JITTER_SD_RAD = 0.02
-"""Part of a joint's standard deviation that is independent from frame to frame."""
-MAX_ROOT_SD_M = 0.1
-"""Standard deviation of the root position above which a frame does not determine it."""
-MIN_ACCELERATION_POWER = 1e-3
-"""Smallest acceleration power, in rad^2/s^3 or m^2/s^3."""
+MIN_WINDOW_SHARE = 0.1  # share of usable frames that a window needs to give an estimate of the power
+PEAK_POWER_RATIO = 2.0  # assumed power over the window's mean: the fastest motion in a window must not be smoothed away
+GAP_POWER_RATIO = 20.0  # the same across a gap, where a trajectory with too small a variance would mislead the solve
+MIN_POWER_SHARE = 0.02  # smallest power, as a share of the take's mean: a joint at rest may still start to move
+FRAME_JITTER_SD_RAD = 0.02  # part of a joint's standard deviation that is independent from frame to frame
+MAX_ROOT_SD_M = 0.1  # standard deviation of the root position above which a frame does not determine it
+MIN_ACCELERATION_POWER = 1e-3  # smallest acceleration power, in rad^2/s^3 or m^2/s^3
 MAX_POWER_CORRECTIONS = 3
 """Times that the power is raised where smoothing removes more than jitter; it is low enough after one or two."""
 USUAL_DEVIATION_RATIO = 4.0

@@ -42,10 +42,8 @@ from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
-MIN_ROOT_CURVATURE = 1.0
-"""Curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers."""
-SMALL_ANGLE_RAD = 1e-4
-"""Angle below which the derivative of the exponential is given by its series."""
+MIN_ROOT_CURVATURE = 1.0  # curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers
+SMALL_ANGLE_RAD = 1e-4  # angle below which the derivative of the exponential is given by its series
 
 
 class WorldPoses(NamedTuple):
@@ -131,16 +129,12 @@ def exponentiate_vectors(vectors: Float[np.ndarray, "N F 3"]) -> Float[np.ndarra
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
 
 
-MAX_SAMPLE_INTERVAL_S = 0.1
-"""Largest time between the frames in which the model is evaluated."""
-GAUSS_NEWTON_STEPS = 2
-"""Steps towards the most probable pose; the model is linearised in each, the markers in the first only."""
-BATCH_FRAMES = 32
-"""Sampled frames per batch; the derivatives of one frame take about 80 kB."""
+MAX_SAMPLE_INTERVAL_S = 0.1  # largest time between the frames in which the model is evaluated
+GAUSS_NEWTON_STEPS = 2  # steps towards the most probable pose; the model is linearised in each, the markers in the first only
+BATCH_FRAMES = 32  # sampled frames per batch; the derivatives of one frame take about 80 kB
 MAX_DEVIATION_SD = 1.0
 """Deviation of a joint from what the model expects of it, in standard deviations, beyond which its force no longer grows."""
-MAX_CHANGE_RAD = 2.0
-"""Largest change, about an axis, of a rotation from the frame's own solution."""
+MAX_CHANGE_RAD = 2.0  # largest change, about an axis, of a rotation from the frame's own solution
 
 
 class SampledPrior(NamedTuple):
@@ -331,10 +325,8 @@ MIN_RECOVERED_DISTANCE_M = 0.04
 MAX_COST_INCREASE = 10.0
 """Increase of a frame's marker cost over that of its own solution above which it is solved again. The tracking of smooth
 trajectories increases it by up to 3."""
-MIN_COST_IMPROVEMENT = 1.0
-"""Decrease of the marker cost that another solution needs to replace the present one."""
-RECOVERY_ROBUST_SCALES_M = (0.4, 0.2)
-"""Robust scales before those of the options."""
+MIN_COST_IMPROVEMENT = 1.0  # decrease of the marker cost that another solution needs to replace the present one
+RECOVERY_ROBUST_SCALES_M = (0.4, 0.2)  # robust scales before those of the options
 COMPARED_ROBUST_SCALE_M = 0.2
 """Robust scale of the compared marker costs: wide, so that a limb's markers count when they are far away."""
 

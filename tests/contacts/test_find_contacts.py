@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, OTHER_CONTACT_JOINTS, ContactPositions, Floor
 from mocapfix.contacts.find_contacts import find_contacts, find_foot_contacts, find_frames_near_floor, find_other_contacts
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
 from tests.contacts.walking_feet import find_true_stances, make_feet, tilt, walk
 

@@ -11,7 +11,7 @@ from mocapfix.errors import SceneError
 from mocapfix.lab import baseline
 from mocapfix.lab.baseline import BaselineEntry, compare_with_baseline, read_baseline, write_baseline
 from mocapfix.lab.clean_speed import CLEAN_SCENES
-from mocapfix.lab.common_task import find_bench_file
+from mocapfix.lab.sound_takes import find_bench_file
 
 
 def entry(value: float, tolerance_percent: float = 5.0, is_higher_better: bool = False, tolerance: float = 0.0) -> BaselineEntry:

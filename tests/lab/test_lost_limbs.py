@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
 from mocapfix.lab import lost_limbs
-from mocapfix.lab.common_task import build_known_motion
-from mocapfix.lab.sound_takes import PerformedMotion
+from mocapfix.lab.sound_takes import PerformedMotion, build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 

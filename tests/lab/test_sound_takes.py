@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import settings, sound_takes
-from mocapfix.lab.common_task import build_known_motion
 from mocapfix.lab.sound_takes import (
     SOUND_TAKE_DURATION_S,
     SOUND_TAKE_RATE_HZ,
+    build_known_motion,
     choose_performances,
     iterate_sound_takes,
     perform_take,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.lab import hybrik_tables, sound_takes
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_skeleton
 
 JOINT_NAMES = load_cmu31_skeleton().names

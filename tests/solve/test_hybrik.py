@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ConstraintError
 from mocapfix.lab import sound_takes
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.lab import sound_takes
-from mocapfix.lab.common_task import build_known_motion
+from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import initial_motion, kinematics, mean_pose
