@@ -120,7 +120,7 @@ def find_placed_joints(animation: Animation, alignment: SkeletonAlignment) -> Bo
 class MappedPriorConditioner(PriorConditioner):
     """Trained models of poses and motion, applied to the joints of a file, which are mapped to the model's 31 joints."""
 
-    parents: Int[np.ndarray, " J"]  # (J,) the tree of the file
+    parents: Int[np.ndarray, " J"]  # the tree of the file
     alignment: SkeletonAlignment  # the model's joints in the file
 
     def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:

@@ -68,8 +68,8 @@ class AnimationGap(NamedTuple):
 class TrackMotion(NamedTuple):
     """Motion of N tracks over T frames, NaN where unknown."""
 
-    steps: Float[np.ndarray, "S N"]  # (T - 1, N) distance from each frame to the next, radians or metres
-    rest_distances: Float[np.ndarray, "T N"]  # (T, N) distance from the rest pose, likewise
+    steps: Float[np.ndarray, "S N"]  # distance from each frame to the next, radians or metres
+    rest_distances: Float[np.ndarray, "T N"]  # distance from the rest pose, likewise
 
 
 def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"], rate: float) -> list[AnimationGap]:

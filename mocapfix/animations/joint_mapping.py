@@ -256,8 +256,8 @@ MAX_ALIGNMENT_FRAMES = 200  # frames from which the upright pose and the bone le
 class SkeletonAlignment:
     """How the 31 joints lie in the body of a file."""
 
-    file_joints: Int[np.ndarray, " 31"]  # (31,) index of the file's joint for each, -1 if there is none
-    rotation_file_model: Float[np.ndarray, "31 3 3"]  # (31, 3, 3) A: the axes of each model joint in those of the file's joint
+    file_joints: Int[np.ndarray, " 31"]  # index of the file's joint for each, -1 if there is none
+    rotation_file_model: Float[np.ndarray, "31 3 3"]  # A: the axes of each model joint in those of the file's joint
     # the 31-joint skeleton with the file's bone lengths in metres. Its joints coincide with the file's as far as these are at a
     # constant distance from each other
     skeleton: Skeleton

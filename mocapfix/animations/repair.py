@@ -357,10 +357,10 @@ _REPAIR_DESCRIPTIONS = {
 class AnimationRepair(NamedTuple):
     """A repaired animation with N = J + 1 tracks: the rotations of J joints, and last the root position."""
 
-    root_position: Float[np.ndarray, "T 3"]  # (T, 3) m
+    root_position: Float[np.ndarray, "T 3"]  # m
     local_rotations: Float[np.ndarray, "T J 3 3"]
-    variance: Float[np.ndarray, "T N"]  # (T, N) of repaired values, in rad^2 or m^2 per axis; 0 elsewhere
-    method: Int[np.ndarray, "T N"]  # (T, N) a RepairMethod for each value
+    variance: Float[np.ndarray, "T N"]  # of repaired values, in rad^2 or m^2 per axis; 0 elsewhere
+    method: Int[np.ndarray, "T N"]  # a RepairMethod for each value
 
 
 def repair_animation(

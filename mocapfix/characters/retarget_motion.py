@@ -69,7 +69,7 @@ class SolveTree:
     """N joints of a character, parents before children, the pelvis first."""
 
     tree: KinematicTree  # for the kernels; offsets in metres in the bones' axes
-    bones: Int[np.ndarray, " N"]  # (N,) the bone that has each joint's rotation
+    bones: Int[np.ndarray, " N"]  # the bone that has each joint's rotation
     segments: tuple[str, ...]  # the segment of each joint, of spine and neck with the number of the bone: spine.0
     standard_rotations: Float[np.ndarray, "N 3 3"]  # (N, 3, 3): C of `BodyFrame`
 
@@ -139,7 +139,7 @@ class SegmentTargets(NamedTuple):
 
     # (T, N, 3, 3): of the joints of a `SolveTree`, in the world; also the start of the solve
     rotation: Float[np.ndarray, "T N 3 3"]
-    pelvis: Float[np.ndarray, "T 3"]  # (T, 3) m
+    pelvis: Float[np.ndarray, "T 3"]  # m
     points: dict[str, Float[np.ndarray, "T 3"]]  # segment (feet and hands) to (T, 3) m: where it shall begin
 
     def replace_points(self, points: dict[str, Float[np.ndarray, "T 3"]]) -> "SegmentTargets":

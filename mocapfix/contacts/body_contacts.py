@@ -142,18 +142,12 @@ def compute_held_displacements(
 
 
 class LegMarkers(NamedTuple):
-    """The markers of thighs and shins, near which a leg stays whose foot is displaced.
+    """The markers of thighs and shins, near which a leg stays whose foot is displaced."""
 
-    joints    (K,) the joint that carries each marker
-    offsets   (K, 3) m: in the joint's axes
-    position  (T, K, 3) m: where the marker is, without noise
-    share     (T, K) of its weight: 0 where it is not visible, 1 within the time that it is
-    """
-
-    joints: Int[np.ndarray, " K"]
-    offsets: Float[np.ndarray, "K 3"]
-    position: Float[np.ndarray, "T K 3"]
-    share: Float[np.ndarray, "T K"]
+    joints: Int[np.ndarray, " K"]  # the joint that carries each marker
+    offsets: Float[np.ndarray, "K 3"]  # m: in the joint's axes
+    position: Float[np.ndarray, "T K 3"]  # m: where the marker is, without noise
+    share: Float[np.ndarray, "T K"]  # of its weight: 0 where it is not visible, 1 within the time that it is
 
     def select_frames(self, frames: Int[np.ndarray, " N"]) -> "LegMarkers":
         """Return the markers in some frames."""
@@ -293,16 +287,11 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
 
 
 class HeldBody(NamedTuple):
-    """A body whose standing feet are held.
+    """A body whose standing feet are held."""
 
-    body            held as far as visible markers allow
-    share           (T, F) of that for each foot, in the order of FOOT_JOINTS
-    filling_motion  held in full: where the lost markers of its feet are
-    """
-
-    body: BodyFit
-    share: Float[np.ndarray, "T F"]
-    filling_motion: Motion
+    body: BodyFit  # held as far as visible markers allow
+    share: Float[np.ndarray, "T F"]  # of that for each foot, in the order of FOOT_JOINTS
+    filling_motion: Motion  # held in full: where the lost markers of its feet are
 
 
 def hold_measured_feet(

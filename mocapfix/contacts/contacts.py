@@ -32,15 +32,11 @@ MAX_TILT_RESIDUAL_M = 0.03  # largest deviation of nine of ten places from a til
 
 @dataclass(frozen=True)
 class Floor:
-    """The surfaces on which a person stands.
+    """The surfaces on which a person stands."""
 
-    slope_x, slope_z  rise in metres per metre along X and Z; 0 for a level floor
-    level_heights_m   heights of the levels at the origin, rising; a flat floor has one
-    """
-
-    slope_x: float
+    slope_x: float  # slope_x, slope_z: rise in metres per metre along X and Z; 0 for a level floor
     slope_z: float
-    level_heights_m: tuple[float, ...]
+    level_heights_m: tuple[float, ...]  # heights of the levels at the origin, rising; a flat floor has one
 
     @property
     def height_m(self) -> float:
@@ -137,18 +133,12 @@ PLATE_SOURCE, FILE_SOURCE = "force plate", "file"
 
 
 class GaitEvent(NamedTuple):
-    """One event of gait: the first or the last instant of a foot's contact.
+    """One event of gait: the first or the last instant of a foot's contact."""
 
-    side    "left" or "right"
-    kind    "foot strike" or "foot off"
-    time_s  seconds after the first frame, between frames where the source is finer than these
-    source  "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
-    """
-
-    side: str
-    kind: str
-    time_s: float
-    source: str
+    side: str  # "left" or "right"
+    kind: str  # "foot strike" or "foot off"
+    time_s: float  # seconds after the first frame, between frames where the source is finer than these
+    source: str  # "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
 
 
 class EventDisagreement(NamedTuple):
@@ -164,16 +154,11 @@ class EventDisagreement(NamedTuple):
 
 
 class HeldFeet(NamedTuple):
-    """What was done to the feet of a motion that stand.
+    """What was done to the feet of a motion that stand."""
 
-    mode                    "soft", "lock", or "off" if they are as they were solved
-    largest_displacement_m  the farthest that a heel or a ball of a foot was moved
-    yielded_s               time for which a foot in contact was not held, since that would have moved visible markers
-    """
-
-    mode: str
-    largest_displacement_m: float
-    yielded_s: float = 0.0
+    mode: str  # "soft", "lock", or "off" if they are as they were solved
+    largest_displacement_m: float  # the farthest that a heel or a ball of a foot was moved
+    yielded_s: float = 0.0  # time for which a foot in contact was not held, since that would have moved visible markers
 
 
 NOT_HELD = HeldFeet(FEET_OFF, 0.0)
@@ -181,26 +166,16 @@ NOT_HELD = HeldFeet(FEET_OFF, 0.0)
 
 @dataclass(frozen=True)
 class BodyContacts:
-    """When joints of a body are in contact.
+    """When joints of a body are in contact."""
 
-    joints      C names of joints of the skeleton
-    is_contact  (T, C): whether the joint stands on the floor or another surface
-    is_known    (T, C): whether markers show the position of the joint; otherwise the contact is inferred
-    floor       the floor on which they stand
-    rate        frames per second
-    events      events of gait, by time
-    held_feet   what was done to the feet in contact
-    event_disagreements  events of which two sources give different times
-    """
-
-    joints: tuple[str, ...]
-    is_contact: Bool[np.ndarray, "T C"]
-    is_known: Bool[np.ndarray, "T C"]
-    floor: Floor
-    rate: float
-    events: tuple[GaitEvent, ...] = field(default=())
-    held_feet: HeldFeet = NOT_HELD
-    event_disagreements: tuple[EventDisagreement, ...] = field(default=())
+    joints: tuple[str, ...]  # C names of joints of the skeleton
+    is_contact: Bool[np.ndarray, "T C"]  # (T, C): whether the joint stands on the floor or another surface
+    is_known: Bool[np.ndarray, "T C"]  # (T, C): whether markers show the position of the joint; otherwise the contact is inferred
+    floor: Floor  # the floor on which they stand
+    rate: float  # frames per second
+    events: tuple[GaitEvent, ...] = field(default=())  # events of gait, by time
+    held_feet: HeldFeet = NOT_HELD  # what was done to the feet in contact
+    event_disagreements: tuple[EventDisagreement, ...] = field(default=())  # events of which two sources give different times
 
     @property
     def has_feet(self) -> bool:
@@ -228,16 +203,11 @@ def build_no_contacts(frame_count: int, rate: float) -> BodyContacts:
 
 
 class ContactPositions(NamedTuple):
-    """The positions from which contacts are detected.
+    """The positions from which contacts are detected."""
 
-    position  (T, C, 3) m: joints, Y up
-    sd        (T, C) m: their standard deviation per axis
-    rate      frames per second
-    """
-
-    position: Float[np.ndarray, "T C 3"]
-    sd: Float[np.ndarray, "T C"]
-    rate: float
+    position: Float[np.ndarray, "T C 3"]  # m: joints, Y up
+    sd: Float[np.ndarray, "T C"]  # m: their standard deviation per axis
+    rate: float  # frames per second
 
 
 @dataclass(frozen=True)

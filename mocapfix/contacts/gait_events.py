@@ -36,15 +36,11 @@ MIN_SHOWN_SHARE = 0.8  # share of frames in which such a marker is visible; the 
 
 @dataclass(frozen=True)
 class FootPoints:
-    """The heel and the toes of one foot.
+    """The heel and the toes of one foot."""
 
-    heel, toe  (T, 3) m
-    is_seen    (T, 2): whether markers show each of both
-    """
-
-    heel: Float[np.ndarray, "T 3"]
+    heel: Float[np.ndarray, "T 3"]  # heel, toe: (T, 3) m
     toe: Float[np.ndarray, "T 3"]
-    is_seen: Bool[np.ndarray, "T 2"]
+    is_seen: Bool[np.ndarray, "T 2"]  # (T, 2): whether markers show each of both
 
     @property
     def paths(self) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
@@ -143,18 +139,12 @@ MIN_FRAMES = 30  # frames below which no acceleration is computed
 
 
 class PointMotion(NamedTuple):
-    """The motion of the heel or the toes of a foot.
+    """The motion of the heel or the toes of a foot."""
 
-    path          (T, 3) m
-    speed         (T,) m/s
-    acceleration  (T, 3) m/s^2, filtered
-    swing_m_s     its speed in a swing
-    """
-
-    path: Float[np.ndarray, "T 3"]
-    speed: Float[np.ndarray, " T"]
-    acceleration: Float[np.ndarray, "T 3"]
-    swing_m_s: float
+    path: Float[np.ndarray, "T 3"]  # m
+    speed: Float[np.ndarray, " T"]  # m/s
+    acceleration: Float[np.ndarray, "T 3"]  # m/s^2, filtered
+    swing_m_s: float  # its speed in a swing
 
 
 def detect_gait_events(feet: Mapping[str, FootPoints], floor: Floor, rate: float) -> tuple[GaitEvent, ...]:

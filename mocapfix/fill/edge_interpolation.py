@@ -44,14 +44,10 @@ ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
 
 
 class MethodRatios(NamedTuple):
-    """Errors of the methods for neighbours in the same gap, relative to the error expected of the straight method.
+    """Errors of the methods for neighbours in the same gap, relative to the error expected of the straight method."""
 
-    log_ratio        (K,) their logarithms, on average
-    neighbour_count  number of neighbours
-    """
-
-    log_ratio: np.ndarray
-    neighbour_count: int
+    log_ratio: np.ndarray  # (K,) their logarithms, on average
+    neighbour_count: int  # number of neighbours
 
     def adjust_factors(self, factors: Float[np.ndarray, " K"], *, is_world: bool) -> Float[np.ndarray, " K"]:
         """Return factors on the expected error of the straight method, from those that are usual.
@@ -179,14 +175,10 @@ SIMILAR_SPEED_RATIO = 2.0
 
 
 class EdgeMotion(NamedTuple):
-    """The motion of a marker beside a gap.
+    """The motion of a marker beside a gap."""
 
-    speed_m_s   mean of the speeds before, across and after the gap, and RESTING_SPEED_M_S; None without two edges
-    similarity  (K,) of each hidden stretch to the gap, 0 to 1
-    """
-
-    speed_m_s: float | None
-    similarity: Float[np.ndarray, " K"]
+    speed_m_s: float | None  # mean of the speeds before, across and after the gap, and RESTING_SPEED_M_S; None without two edges
+    similarity: Float[np.ndarray, " K"]  # of each hidden stretch to the gap, 0 to 1
 
     def estimate_speed_in_gap(self, usual_speed_m_s: float, gap_s: float) -> float:
         """Return the speed in m/s that is expected within a gap: the longer it is, the less the edges show of it."""

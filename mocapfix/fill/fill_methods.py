@@ -83,25 +83,19 @@ class GapWindow(NamedTuple):
     """A gap, the visible samples beside it, and the hidden stretches that imitate it.
 
     Offsets count frames from the first frame of the gap, or of a stretch.
-
-    first, length  of the gap, in frames
-    before, after  offsets of the visible samples beside the gap, ascending; they reach up to it without interruption or are empty
-    points         (S,) offsets of the points in the gap at which errors are measured
-    starts         (K,) first frames of the hidden stretches
-    hidden_length  of each stretch, in frames
-    hidden_after   offsets of the samples after a stretch; those before it are `before`
-    hidden_points  (S,) offsets of the points in a stretch
     """
 
-    first: int
+    first: int  # first, length: of the gap, in frames
     length: int
+    # before, after: offsets of the visible samples beside the gap, ascending; they reach up to it without interruption or are
+    # empty
     before: np.ndarray
     after: np.ndarray
-    points: np.ndarray
-    starts: np.ndarray
-    hidden_length: int
-    hidden_after: np.ndarray
-    hidden_points: np.ndarray
+    points: np.ndarray  # (S,) offsets of the points in the gap at which errors are measured
+    starts: np.ndarray  # (K,) first frames of the hidden stretches
+    hidden_length: int  # of each stretch, in frames
+    hidden_after: np.ndarray  # offsets of the samples after a stretch; those before it are `before`
+    hidden_points: np.ndarray  # (S,) offsets of the points in a stretch
 
     @property
     def gap_frames(self) -> Int[np.ndarray, " n"]:
@@ -153,19 +147,14 @@ class MovingAxes(NamedTuple):
 
 
 class GapEstimate(NamedTuple):
-    """One estimate of a marker in one gap of n frames.
+    """One estimate of a marker in one gap of n frames."""
 
-    method       how it was made
-    position     (n, 3) m in the world
-    error        (K, S, 3) m in the world, in the hidden stretches of the gap's window; NaN where unknown
-    expected_sd  (S,) m per axis, of the error at the points of the window, expected without looking at hidden stretches
-    axes_number  of the axes in which it was made; estimates in the same axes have similar errors. None: in none of its own
-    """
-
-    method: FillMethod
-    position: np.ndarray
-    error: np.ndarray
+    method: FillMethod  # how it was made
+    position: np.ndarray  # (n, 3) m in the world
+    error: np.ndarray  # (K, S, 3) m in the world, in the hidden stretches of the gap's window; NaN where unknown
+    # (S,) m per axis, of the error at the points of the window, expected without looking at hidden stretches
     expected_sd: np.ndarray
+    # of the axes in which it was made; estimates in the same axes have similar errors. None: in none of its own
     axes_number: int | None = None
 
     def grow(self, factor: float) -> "GapEstimate":

@@ -170,11 +170,9 @@ class NeighbourActivity:
 
 
 class NeighbourErrors(NamedTuple):
-    """The errors of K methods for M markers in one gap.
+    """The errors of K methods for M markers in one gap."""
 
-    log_ratio  (K, M) logarithms of the errors relative to that expected of the straight method; NaN where a marker is not visible
-    """
-
+    # (K, M) logarithms of the errors relative to that expected of the straight method; NaN where a marker is not visible
     log_ratio: np.ndarray
 
     def compute_ratios(self, neighbours: Int[np.ndarray, " N"]) -> MethodRatios | None:
@@ -229,16 +227,13 @@ def estimate_without_body(markers: Float[np.ndarray, "T M 3"], is_inlier: Bool[n
 
 
 class EstimatedGap(NamedTuple):
-    """A gap, the markers that are lost throughout it, and for each its estimates and the activity of its neighbours.
-
-    is_limb  for each whether it is one of several lost markers of a limb
-    """
+    """A gap, the markers that are lost throughout it, and for each its estimates and the activity of its neighbours."""
 
     window: GapWindow
     lost_markers: np.ndarray
     estimates: list[list[GapEstimate]]
     activities: list[float]
-    is_limb: list[bool]
+    is_limb: list[bool]  # for each whether it is one of several lost markers of a limb
 
 
 class Neighbourhood:
@@ -363,23 +358,15 @@ class Neighbourhood:
 
 
 class _MarkerSurroundings(NamedTuple):
-    """What is known around a marker that is lost throughout a gap.
-
-    frames          in which it is compared with its neighbours
-    neighbours      markers that are known throughout, those with the most constant distance first
-    activity        how many times as fast they are in the gap as while the marker is visible
-    axes_of_others  axes fixed to all of them; None if few are left, or no limb is lost
-    errors          of the neighbours in the gap; None if nothing is visible beside it
-    is_limb         whether the marker is one of several lost markers of a limb
-    """
+    """What is known around a marker that is lost throughout a gap."""
 
     window: GapWindow
-    frames: np.ndarray
-    neighbours: np.ndarray
-    activity: float
-    axes_of_others: MovingAxes | None
-    errors: NeighbourErrors | None
-    is_limb: bool
+    frames: np.ndarray  # in which it is compared with its neighbours
+    neighbours: np.ndarray  # markers that are known throughout, those with the most constant distance first
+    activity: float  # how many times as fast they are in the gap as while the marker is visible
+    axes_of_others: MovingAxes | None  # axes fixed to all of them; None if few are left, or no limb is lost
+    errors: NeighbourErrors | None  # of the neighbours in the gap; None if nothing is visible beside it
+    is_limb: bool  # whether the marker is one of several lost markers of a limb
 
 
 def estimate_gaps(

@@ -89,18 +89,12 @@ def estimate_missing_samples(
 
 
 class _FillContext(NamedTuple):
-    """What the estimates have in common.
+    """What the estimates have in common."""
 
-    markers          (T, M, 3) m, NaN if not visible or an outlier
-    rate             frame rate in Hz
-    is_missing       (T, M) the samples that are NaN
-    fastest_speed    of the visible motion, in m/s; None if nothing is visible in two frames in a row
-    """
-
-    markers: np.ndarray
-    rate: float
-    is_missing: np.ndarray
-    fastest_speed: float | None
+    markers: np.ndarray  # (T, M, 3) m, NaN if not visible or an outlier
+    rate: float  # frame rate in Hz
+    is_missing: np.ndarray  # (T, M) the samples that are NaN
+    fastest_speed: float | None  # of the visible motion, in m/s; None if nothing is visible in two frames in a row
 
 
 def iterate_estimates(context: _FillContext, body_estimate: MarkerEstimate | None) -> Iterator[MarkerEstimate]:

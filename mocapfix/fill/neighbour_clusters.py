@@ -237,14 +237,10 @@ MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common sha
 
 
 class ChangingCluster(NamedTuple):
-    """Markers of which different ones are visible in the frames of a gap.
+    """Markers of which different ones are visible in the frames of a gap."""
 
-    markers     K columns of the take
-    is_visible  (n, K) in the frames of the gap
-    """
-
-    markers: np.ndarray
-    is_visible: np.ndarray
+    markers: np.ndarray  # K columns of the take
+    is_visible: np.ndarray  # (n, K) in the frames of the gap
 
     @property
     def steps(self) -> Int[np.ndarray, " C"]:

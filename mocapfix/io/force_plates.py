@@ -16,15 +16,12 @@ CALIBRATED_TYPE = 4
 
 @dataclass(frozen=True)
 class ForcePlate:
-    """One force plate.
+    """One force plate."""
 
-    vertical_force_n  (N,) newtons, positive under load, `rate` samples per second from the first frame on
-    corners           (4, 3) m, Y up
-    """
-
+    # (N,) newtons, positive under load, `rate` samples per second from the first frame on
     vertical_force_n: Float[np.ndarray, " N"]
     rate: float
-    corners: Float[np.ndarray, "4 3"]
+    corners: Float[np.ndarray, "4 3"]  # m, Y up
 
 
 def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:

@@ -38,16 +38,11 @@ MAX_GLB_BYTES = 2**32 - 1
 
 @dataclass(frozen=True)
 class GlbContent:
-    """The content of a .glb.
+    """The content of a .glb."""
 
-    document      the JSON document, an object
-    binary        the binary chunk with its padding, empty if there is none
-    other_chunks  type and content of each further chunk
-    """
-
-    document: dict[str, Any]
-    binary: bytes
-    other_chunks: tuple[tuple[int, bytes], ...] = ()
+    document: dict[str, Any]  # the JSON document, an object
+    binary: bytes  # the binary chunk with its padding, empty if there is none
+    other_chunks: tuple[tuple[int, bytes], ...] = ()  # type and content of each further chunk
 
 
 def is_glb(head: bytes) -> bool:
@@ -207,19 +202,13 @@ MAX_COORDINATE_M = 1e6
 
 @dataclass(frozen=True)
 class GltfNodes:
-    """The N nodes of a glTF document.
-
-    entries   N objects of the document
-    names     N unique names: those of the file, with a number where one is missing or used before
-    parents   (N,) index of each node's parent, -1 for roots
-    ordered   N indices, parents before children, children in the order of the file
-    """
+    """The N nodes of a glTF document."""
 
     path: Path
-    entries: Sequence[Mapping[str, Any]]
-    names: tuple[str, ...]
-    parents: Int[np.ndarray, " N"]
-    ordered: tuple[int, ...]
+    entries: Sequence[Mapping[str, Any]]  # N objects of the document
+    names: tuple[str, ...]  # N unique names: those of the file, with a number where one is missing or used before
+    parents: Int[np.ndarray, " N"]  # index of each node's parent, -1 for roots
+    ordered: tuple[int, ...]  # N indices, parents before children, children in the order of the file
 
     def list_ancestors(self, node: int) -> list[int]:
         """Return the nodes above a node, from its parent to its root."""
@@ -231,16 +220,11 @@ class GltfNodes:
 
 @dataclass(frozen=True)
 class BoneTransforms:
-    """The transforms of B nodes.
+    """The transforms of B nodes."""
 
-    positions  (B, 3) m: in the parent's axes, the scales of all nodes above multiplied out
-    rotations  (B, 3, 3): to the parent's axes
-    scales     (B,) metres in a unit of length along each node's own axes
-    """
-
-    positions: Float[np.ndarray, "B 3"]
-    rotations: Float[np.ndarray, "B 3 3"]
-    scales: Float[np.ndarray, " B"]
+    positions: Float[np.ndarray, "B 3"]  # m: in the parent's axes, the scales of all nodes above multiplied out
+    rotations: Float[np.ndarray, "B 3 3"]  # (B, 3, 3): to the parent's axes
+    scales: Float[np.ndarray, " B"]  # metres in a unit of length along each node's own axes
 
 
 def read_gltf_nodes(path: Path, document: Mapping[str, Any]) -> GltfNodes:

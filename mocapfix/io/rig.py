@@ -28,20 +28,14 @@ MAX_JOINT_ERROR_M = 1e-4  # distance of a rig's joint from that of the skeleton
 
 
 class RigJoint(StrictModel):
-    """One joint of a rig.
+    """One joint of a rig."""
 
-    name    as the program expects it
-    parent  name of the rig's joint above it; None for the root, which comes first
-    joint   the skeleton's joint at the same position; by default the one of the same name
-    axes    the skeleton's joint with the same rotation; by default `joint`
-    end     for the last bone of a chain, the skeleton's joint whose end site (or position, if it has none) ends the bone; by
-            default `axes`
-    """
-
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
-    parent: str | None
-    joint: str = ""
-    axes: str = ""
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")  # as the program expects it
+    parent: str | None  # name of the rig's joint above it; None for the root, which comes first
+    joint: str = ""  # the skeleton's joint at the same position; by default the one of the same name
+    axes: str = ""  # the skeleton's joint with the same rotation; by default `joint`
+    # for the last bone of a chain, the skeleton's joint whose end site (or position, if it has none) ends the bone; by default
+    # `axes`
     end: str = ""
 
     def model_post_init(self, _: object) -> None:
@@ -64,26 +58,16 @@ class _RigFile(StrictModel):
 
 @dataclass(frozen=True)
 class Rig:
-    """The skeleton that a program expects.
+    """The skeleton that a program expects."""
 
-    name         name of the file, as in --bvh-for
-    program      name of the program
-    unit_m       length of a unit of the written file in metres
-    rotation_order  order of a joint's rotation channels, the outermost first: "ZYX" is R = Rz Ry Rx
-    rest_pose    pose in which all rotations are zero: "t-pose", "arms-down", or "skeleton" for the skeleton's own rest pose
-    starts_with_t_pose  a T-pose that faces +Z and stands on the floor precedes the motion
-    note         what users of the file need to know, for the report
-    joints       parents before children
-    """
-
-    name: str
-    program: str
-    unit_m: float
-    rotation_order: str
-    rest_pose: str
-    starts_with_t_pose: bool
-    note: str
-    joints: tuple[RigJoint, ...]
+    name: str  # name of the file, as in --bvh-for
+    program: str  # name of the program
+    unit_m: float  # length of a unit of the written file in metres
+    rotation_order: str  # order of a joint's rotation channels, the outermost first: "ZYX" is R = Rz Ry Rx
+    rest_pose: str  # pose in which all rotations are zero: "t-pose", "arms-down", or "skeleton" for the skeleton's own rest pose
+    starts_with_t_pose: bool  # a T-pose that faces +Z and stands on the floor precedes the motion
+    note: str  # what users of the file need to know, for the report
+    joints: tuple[RigJoint, ...]  # parents before children
 
     @property
     def parents(self) -> list[int]:

@@ -108,11 +108,11 @@ class KeypointFilm:
     title: str
     rate_hz: float
     image_size_px: tuple[float, float] | None  # width and height in pixels; None if unknown
-    keypoint_px: Float[np.ndarray, "T V 2"]  # (T, V, 2) detected keypoints
+    keypoint_px: Float[np.ndarray, "T V 2"]  # detected keypoints
     confidence: Float[np.ndarray, "T V"]  # (T, V), 0 for missing keypoints
     skeleton: Skeleton
-    joint_position_world: Float[np.ndarray, "T J 3"]  # (T, J, 3) m
-    joint_px: Float[np.ndarray, "T J 2"]  # (T, J, 2) projections of the joints
+    joint_position_world: Float[np.ndarray, "T J 3"]  # m
+    joint_px: Float[np.ndarray, "T J 2"]  # projections of the joints
 
     @property
     def bones(self) -> Int[np.ndarray, "B 2"]:

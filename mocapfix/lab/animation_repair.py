@@ -201,18 +201,12 @@ class RepairRow(TypedDict):
 
 
 class RepairReport(TypedDict):
-    """Results of the benchmark.
+    """Results of the benchmark."""
 
-    rows     by kind and duration of faults
-    pooled   by duration: ratios to the error of interpolation over all faults, known and detected
-    alarms_per_minute  by kind, in the sound motions
-    changed_share  part of the values outside the faults that the repair changed
-    """
-
-    rows: dict[str, dict[str, RepairRow]]
-    pooled: dict[str, dict[str, float]]
-    alarms_per_minute: dict[str, float]
-    changed_share: float
+    rows: dict[str, dict[str, RepairRow]]  # by kind and duration of faults
+    pooled: dict[str, dict[str, float]]  # by duration: ratios to the error of interpolation over all faults, known and detected
+    alarms_per_minute: dict[str, float]  # by kind, in the sound motions
+    changed_share: float  # part of the values outside the faults that the repair changed
 
 
 @dataclass

@@ -46,18 +46,13 @@ class BaselineEntry(StrictModel):
 
 @dataclass(frozen=True)
 class BaselineComparison:
-    """One quantity now and in the baseline.
-
-    value           NaN if it was not measured
-    change          positive if it became worse
-    allowed_change  by how much it may become worse
-    """
+    """One quantity now and in the baseline."""
 
     name: str
-    value: float
+    value: float  # NaN if it was not measured
     baseline: float
-    change: float
-    allowed_change: float
+    change: float  # positive if it became worse
+    allowed_change: float  # by how much it may become worse
 
     @property
     def change_percent(self) -> float:

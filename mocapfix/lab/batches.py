@@ -83,20 +83,15 @@ SCHEDULER, CLIENT, WORKER = "scheduler", "client", "worker"
 
 @dataclass(frozen=True)
 class ChaosResult:
-    """What a disturbed batch left.
-
-    attempts       number of takes by the number of attempts at them
-    client_errors  what the clients that ended by themselves with an error wrote last
-    leftovers      hidden files in the output folder, but the lock and the records of people
-    """
+    """What a disturbed batch left."""
 
     take_count: int
     done_count: int
     kills: dict[str, int]
-    attempts: dict[int, int]
+    attempts: dict[int, int]  # number of takes by the number of attempts at them
     differing: list[str]
-    leftovers: list[str]
-    client_errors: list[str]
+    leftovers: list[str]  # hidden files in the output folder, but the lock and the records of people
+    client_errors: list[str]  # what the clients that ended by themselves with an error wrote last
     seconds: float
 
     @property
@@ -336,24 +331,18 @@ with omit_stage_times():
 
 @dataclass(frozen=True)
 class BatchSpeed:
-    """Times in seconds with the start of the processes, of one process with one thread and of a batch.
-
-    take_seconds           length of all takes together
-    one_cpu, batch_cpu     processor time of all processes
-    worker_memory_mb       greatest memory of a worker with its fork server and child; shared pages count once
-    differing              takes whose outputs are not those of the one process
-    """
+    """Times in seconds with the start of the processes, of one process with one thread and of a batch."""
 
     takes: int
-    take_seconds: float
+    take_seconds: float  # length of all takes together
     workers: int
     one_seconds: float
-    one_cpu: float
+    one_cpu: float  # one_cpu, batch_cpu: processor time of all processes
     batch_seconds: float
     batch_cpu: float
-    worker_memory_mb: float
+    worker_memory_mb: float  # greatest memory of a worker with its fork server and child; shared pages count once
     child_peak_mb: float
-    differing: int
+    differing: int  # takes whose outputs are not those of the one process
 
     @property
     def rate_share(self) -> float:

@@ -49,18 +49,12 @@ CARD = """\
 
 @dataclass(frozen=True)
 class CardData:
-    """The motion that weights were trained and scored on.
+    """The motion that weights were trained and scored on."""
 
-    trained_on     frames of each subject that was trained on
-    held_out       the same of the subjects that the scores are measured on
-    source_frames  frames of each source
-    is_conformed   whether retargeted motion was brought into CMU's conventions
-    """
-
-    trained_on: Mapping[str, int]
-    held_out: Mapping[str, int]
-    source_frames: Counter[RecordingSource]
-    is_conformed: bool = False
+    trained_on: Mapping[str, int]  # frames of each subject that was trained on
+    held_out: Mapping[str, int]  # the same of the subjects that the scores are measured on
+    source_frames: Counter[RecordingSource]  # frames of each source
+    is_conformed: bool = False  # whether retargeted motion was brought into CMU's conventions
 
 
 def write_card(path: Path, settings: SubjectSettings, data: CardData, training: str, use: str, scores: str) -> None:

@@ -48,16 +48,11 @@ MAX_QUOTED_OUTPUT = 2000  # characters of a failed command's output that its err
 
 
 class ProcessUsage(NamedTuple):
-    """What a command used until it ended.
+    """What a command used until it ended."""
 
-    duration_s   by the clock
-    cpu_s        processor time of all threads, in the program and in the system
-    peak_mb      largest resident memory, MiB
-    """
-
-    duration_s: float
-    cpu_s: float
-    peak_mb: float
+    duration_s: float  # by the clock
+    cpu_s: float  # processor time of all threads, in the program and in the system
+    peak_mb: float  # largest resident memory, MiB
 
 
 def run_measured(command: Sequence[str], environment: Mapping[str, str]) -> ProcessUsage:
@@ -178,15 +173,11 @@ CleanCost = dict[str, float]
 
 
 class CleanedScene(NamedTuple):
-    """A file to be cleaned.
-
-    motion_s  duration of its motion
-    truth     of a marker take; None for an animation
-    """
+    """A file to be cleaned."""
 
     path: Path
-    motion_s: float
-    truth: SyntheticTake | None
+    motion_s: float  # duration of its motion
+    truth: SyntheticTake | None  # of a marker take; None for an animation
 
 
 def write_sound_take(folder: Path, seconds: float = SOUND_TAKE_S) -> CleanedScene:

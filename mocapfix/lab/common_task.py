@@ -26,23 +26,16 @@ DEFAULT_BENCH_OPTIONS = CleanOptions()
 
 @dataclass(frozen=True)
 class CommonTask:
-    """The input of a solver and the truth.
+    """The input of a solver and the truth."""
 
-    subject           the true body and its M markers
-    mean_angles       (J, 3) radians: Euler angles z, y, x of the mean pose
-    mean_pose_weight  metres per radian: a deviation from the mean pose costs as much as this marker residual
-    takes             "clean" and "noisy": markers (T, M, 3) in metres, NaN where missing
-    root_starts       by take: (T, 3) metres, root position of a frame that is started from the mean pose, not from its neighbour
-    joint_positions   (T, J, 3) metres: the truth
-    """
-
-    subject: Subject
+    subject: Subject  # the true body and its M markers
     rate_hz: float
-    mean_angles: np.ndarray
-    mean_pose_weight: float
-    takes: dict[str, np.ndarray]
+    mean_angles: np.ndarray  # (J, 3) radians: Euler angles z, y, x of the mean pose
+    mean_pose_weight: float  # metres per radian: a deviation from the mean pose costs as much as this marker residual
+    takes: dict[str, np.ndarray]  # "clean" and "noisy": markers (T, M, 3) in metres, NaN where missing
+    # by take: (T, 3) metres, root position of a frame that is started from the mean pose, not from its neighbour
     root_starts: dict[str, np.ndarray]
-    joint_positions: np.ndarray
+    joint_positions: np.ndarray  # (T, J, 3) metres: the truth
 
     def compute_joint_error(self, root: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> float:
         """Return the mean distance of the joints from the truth in metres over the first T frames."""

@@ -157,19 +157,13 @@ PoseStart = tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N J 3 3"]]  # roo
 
 @dataclass(frozen=True)
 class JointTask:
-    """N poses, and the joints whose positions are given.
-
-    true_rotations   (N, J, 3, 3) local
-    is_given         (N, J) which joints' positions are given
-    given_positions  (N, J, 3) metres: the true positions plus noise
-    sd_m             per axis: standard deviation of a given position that the solver assumes
-    """
+    """N poses, and the joints whose positions are given."""
 
     skeleton: Skeleton
-    true_rotations: np.ndarray
-    is_given: np.ndarray
-    given_positions: np.ndarray
-    sd_m: float
+    true_rotations: np.ndarray  # (N, J, 3, 3) local
+    is_given: np.ndarray  # (N, J) which joints' positions are given
+    given_positions: np.ndarray  # (N, J, 3) metres: the true positions plus noise
+    sd_m: float  # per axis: standard deviation of a given position that the solver assumes
 
     @property
     def point_term(self) -> PointTerm:
@@ -185,18 +179,12 @@ class JointTask:
 
 @dataclass(frozen=True)
 class PlacedPoses:
-    """Poses and the positions of their joints.
+    """Poses and the positions of their joints."""
 
-    root_position    (N, 3) metres
-    rotations        (N, J, 3, 3) local
-    joint_positions  (N, J, 3) metres, in the world
-    world_rotations  (N, J, 3, 3)
-    """
-
-    root_position: np.ndarray
-    rotations: np.ndarray
-    joint_positions: np.ndarray
-    world_rotations: np.ndarray
+    root_position: np.ndarray  # (N, 3) metres
+    rotations: np.ndarray  # (N, J, 3, 3) local
+    joint_positions: np.ndarray  # (N, J, 3) metres, in the world
+    world_rotations: np.ndarray  # (N, J, 3, 3)
 
 
 def place_with_joints(

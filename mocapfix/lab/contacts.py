@@ -121,29 +121,20 @@ class HeldFeetErrors:
     """What one way to hold feet did to one take.
 
     take, damage, mode
-    slide_mm_s           mean horizontal speed of heels and balls of the feet while these truly stand
-    true_slide_mm_s      the same of the truth
-    drift_mm             the largest horizontal distance in a true contact from its mean place, mean over contacts
-    feet_mm              mean error of heels and balls of the feet
-    other_joints_mm      mean error of all other joints
-    acceleration_ratio   the largest acceleration of any joint, over that with the feet as they were solved
-    knee_ratio           the same of the knees
-    sink_mm              how much lower the lowest place of a heel or ball of a foot is than with the feet as they were solved
-    lost_fill_mm         mean error of the filled markers of lost feet; NaN without a loss
     """
 
     take: str
     damage: str
     mode: str
-    slide_mm_s: float
-    true_slide_mm_s: float
-    drift_mm: float
-    feet_mm: float
-    other_joints_mm: float
-    acceleration_ratio: float
-    knee_ratio: float
-    sink_mm: float
-    lost_fill_mm: float
+    slide_mm_s: float  # mean horizontal speed of heels and balls of the feet while these truly stand
+    true_slide_mm_s: float  # the same of the truth
+    drift_mm: float  # the largest horizontal distance in a true contact from its mean place, mean over contacts
+    feet_mm: float  # mean error of heels and balls of the feet
+    other_joints_mm: float  # mean error of all other joints
+    acceleration_ratio: float  # the largest acceleration of any joint, over that with the feet as they were solved
+    knee_ratio: float  # the same of the knees
+    sink_mm: float  # how much lower the lowest place of a heel or ball of a foot is than with the feet as they were solved
+    lost_fill_mm: float  # mean error of the filled markers of lost feet; NaN without a loss
 
 
 @dataclass(frozen=True)

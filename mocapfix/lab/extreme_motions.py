@@ -39,25 +39,19 @@ LIMBS = ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")  # on both sides: the
 
 
 class Move(NamedTuple):
-    """The way to a key pose from the one before.
-
-    travel_m  of the hips along world X and Z
-    """
+    """The way to a key pose from the one before."""
 
     duration_s: float
     pose: KeyPose
-    travel_m: tuple[float, float] = (0.0, 0.0)
+    travel_m: tuple[float, float] = (0.0, 0.0)  # of the hips along world X and Z
 
 
 class KeyedAngles(NamedTuple):
-    """Angles in degrees at N equidistant times, and the position of the hips on the floor.
-
-    duration_s  from the first to the last
-    """
+    """Angles in degrees at N equidistant times, and the position of the hips on the floor."""
 
     angles_deg: Float[np.ndarray, "N J 3"]
     travel_m: Float[np.ndarray, "N 2"]
-    duration_s: float
+    duration_s: float  # from the first to the last
 
 
 def mirror_pose(pose: KeyPose) -> KeyPose:
@@ -161,12 +155,9 @@ def measure_extremity_motion(subject: Subject, motion: Motion, rate: float) -> t
 
 @dataclass(frozen=True)
 class ExtremeMotion:
-    """A motion from standing through key poses back to standing.
+    """A motion from standing through key poses back to standing."""
 
-    peak_speed_m_per_s  of the fastest hand or foot
-    """
-
-    peak_speed_m_per_s: float
+    peak_speed_m_per_s: float  # of the fastest hand or foot
     moves: tuple[Move, ...]
 
 

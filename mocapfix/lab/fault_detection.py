@@ -359,20 +359,14 @@ FaultRow = dict[str, float | None]  # a row of the benchmark's table
 
 
 class FaultScore(NamedTuple):
-    """The detection and repair of the faults of one take.
+    """The detection and repair of the faults of one take."""
 
-    overlap          (N,) intersection over union of the samples of each injected fault and those found of it; NaN if not found
-    false_alarms     detected faults that were not injected
-    minutes          duration of the take
-    predicted_error  (S,) metres: predicted error of each sample that was changed within the injected faults
-    true_error       (S,) metres
-    """
-
+    # (N,) intersection over union of the samples of each injected fault and those found of it; NaN if not found
     overlap: np.ndarray
-    false_alarms: list[Fault]
-    minutes: float
-    predicted_error: np.ndarray
-    true_error: np.ndarray
+    false_alarms: list[Fault]  # detected faults that were not injected
+    minutes: float  # duration of the take
+    predicted_error: np.ndarray  # (S,) metres: predicted error of each sample that was changed within the injected faults
+    true_error: np.ndarray  # (S,) metres
 
 
 def measure_fault_detection(

@@ -122,23 +122,15 @@ SIZE_SD = 0.08  # of the logarithm of the bodies' sizes
 
 @dataclass(frozen=True)
 class FrameSequences:
-    """Frames of trials of people, one trial after the other.
+    """Frames of trials of people, one trial after the other."""
 
-    rotations      (N, J, 3, 3) local rotations, single precision
-    first, last    (N,) the first and the last frame of each frame's trial
-    subject_index  (N,) number of the subject
-    subjects       names of the subjects
-    is_retargeted  whether the motion of each subject was transferred from another skeleton
-    source_frames  number of frames of each source
-    """
-
-    rotations: Float32[np.ndarray, "N J 3 3"]
-    first: Int[np.ndarray, " N"]
+    rotations: Float32[np.ndarray, "N J 3 3"]  # (N, J, 3, 3) local rotations, single precision
+    first: Int[np.ndarray, " N"]  # first, last: (N,) the first and the last frame of each frame's trial
     last: Int[np.ndarray, " N"]
-    subject_index: Int[np.ndarray, " N"]
-    subjects: tuple[str, ...]
-    is_retargeted: Bool[np.ndarray, " S"]
-    source_frames: Counter[RecordingSource]
+    subject_index: Int[np.ndarray, " N"]  # number of the subject
+    subjects: tuple[str, ...]  # names of the subjects
+    is_retargeted: Bool[np.ndarray, " S"]  # whether the motion of each subject was transferred from another skeleton
+    source_frames: Counter[RecordingSource]  # number of frames of each source
 
     @property
     def frame_counts(self) -> Counter[str]:
@@ -147,19 +139,13 @@ class FrameSequences:
 
 
 class IkBatch(NamedTuple):
-    """Pairs of one body.
-
-    start      root positions in metres and local rotations
-    target     the same of the true poses
-    positions  (B, J, 3) m: given joints, NaN where missing
-    joint_sd   (B, J) m per axis
-    """
+    """Pairs of one body."""
 
     body: Skeleton
-    start: Poses
-    target: Poses
-    positions: Float[np.ndarray, "B J 3"]
-    joint_sd: Float[np.ndarray, "B J"]
+    start: Poses  # root positions in metres and local rotations
+    target: Poses  # the same of the true poses
+    positions: Float[np.ndarray, "B J 3"]  # m: given joints, NaN where missing
+    joint_sd: Float[np.ndarray, "B J"]  # m per axis
 
 
 def gather_sequences(

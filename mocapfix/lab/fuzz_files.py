@@ -42,17 +42,12 @@ SHIPPED_SEEDS = (
 
 
 class SeedFile(NamedTuple):
-    """A valid file.
+    """A valid file."""
 
-    kind       name of the reader, see `fuzz_readers.READERS`
-    name       of the file
-    companion  name and content of a file that it needs beside it: the skeleton of an AMC
-    """
-
-    kind: str
-    name: str
+    kind: str  # name of the reader, see `fuzz_readers.READERS`
+    name: str  # of the file
     data: bytes
-    companion: tuple[str, bytes] | None = None
+    companion: tuple[str, bytes] | None = None  # name and content of a file that it needs beside it: the skeleton of an AMC
 
 
 @cache

@@ -64,14 +64,10 @@ CaseBuilder = Callable[[int], FuzzCase]  # a function of a seed; it must be impo
 
 @dataclass(frozen=True)
 class FuzzLimits:
-    """What a case may take.
+    """What a case may take."""
 
-    slow_s     processor time from which a case is a finding
-    timeout_s  time by the clock after which the child is ended
-    """
-
-    slow_s: float = 5.0
-    timeout_s: float = 60.0
+    slow_s: float = 5.0  # processor time from which a case is a finding
+    timeout_s: float = 60.0  # time by the clock after which the child is ended
 
 
 @dataclass(frozen=True)
@@ -85,15 +81,11 @@ class FuzzFinding:
 
 @dataclass
 class FuzzTally:
-    """What a run of cases came to.
+    """What a run of cases came to."""
 
-    outcomes   number of cases by what came of them
-    slowest_s  the longest processor time of a case, and its seed
-    """
-
-    outcomes: Counter[str] = field(default_factory=lambda: Counter[str]())
+    outcomes: Counter[str] = field(default_factory=lambda: Counter[str]())  # number of cases by what came of them
     findings: list[FuzzFinding] = field(default_factory=lambda: list[FuzzFinding]())
-    slowest_s: float = 0.0
+    slowest_s: float = 0.0  # the longest processor time of a case, and its seed
     slowest_seed: int = -1
     seconds: float = 0.0
 

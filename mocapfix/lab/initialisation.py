@@ -210,22 +210,14 @@ class SolveEnd(NamedTuple):
 
 
 class StartOutcome(NamedTuple):
-    """The outcome of one start of a take.
+    """The outcome of one start of a take."""
 
-    marker_error_m         (T,) mean distance of the visible markers from the body at the start, NaN if none is visible
-    start_joint_positions  (T, J, 3) metres
-    first_solve            end of the first solve, of each frame from its start
-    full_solve             end of the whole solve
-    is_unconverged         (T,) whether the first solve reached the iteration limit at the last robust scale
-    durations_s            of the start, and of start and solve
-    """
-
-    marker_error_m: np.ndarray
-    start_joint_positions: np.ndarray
-    first_solve: SolveEnd
-    full_solve: SolveEnd
-    is_unconverged: np.ndarray
-    durations_s: tuple[float, float]
+    marker_error_m: np.ndarray  # (T,) mean distance of the visible markers from the body at the start, NaN if none is visible
+    start_joint_positions: np.ndarray  # (T, J, 3) metres
+    first_solve: SolveEnd  # end of the first solve, of each frame from its start
+    full_solve: SolveEnd  # end of the whole solve
+    is_unconverged: np.ndarray  # (T,) whether the first solve reached the iteration limit at the last robust scale
+    durations_s: tuple[float, float]  # of the start, and of start and solve
 
 
 def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) -> StartOutcome:
@@ -323,16 +315,13 @@ DAMAGED_TAKE_STRIDE = 4  # every fourth performance is also damaged, because los
 
 
 class TakeOutcome(NamedTuple):
-    """The outcome of a start of a take, and its wrong frames (T,) after the first and the full solve.
-
-    is_wrong_from_start  frames that are wrong after the full solve, but not if started from the truth
-    """
+    """The outcome of a start of a take, and its wrong frames (T,) after the first and the full solve."""
 
     case: InitialisationTake
     outcome: StartOutcome
     is_wrong_first_solve: np.ndarray
     is_wrong: np.ndarray
-    is_wrong_from_start: np.ndarray
+    is_wrong_from_start: np.ndarray  # frames that are wrong after the full solve, but not if started from the truth
 
 
 def measure_initialisation(

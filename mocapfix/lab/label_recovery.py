@@ -37,16 +37,11 @@ PERSON_NAMES = ("P1", "P2")
 
 @dataclass(frozen=True)
 class TwoPersonTake:
-    """The markers of two people: those of the first, then those of the second.
+    """The markers of two people: those of the first, then those of the second."""
 
-    markers      (T, M, 3) metres, Y up
-    labels       M labels with the names of the people before them
-    first_count  number of markers of the first person
-    """
-
-    markers: Float[np.ndarray, "T M 3"]
-    labels: tuple[str, ...]
-    first_count: int
+    markers: Float[np.ndarray, "T M 3"]  # metres, Y up
+    labels: tuple[str, ...]  # M labels with the names of the people before them
+    first_count: int  # number of markers of the first person
 
 
 def place_two_people(
@@ -104,16 +99,12 @@ MIN_BROKEN_S = 0.05  # shortest piece of a broken trajectory
 
 @dataclass(frozen=True)
 class UnlabelledTake:
-    """Points without labels, and what they show.
+    """Points without labels, and what they show."""
 
-    points          (T, C, 3) metres, NaN where missing
-    marker_indices  (T, C) index of the marker that each point shows, -1 for a ghost or where there is no point
-    rate            Hz
-    """
-
-    points: Float[np.ndarray, "T C 3"]
+    points: Float[np.ndarray, "T C 3"]  # metres, NaN where missing
+    # (T, C) index of the marker that each point shows, -1 for a ghost or where there is no point
     marker_indices: Int[np.ndarray, "T C"]
-    rate: float
+    rate: float  # Hz
 
 
 def remove_labels(kind: UnlabelledKind, markers: Float[np.ndarray, "T M 3"], rate: float, seed: int = 0) -> UnlabelledTake:
@@ -230,23 +221,16 @@ class LabelledMarkers(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelScore:
-    """How well the labels of one take were found again.
+    """How well the labels of one take were found again."""
 
-    kind, take             what was done to which take
-    purity                 share of the samples whose tracklet mostly shows their marker
-    tracklets              number of tracklets
-    recall, precision, f1  of the labels
-    seconds_per_second     processor time for a second of motion
-    """
-
-    kind: str
+    kind: str  # kind, take: what was done to which take
     take: str
-    purity: float
-    tracklets: int
-    recall: float
+    purity: float  # share of the samples whose tracklet mostly shows their marker
+    tracklets: int  # number of tracklets
+    recall: float  # recall, precision, f1: of the labels
     precision: float
     f1: float
-    seconds_per_second: float
+    seconds_per_second: float  # processor time for a second of motion
 
 
 def measure_label_recovery(

@@ -50,19 +50,13 @@ class TreeLevels:
 
 @dataclass(frozen=True)
 class TransferTensors:
-    """What the closed form gives the differentiable correction, for B poses.
+    """What the closed form gives the differentiable correction, for B poses."""
 
-    start_local, rotation  (B, J, 3, 3)
-    direction              (B, J, 3), 0 where unknown
-    authority              (B, J)
-    root, root_unit        (B, 3) and (B,) metres
-    """
-
-    start_local: Tensor
+    start_local: Tensor  # start_local, rotation: (B, J, 3, 3)
     rotation: Tensor
-    direction: Tensor
-    authority: Tensor
-    root: Tensor
+    direction: Tensor  # (B, J, 3), 0 where unknown
+    authority: Tensor  # (B, J)
+    root: Tensor  # root, root_unit: (B, 3) and (B,) metres
     root_unit: Tensor
 
 
@@ -157,20 +151,13 @@ LOST_SECTION = "left arm"  # of the third score; the shoulder itself stays
 
 
 class IkScores(NamedTuple):
-    """Mean errors over poses and joints.
+    """Mean errors over poses and joints."""
 
-    one_step_mm   by the number of frames between start and target
-    rotation_deg  the same, of world rotations
-    copied_mm     of the start itself
-    noisy_mm      with noise of SCORED_SD_M, from the nearest start
-    limb_mm       the same, an arm not given
-    """
-
-    one_step_mm: dict[int, float]
-    rotation_deg: dict[int, float]
-    copied_mm: dict[int, float]
-    noisy_mm: float
-    limb_mm: float
+    one_step_mm: dict[int, float]  # by the number of frames between start and target
+    rotation_deg: dict[int, float]  # the same, of world rotations
+    copied_mm: dict[int, float]  # of the start itself
+    noisy_mm: float  # with noise of SCORED_SD_M, from the nearest start
+    limb_mm: float  # the same, an arm not given
 
 
 PosePredictor = Callable[[IkBatch], tuple[Float[np.ndarray, "B J 3"], Float[np.ndarray, "B J 3 3"]]]

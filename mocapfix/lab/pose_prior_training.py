@@ -46,15 +46,13 @@ A better reconstruction does not make a better prior: choose a prior by its resu
 
 @dataclass(frozen=True)
 class PriorScores:
-    """The accuracy of a pose prior.
+    """The accuracy of a pose prior."""
 
-    training_deg, held_out_deg  degrees: mean reconstruction error of training and held-out poses over all joints except the root
-    code_rms                    root mean square of the codes of held-out poses
-    """
-
+    # training_deg, held_out_deg: degrees: mean reconstruction error of training and held-out poses over all joints except the
+    # root
     training_deg: float
     held_out_deg: float
-    code_rms: float
+    code_rms: float  # root mean square of the codes of held-out poses
 
 
 def train_pose_prior(

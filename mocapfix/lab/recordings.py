@@ -38,15 +38,11 @@ SHARD_LENGTH_UNIT_M = 0.056444  # the unit of root positions in CMU's BVH files 
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """Where a recording comes from.
+    """Where a recording comes from."""
 
-    name           the database or repository; empty if it is unknown
-    licence        as the source states it
-    is_retargeted  whether the motion was transferred from another skeleton, so that its joints have other zero positions
-    """
-
-    name: str = ""
-    licence: str = ""
+    name: str = ""  # the database or repository; empty if it is unknown
+    licence: str = ""  # as the source states it
+    # whether the motion was transferred from another skeleton, so that its joints have other zero positions
     is_retargeted: bool = False
 
 
@@ -56,20 +52,15 @@ CMU_SOURCE = RecordingSource("CMU motion capture database", "free for research a
 
 @dataclass(frozen=True)
 class Recording:
-    """A trial of a subject.
-
-    rotations      (T, 31, 3, 3) local joint rotations, Y up; in the T-pose that faces +Z the axes of each joint are those of
-                   the world
-    root_position  (T, 3) of the root in metres, in the world
-    source         where the recording comes from, as far as it is known
-    """
+    """A trial of a subject."""
 
     name: str
     subject: str
+    # (T, 31, 3, 3) local joint rotations, Y up; in the T-pose that faces +Z the axes of each joint are those of the world
     rotations: np.ndarray
     rate_hz: float
-    root_position: np.ndarray
-    source: RecordingSource = UNKNOWN_SOURCE
+    root_position: np.ndarray  # (T, 3) of the root in metres, in the world
+    source: RecordingSource = UNKNOWN_SOURCE  # where the recording comes from, as far as it is known
 
 
 def compute_frame_step(rate_hz: float) -> int:

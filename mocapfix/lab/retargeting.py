@@ -74,39 +74,29 @@ class BenchMotion:
 
 @dataclass(frozen=True)
 class RoundTripErrors:
-    """Errors of the source after retargeting onto a character and back.
-
-    joints_mm, joints_p99_mm      mean distance of joints and the 99th percentile
-    rotations_deg, rotations_p99_deg  the same of the angles between world rotations
-    copied_joints_mm, copied_rotations_deg  the means with rotations copied both ways
-    frames_per_second             of retargeting onto the character
-    """
+    """Errors of the source after retargeting onto a character and back."""
 
     character: str
-    joints_mm: float
+    joints_mm: float  # joints_mm, joints_p99_mm: mean distance of joints and the 99th percentile
     joints_p99_mm: float
-    rotations_deg: float
+    rotations_deg: float  # rotations_deg, rotations_p99_deg: the same of the angles between world rotations
     rotations_p99_deg: float
-    copied_joints_mm: float
+    copied_joints_mm: float  # copied_joints_mm, copied_rotations_deg: the means with rotations copied both ways
     copied_rotations_deg: float
-    frames_per_second: float
+    frames_per_second: float  # of retargeting onto the character
 
 
 @dataclass(frozen=True)
 class ProportionErrors:
-    """What is kept on a character of other proportions, by a method: "source" (the motion itself), "copied", "retargeted".
-
-    skate_ratio     share of the frames of contact in which a foot moves more than MAX_STANDING_STEP_M to the next of 30 a second
-    slide_mm_s      mean horizontal speed of the feet in contact
-    hands_mm        largest distance of a wrist from its target
-    penetration_share, penetration_mm  share of frames in which a palm is in a thigh, and the mean depth over all frames
-    """
+    """What is kept on a character of other proportions, by a method: "source" (the motion itself), "copied", "retargeted"."""
 
     character: str
     method: str
+    # share of the frames of contact in which a foot moves more than MAX_STANDING_STEP_M to the next of 30 a second
     skate_ratio: float
-    slide_mm_s: float
-    hands_mm: float
+    slide_mm_s: float  # mean horizontal speed of the feet in contact
+    hands_mm: float  # largest distance of a wrist from its target
+    # penetration_share, penetration_mm: share of frames in which a palm is in a thigh, and the mean depth over all frames
     penetration_share: float
     penetration_mm: float
 

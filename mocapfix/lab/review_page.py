@@ -34,18 +34,13 @@ ADDRESS_PATTERN = re.compile(r"http://\S+")
 
 
 class ReviewFigures(TypedDict):
-    """Medians.
-
-    saved_ms          from sending a decision to the end of the answer that it is saved
-    shown_ms          the same until the page shows it
-    server_memory_mb  of 10^6 bytes, after all samples of the longer take were sent
-    """
+    """Medians."""
 
     ready_s: float
-    saved_ms: float
-    shown_ms: float
+    saved_ms: float  # from sending a decision to the end of the answer that it is saved
+    shown_ms: float  # the same until the page shows it
     frames_per_s: float
-    server_memory_mb: float
+    server_memory_mb: float  # of 10^6 bytes, after all samples of the longer take were sent
 
 
 def find_chromium() -> str:

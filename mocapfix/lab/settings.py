@@ -21,52 +21,33 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class SubjectSettings(StrictModel):
-    """Settings that all training has.
+    """Settings that all training has."""
 
-    title              one line for the card
-    test_subjects      subjects that training never reads; the benchmarks use them
-    held_out_subjects  subjects that are not trained on; standard deviations and scores are measured on them
-    subject_balance    0 samples every pose equally often, 1 every subject equally often; values between interpolate
-    retargeted_weight  how often a pose of a retargeted subject is sampled relative to one of the others
-    """
-
-    title: str
-    test_subjects: frozenset[str]
-    held_out_subjects: frozenset[str]
-    subject_balance: Fraction
+    title: str  # one line for the card
+    test_subjects: frozenset[str]  # subjects that training never reads; the benchmarks use them
+    held_out_subjects: frozenset[str]  # subjects that are not trained on; standard deviations and scores are measured on them
+    subject_balance: Fraction  # 0 samples every pose equally often, 1 every subject equally often; values between interpolate
+    # how often a pose of a retargeted subject is sampled relative to one of the others
     retargeted_weight: Annotated[float, Field(gt=0, le=1)]
 
 
 class GaussianSettings(SubjectSettings):
-    """Probabilistic principal component analysis.
-
-    components  number of components; "all" keeps those above the noise floor, which gives the full Gaussian
-    """
+    """Probabilistic principal component analysis."""
 
     model: Literal["linear"]
+    # number of components; "all" keeps those above the noise floor, which gives the full Gaussian
     components: PositiveInt | Literal["all"]
 
 
 class AutoencoderSettings(SubjectSettings):
     """An autoencoder.
 
-    seed               of weights, order and corruption
     input_features, output_features, hidden_widths, code_size, residual_directions, activation, skip_connection
                        the architecture, see mocapfix.solve.trained_priors.NetworkArchitecture
-    initial_weight_sd  standard deviation of the initial weights; null for torch's default
-    epochs             passes over all poses
-    batch_poses        poses per step
-    learning_rate      at the start
-    rate_schedule      "cosine", down to zero at the end; or a factor that is applied every 2,000 steps
-    weight_decay       of AdamW
-    norm_weight        weight of the norm of all weights in the loss (MNN-IK, Eq. 3.2)
-    loss               "paper" for squared errors and the norm (MNN-IK, Eq. 3.2); "evidence" for the evidence lower bound, see
-                       mocapfix.lab.autoencoder_training.compute_evidence_loss
-    corrupted_share    fraction of the poses that are corrupted, from which a denoising autoencoder learns
     """
 
     model: Literal["autoencoder"]
-    seed: int
+    seed: int  # of weights, order and corruption
     input_features: Literal["continuous", "euler", "vectors"]
     output_features: Literal["euler", "vectors"]
     hidden_widths: tuple[PositiveInt, ...]
@@ -74,77 +55,55 @@ class AutoencoderSettings(SubjectSettings):
     residual_directions: Annotated[int, Field(ge=0)]
     activation: Literal["silu", "relu"]
     skip_connection: bool
-    initial_weight_sd: PositiveFloat | None
-    epochs: PositiveInt
-    batch_poses: PositiveInt
-    learning_rate: PositiveFloat
+    initial_weight_sd: PositiveFloat | None  # standard deviation of the initial weights; null for torch's default
+    epochs: PositiveInt  # passes over all poses
+    batch_poses: PositiveInt  # poses per step
+    learning_rate: PositiveFloat  # at the start
+    # "cosine", down to zero at the end; or a factor that is applied every 2,000 steps
     rate_schedule: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
-    weight_decay: NonNegativeFloat
-    norm_weight: NonNegativeFloat
+    weight_decay: NonNegativeFloat  # of AdamW
+    norm_weight: NonNegativeFloat  # weight of the norm of all weights in the loss (MNN-IK, Eq. 3.2)
+    # "paper" for squared errors and the norm (MNN-IK, Eq. 3.2); "evidence" for the evidence lower bound, see
+    # mocapfix.lab.autoencoder_training.compute_evidence_loss
     loss: Literal["paper", "evidence"]
-    corrupted_share: Fraction
+    corrupted_share: Fraction  # fraction of the poses that are corrupted, from which a denoising autoencoder learns
 
 
 class MixtureSettings(SubjectSettings):
-    """A Gaussian mixture.
-
-    seed            of the initial values of the fits
-    variance_share  fraction of the poses' variance that the principal axes keep
-    components      number of Gaussians
-    restarts        number of fits from different initial values; the one of greatest likelihood is used
-    tolerance       EM has converged when an iteration raises the mean log-likelihood of a pose by less
-    max_iterations  of EM
-    """
+    """A Gaussian mixture."""
 
     model: Literal["mixture"]
-    seed: int
-    variance_share: Annotated[float, Field(gt=0, lt=1)]
-    components: PositiveInt
-    restarts: PositiveInt
-    tolerance: PositiveFloat
-    max_iterations: PositiveInt
+    seed: int  # of the initial values of the fits
+    variance_share: Annotated[float, Field(gt=0, lt=1)]  # fraction of the poses' variance that the principal axes keep
+    components: PositiveInt  # number of Gaussians
+    restarts: PositiveInt  # number of fits from different initial values; the one of greatest likelihood is used
+    tolerance: PositiveFloat  # EM has converged when an iteration raises the mean log-likelihood of a pose by less
+    max_iterations: PositiveInt  # of EM
 
 
 class TwistSettings(SubjectSettings):
-    """The twist regressor, which is not a pose prior.
-
-    seed             of weights, order, bodies and displacements
-    hidden_widths    widths of the hidden layers
-    epochs           passes over all poses
-    batch_poses      poses per step
-    learning_rate    at the start; it falls to zero along a cosine
-    weight_decay     of AdamW
-    """
+    """The twist regressor, which is not a pose prior."""
 
     model: Literal["twist"]
-    seed: int
-    hidden_widths: tuple[PositiveInt, ...]
-    epochs: PositiveInt
-    batch_poses: PositiveInt
-    learning_rate: PositiveFloat
-    weight_decay: NonNegativeFloat
+    seed: int  # of weights, order, bodies and displacements
+    hidden_widths: tuple[PositiveInt, ...]  # widths of the hidden layers
+    epochs: PositiveInt  # passes over all poses
+    batch_poses: PositiveInt  # poses per step
+    learning_rate: PositiveFloat  # at the start; it falls to zero along a cosine
+    weight_decay: NonNegativeFloat  # of AdamW
 
 
 class MotionSettings(SubjectSettings):
-    """The motion prior.
-
-    seed           of weights and windows
-    width          channels of the network
-    blocks         number of its residual blocks
-    steps          number of steps
-    batch_windows  windows per step
-    learning_rate  in most steps; in the last ones it falls to zero
-    weight_decay   of AdamW
-    """
+    """The motion prior."""
 
     model: Literal["motion"]
-    seed: int
-    width: PositiveInt
-    blocks: PositiveInt
-    steps: PositiveInt
-    batch_windows: PositiveInt
-    learning_rate: PositiveFloat
-    weight_decay: NonNegativeFloat
+    seed: int  # of weights and windows
+    width: PositiveInt  # channels of the network
+    blocks: PositiveInt  # number of its residual blocks
+    steps: PositiveInt  # number of steps
+    batch_windows: PositiveInt  # windows per step
+    learning_rate: PositiveFloat  # in most steps; in the last ones it falls to zero
+    weight_decay: NonNegativeFloat  # of AdamW
 
 
 PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings
@@ -162,29 +121,18 @@ def read_twist_settings(path: Path) -> TwistSettings:
 
 
 class LearnedIkSettings(SubjectSettings):
-    """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior.
-
-    seed             of weights and pairs
-    hidden_widths    widths of the hidden layers
-    has_corruption   whether joints are noisy and missing, and some starts are not frames nearby
-    frame_offsets    numbers of frames between start and target (Eq. 17)
-    loss_weights     of joints, pose and vertices (Eq. 21)
-    steps            of the optimiser
-    batch_poses      pairs per step
-    learning_rate    at the start; it falls to zero along a cosine
-    weight_decay     of AdamW
-    """
+    """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior."""
 
     model: Literal["ik"]
-    seed: int
-    hidden_widths: tuple[PositiveInt, ...]
-    has_corruption: bool
-    frame_offsets: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
-    loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
-    steps: PositiveInt
-    batch_poses: PositiveInt
-    learning_rate: PositiveFloat
-    weight_decay: NonNegativeFloat
+    seed: int  # of weights and pairs
+    hidden_widths: tuple[PositiveInt, ...]  # widths of the hidden layers
+    has_corruption: bool  # whether joints are noisy and missing, and some starts are not frames nearby
+    frame_offsets: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]  # numbers of frames between start and target (Eq. 17)
+    loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]  # of joints, pose and vertices (Eq. 21)
+    steps: PositiveInt  # of the optimiser
+    batch_poses: PositiveInt  # pairs per step
+    learning_rate: PositiveFloat  # at the start; it falls to zero along a cosine
+    weight_decay: NonNegativeFloat  # of AdamW
 
 
 def read_ik_settings(path: Path) -> LearnedIkSettings:

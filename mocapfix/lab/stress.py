@@ -147,12 +147,9 @@ LIMBS_WITH_JOINTS = {  # joints that carry a limb's markers or follow from them
 
 
 class StressTake(NamedTuple):
-    """A take of the test.
+    """A take of the test."""
 
-    kind  "composed", "slender" (composed, with slender limbs and soft tissue) or "performed"
-    """
-
-    kind: str
+    kind: str  # "composed", "slender" (composed, with slender limbs and soft tissue) or "performed"
     name: str
     truth: SyntheticTake
     is_ordinary: bool = False

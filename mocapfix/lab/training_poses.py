@@ -31,25 +31,16 @@ MIRROR_X_MATRIX = np.diag([-1.0, 1.0, 1.0])  # left becomes right, x changes sig
 
 @dataclass(frozen=True)
 class TrainingPoses:
-    """Poses as rotation vectors from a reference pose, the root's is its tilt, in radians and single precision.
+    """Poses as rotation vectors from a reference pose, the root's is its tilt, in radians and single precision."""
 
-    training_vectors  (N, J, 3) of the subjects to train on; the second half is the first, mirrored
-    held_out_vectors  (M, J, 3) of the held-out subjects; the second half is the first, mirrored
-    subject_index     (N,) the number of the subject of each training pose
-    held_out_index    (M,) the same of each held-out pose
-    is_retargeted     (S,) by the number of a subject: whether the motion was transferred from another skeleton
-    frame_counts      frames of each subject before mirroring
-    dropped_frames    number of frames beyond a rotation jump, which are not used
-    source_frames     frames of each known source before mirroring
-    """
-
-    training_vectors: np.ndarray
-    held_out_vectors: np.ndarray
-    subject_index: np.ndarray
-    held_out_index: np.ndarray
-    is_retargeted: np.ndarray
-    frame_counts: Counter[str]
-    dropped_frames: int
+    training_vectors: np.ndarray  # (N, J, 3) of the subjects to train on; the second half is the first, mirrored
+    held_out_vectors: np.ndarray  # (M, J, 3) of the held-out subjects; the second half is the first, mirrored
+    subject_index: np.ndarray  # (N,) the number of the subject of each training pose
+    held_out_index: np.ndarray  # (M,) the same of each held-out pose
+    is_retargeted: np.ndarray  # (S,) by the number of a subject: whether the motion was transferred from another skeleton
+    frame_counts: Counter[str]  # frames of each subject before mirroring
+    dropped_frames: int  # number of frames beyond a rotation jump, which are not used
+    # frames of each known source before mirroring
     source_frames: Counter[RecordingSource] = field(default_factory=Counter[RecordingSource])
 
 

@@ -52,18 +52,12 @@ joints (head, toes, fingertips, thumbs) are not regressed, because no joint beyo
 
 @dataclass(frozen=True)
 class TwistScores:
-    """(B,) degrees: mean error of each joint's twist.
+    """(B,) degrees: mean error of each joint's twist."""
 
-    no_twist_deg    of no twist
-    mean_twist_deg  of the mean twist of the training poses
-    regressed_deg   of the prediction from true joint positions
-    displaced_deg   of the prediction from displaced joints, some of them missing
-    """
-
-    no_twist_deg: np.ndarray
-    mean_twist_deg: np.ndarray
-    regressed_deg: np.ndarray
-    displaced_deg: np.ndarray
+    no_twist_deg: np.ndarray  # of no twist
+    mean_twist_deg: np.ndarray  # of the mean twist of the training poses
+    regressed_deg: np.ndarray  # of the prediction from true joint positions
+    displaced_deg: np.ndarray  # of the prediction from displaced joints, some of them missing
 
 
 def format_twist_scores(scores: TwistScores, sd_deg: Float[np.ndarray, " B"]) -> str:

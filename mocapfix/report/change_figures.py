@@ -42,7 +42,7 @@ class MarkerCurve:
     """One marker over the frames of a figure."""
 
     kind: Literal["kept", "was", "now"]  # "was": before the change; "now": after it; "kept": unchanged
-    values_mm: Float[np.ndarray, "N S"]  # (N, S) one column per axis, NaN where the curve is interrupted
+    values_mm: Float[np.ndarray, "N S"]  # one column per axis, NaN where the curve is interrupted
     rank: int = 0  # 0 for the marker of the fault, 1 and 2 for other affected markers
 
 
@@ -50,11 +50,11 @@ class MarkerCurve:
 class ChangeCurves:
     """All curves of a figure."""
 
-    frames: Int[np.ndarray, " N"]  # (N,) frame indices of the values
+    frames: Int[np.ndarray, " N"]  # frame indices of the values
     axis_names: tuple[str, ...]  # S names: the coordinates, or the markers to which distances are measured
     reference_labels: tuple[str, ...]  # markers whose mean is the origin; empty if positions are in the world
     curves: tuple[MarkerCurve, ...]  # one or more curves per marker
-    band_mm: Float[np.ndarray, "N S 2"]  # (N, S, 2) lower and upper edge of the uncertainty band, NaN where nothing was estimated
+    band_mm: Float[np.ndarray, "N S 2"]  # lower and upper edge of the uncertainty band, NaN where nothing was estimated
 
 
 def build_change_curves(comparison: CleaningComparison, fault: Fault) -> ChangeCurves:

@@ -118,7 +118,7 @@ class CleaningComparison:
     faults: Faults  # detected faults, indexing the markers of `relabelled_take`
     changes: tuple[Change, ...] = ()  # changes to the take, in the order of the faults
     skeleton: Skeleton | None = None  # skeleton of the solved body; None without a body
-    joint_position_world: Float[np.ndarray, "T J 3"] | None = None  # (T, J, 3) m; None without a body
+    joint_position_world: Float[np.ndarray, "T J 3"] | None = None  # m; None without a body
     # (T, M) distance of each inlier marker from the body in metres, NaN if unknown; None without a body
     residual_m: Float[np.ndarray, "T M"] | None = None
     terms: PointTerms = MARKER_TERMS  # words for the points: markers, or joints of an animation

@@ -80,8 +80,8 @@ def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: 
 class FigureView:
     """Orthographic view of one frame, in centimetres with y down."""
 
-    rotation_view_world: Float[np.ndarray, "3 3"]  # (3, 3) rows: right, up and towards the viewer
-    ground_position_world: Float[np.ndarray, " 3"]  # (3,) m: point on the floor below the body
+    rotation_view_world: Float[np.ndarray, "3 3"]  # rows: right, up and towards the viewer
+    ground_position_world: Float[np.ndarray, " 3"]  # m: point on the floor below the body
     box_cm: tuple[float, float, float, float]  # left, top, width and height
 
     def project_points(self, position_world: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:

@@ -57,18 +57,12 @@ class MarkedSubject(NamedTuple):
 
 @dataclass(frozen=True)
 class BonePoint:
-    """A point that a joint's rotation moves.
+    """A point that a joint's rotation moves."""
 
-    point_index    index among J joints and K markers
-    rest_position  (3,) m in the joint's axes
-    is_child       whether it is a child joint, which determines the swing
-    variance       m^2 per axis about the rest position
-    """
-
-    point_index: int
-    rest_position: np.ndarray
-    is_child: bool
-    variance: float
+    point_index: int  # index among J joints and K markers
+    rest_position: np.ndarray  # (3,) m in the joint's axes
+    is_child: bool  # whether it is a child joint, which determines the swing
+    variance: float  # m^2 per axis about the rest position
 
 
 class BonePointArrays(NamedTuple):
@@ -190,15 +184,11 @@ CHEST_SPAN_JOINTS = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))
 
 @dataclass(frozen=True)
 class TwistRegressor:
-    """A network of L layers with rectifiers between them, for the 31 joints of the CMU skeleton.
+    """A network of L layers with rectifiers between them, for the 31 joints of the CMU skeleton."""
 
-    weights  L matrices, inputs by outputs
-    biases   L vectors; the last layer has two outputs for each joint that has a bone
-    sd_rad   (J,) standard deviation of people's twists about the prediction; infinite for joints without a bone
-    """
-
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
+    weights: tuple[np.ndarray, ...]  # L matrices, inputs by outputs
+    biases: tuple[np.ndarray, ...]  # L vectors; the last layer has two outputs for each joint that has a bone
+    # (J,) standard deviation of people's twists about the prediction; infinite for joints without a bone
     sd_rad: Float[np.ndarray, " J"]
 
     def predict_twists(

@@ -37,15 +37,11 @@ MAX_JOINT_SD_M = 0.5  # standard deviation of a joint position above which it co
 
 
 class JointEstimate(NamedTuple):
-    """Joint positions estimated from markers.
+    """Joint positions estimated from markers."""
 
-    positions     (T, J, 3) m, NaN where practically unknown
-    sd            (T, J) m per axis, likewise
-    marker_trust  (T, K) between 0 and 1: robust weight of each marker, below 0.25 if it lies 5 cm off; 0 if not visible
-    """
-
-    positions: np.ndarray
-    sd: np.ndarray
+    positions: np.ndarray  # (T, J, 3) m, NaN where practically unknown
+    sd: np.ndarray  # (T, J) m per axis, likewise
+    # (T, K) between 0 and 1: robust weight of each marker, below 0.25 if it lies 5 cm off; 0 if not visible
     marker_trust: np.ndarray
 
 
@@ -85,24 +81,16 @@ def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> J
 
 @dataclass(frozen=True)
 class RigidSkeleton:
-    """A skeleton as S rigid segments: each free joint with the fixed joints below it, which keep the mean pose.
+    """A skeleton as S rigid segments: each free joint with the fixed joints below it, which keep the mean pose."""
 
-    segment_joints       (S,) the free joint of each segment
-    parent_segment       (J,) the segment to which each joint is attached; for the root its own
-    position_in_parent   (J, 3) m: the joint in the axes of that segment
-    parent_axes          (J, 3, 3): axes of the joint's parent to axes of that segment
-    carrier_segment      (J,) the segment that turns with the joint: its own if it is free, else the parent segment
-    position_in_carrier  (J, 3) m: the joint in the axes of the carrier segment
-    axes_in_carrier      (J, 3, 3): joint axes to axes of the carrier segment
-    """
-
-    segment_joints: Int[np.ndarray, " S"]
-    parent_segment: Int[np.ndarray, " J"]
-    position_in_parent: Float[np.ndarray, "J 3"]
-    parent_axes: Float[np.ndarray, "J 3 3"]
+    segment_joints: Int[np.ndarray, " S"]  # the free joint of each segment
+    parent_segment: Int[np.ndarray, " J"]  # the segment to which each joint is attached; for the root its own
+    position_in_parent: Float[np.ndarray, "J 3"]  # m: the joint in the axes of that segment
+    parent_axes: Float[np.ndarray, "J 3 3"]  # (J, 3, 3): axes of the joint's parent to axes of that segment
+    # (J,) the segment that turns with the joint: its own if it is free, else the parent segment
     carrier_segment: Int[np.ndarray, " J"]
-    position_in_carrier: Float[np.ndarray, "J 3"]
-    axes_in_carrier: Float[np.ndarray, "J 3 3"]
+    position_in_carrier: Float[np.ndarray, "J 3"]  # m: the joint in the axes of the carrier segment
+    axes_in_carrier: Float[np.ndarray, "J 3 3"]  # (J, 3, 3): joint axes to axes of the carrier segment
 
 
 def build_rigid_skeleton(skeleton: Skeleton, free_joints: Bool[np.ndarray, " J"], prior: MeanPosePrior) -> RigidSkeleton:

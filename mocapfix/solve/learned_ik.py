@@ -38,17 +38,12 @@ IK_KIND = "ik"
 
 @dataclass(frozen=True)
 class IkNetwork:
-    """A multilayer perceptron with rectifiers between its L layers.
+    """A multilayer perceptron with rectifiers between its L layers."""
 
-    input_mean, input_scale  (F,) subtracted from the inputs, and the factors that follow
-    weights                  L matrices, inputs by outputs
-    biases                   L vectors
-    """
-
-    input_mean: np.ndarray
+    input_mean: np.ndarray  # input_mean, input_scale: (F,) subtracted from the inputs, and the factors that follow
     input_scale: np.ndarray
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
+    weights: tuple[np.ndarray, ...]  # L matrices, inputs by outputs
+    biases: tuple[np.ndarray, ...]  # L vectors
 
     def evaluate(self, features: Float32[np.ndarray, "T F"]) -> Float32[np.ndarray, "T C"]:
         """Return the corrections for the inputs of `mocapfix.solve.learned_ik.transfer_poses`."""
@@ -229,14 +224,11 @@ def get_acceleration_density(joint_name: str) -> float:
 
 @dataclass(frozen=True)
 class PoseRegressor:
-    """A network, applied to the poses of one skeleton.
-
-    passes  number of evaluations for each frame
-    """
+    """A network, applied to the poses of one skeleton."""
 
     network: IkNetwork
     skeleton: Skeleton
-    passes: int = 1
+    passes: int = 1  # number of evaluations for each frame
 
     def refine_poses(self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]) -> Poses:
         """Return poses, each from its own start pose.

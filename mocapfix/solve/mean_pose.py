@@ -20,21 +20,17 @@ OTHER_PRIOR_FILES = ("joint-limits", "shape", *MODEL_FILES)
 
 @dataclass(frozen=True)
 class MeanPosePrior:
-    """A mean pose and the inverse covariance of the poses around it.
-
-    mean_rotations            (J, 3, 3) local joint rotations; the root's is the identity and is not used
-    information               (J, 3, 3) 1/rad^2: inverse covariance of the rotation vector from the mean pose to a pose, in the
-                              axes of the joint's parent; zero for the root, whose rotation the prior does not constrain
-    locked_information        (J, 3, 3) 1/rad^2: the part of `information` about locked axes, in which the skeleton does not
-                              rotate (fixed joints, and hinges across their axis)
-    between_take_covariance   (J, 3, 3) rad^2: covariance of the mean poses of takes; zero about locked axes
-    """
+    """A mean pose and the inverse covariance of the poses around it."""
 
     name: str
-    mean_rotations: np.ndarray
+    mean_rotations: np.ndarray  # (J, 3, 3) local joint rotations; the root's is the identity and is not used
+    # (J, 3, 3) 1/rad^2: inverse covariance of the rotation vector from the mean pose to a pose, in the axes of the joint's
+    # parent; zero for the root, whose rotation the prior does not constrain
     information: np.ndarray
+    # (J, 3, 3) 1/rad^2: the part of `information` about locked axes, in which the skeleton does not rotate (fixed joints, and
+    # hinges across their axis)
     locked_information: np.ndarray
-    between_take_covariance: np.ndarray
+    between_take_covariance: np.ndarray  # (J, 3, 3) rad^2: covariance of the mean poses of takes; zero about locked axes
 
     def scale_information(self, scale: float) -> "MeanPosePrior":
         """Return the prior with its information multiplied by `scale`, except about locked axes.
@@ -108,14 +104,10 @@ def build_symmetric_matrix(entries: list[float]) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """The range of the rotation vector from the mean pose to a person's pose, in the axes of each joint's parent.
+    """The range of the rotation vector from the mean pose to a person's pose, in the axes of each joint's parent."""
 
-    mean_rotations        (J, 3, 3) local joint rotations of the mean pose, as in MeanPosePrior
-    lower_rad, upper_rad  (J, 3) radians; infinite for the root
-    """
-
-    mean_rotations: np.ndarray
-    lower_rad: np.ndarray
+    mean_rotations: np.ndarray  # (J, 3, 3) local joint rotations of the mean pose, as in MeanPosePrior
+    lower_rad: np.ndarray  # lower_rad, upper_rad: (J, 3) radians; infinite for the root
     upper_rad: np.ndarray
 
 

@@ -257,8 +257,8 @@ class SharedResponses(NamedTuple):
     cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
     marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
     marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
-    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
-    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
+    marker_response: Float[np.ndarray, "T rows K 3"]  # of markers, in their joints' axes
+    prior_response: Float[np.ndarray, "T rows F 3"]  # radians, of the joints' deviations from the mean pose
     prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
     joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
 

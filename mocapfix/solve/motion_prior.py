@@ -44,34 +44,22 @@ SMALL_ANGLE_SINE = 1e-6
 
 
 class MotionTree(NamedTuple):
-    """The J joints of the motion prior, root first, and the points of the 31-joint skeleton that they carry.
+    """The J joints of the motion prior, root first, and the points of the 31-joint skeleton that they carry."""
 
-    joints    (J,) their indices among the 31 joints
-    parents   (J,) the joint among the J that carries each, -1 for the root
-    offsets   (J, 3) m: the joint in the axes of its parent among the J
-    carriers  (31,) the joint among the J that carries each of the 31 joints
-    points    (31, 3) m: the 31 joints in the axes of their carriers
-    features  indices among the 31 of the joints whose positions are features
-    """
-
-    joints: np.ndarray
-    parents: np.ndarray
-    offsets: np.ndarray
-    carriers: np.ndarray
-    points: np.ndarray
-    features: np.ndarray
+    joints: np.ndarray  # (J,) their indices among the 31 joints
+    parents: np.ndarray  # (J,) the joint among the J that carries each, -1 for the root
+    offsets: np.ndarray  # (J, 3) m: the joint in the axes of its parent among the J
+    carriers: np.ndarray  # (31,) the joint among the J that carries each of the 31 joints
+    points: np.ndarray  # (31, 3) m: the 31 joints in the axes of their carriers
+    features: np.ndarray  # indices among the 31 of the joints whose positions are features
 
 
 class InterpolatedWindows(NamedTuple):
-    """B gaps with T moments each, without missing values.
+    """B gaps with T moments each, without missing values."""
 
-    quaternions  (B, T, J, 4) and position (B, T, 3) m of the root, interpolated where missing
-    edge_s       (B, T, J) harmonic distance in time from the known moments on either side; 0 where known
-    """
-
-    quaternions: np.ndarray
+    quaternions: np.ndarray  # (B, T, J, 4) and position (B, T, 3) m of the root, interpolated where missing
     position: np.ndarray
-    edge_s: np.ndarray
+    edge_s: np.ndarray  # (B, T, J) harmonic distance in time from the known moments on either side; 0 where known
 
 
 @cache

@@ -32,7 +32,7 @@ class SolveOrder(NamedTuple):
     frames: Int[np.ndarray, " N"]  # chain after chain
     start_frame: Int[np.ndarray, " N"]  # the frame whose pose each starts from; -1 for its own
     copied_joints: Bool[np.ndarray, "one_or_T J"]  # joints copied from there; the root with its position
-    chain_starts: Int[np.ndarray, " starts"]  # (C + 1,) index of each chain's first entry in `frames`, and the end
+    chain_starts: Int[np.ndarray, " starts"]  # index of each chain's first entry in `frames`, and the end
 
 
 def order_independently(frames: Int[np.ndarray, " N"], joints: int) -> SolveOrder:

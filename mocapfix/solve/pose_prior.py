@@ -30,16 +30,11 @@ Tensors = dict[str, np.ndarray]  # the tensors of a weights file, by name
 
 @dataclass(frozen=True)
 class PoseModel(ABC):
-    """A model of human poses with a latent code.
+    """A model of human poses with a latent code."""
 
-    joint_names          J names
-    reference_rotations  (J, 3, 3) local joint rotations of the reference pose; the root's is the identity
-    residual_sd_rad      (J,) radians per axis: standard deviation of held-out subjects' poses around the decoded pose of their
-                         code
-    """
-
-    joint_names: tuple[str, ...]
-    reference_rotations: np.ndarray
+    joint_names: tuple[str, ...]  # J names
+    reference_rotations: np.ndarray  # (J, 3, 3) local joint rotations of the reference pose; the root's is the identity
+    # (J,) radians per axis: standard deviation of held-out subjects' poses around the decoded pose of their code
     residual_sd_rad: np.ndarray
     kind: ClassVar[str]  # of the model in a weights file
     is_linear: ClassVar[bool] = False  # a linear decoder is linearised only once
@@ -128,16 +123,11 @@ FIELD_OF_GAUSSIAN_TENSOR = {
 
 @dataclass(frozen=True)
 class GaussianModel(PoseModel):
-    """A Gaussian with P components.
+    """A Gaussian with P components."""
 
-    mean_vectors  (J, 3) radians: rotation vectors from the reference pose to the mean pose
-    components    (P, J, 3) radians: each is one standard deviation
-    noise_sd_rad  radians: standard deviation of each axis around mean and components
-    """
-
-    mean_vectors: np.ndarray
-    components: np.ndarray
-    noise_sd_rad: float
+    mean_vectors: np.ndarray  # (J, 3) radians: rotation vectors from the reference pose to the mean pose
+    components: np.ndarray  # (P, J, 3) radians: each is one standard deviation
+    noise_sd_rad: float  # radians: standard deviation of each axis around mean and components
     kind: ClassVar[str] = "linear"
     is_linear: ClassVar[bool] = True
 
@@ -183,23 +173,16 @@ FIELD_OF_MIXTURE_TENSOR = {
 
 @dataclass(frozen=True)
 class MixtureModel(PoseModel):
-    """C Gaussians in the P coordinates of a pose along the principal axes.
+    """C Gaussians in the P coordinates of a pose along the principal axes."""
 
-    mean_vectors        (J, 3) radians
-    principal_axes      (P, J, 3) orthonormal
-    component_weights   (C,), their sum is 1
-    component_means     (C, P) radians
-    component_cholesky  (C, P, P) radians, lower triangular: Cholesky factor of the covariance of each component. A code of the
-                        component c is at component_means[c] + component_cholesky[c] @ code
-    component_index     (N,) or (1,): the component of each code
-    """
-
-    mean_vectors: np.ndarray
-    principal_axes: np.ndarray
-    component_weights: np.ndarray
-    component_means: np.ndarray
+    mean_vectors: np.ndarray  # (J, 3) radians
+    principal_axes: np.ndarray  # (P, J, 3) orthonormal
+    component_weights: np.ndarray  # (C,), their sum is 1
+    component_means: np.ndarray  # (C, P) radians
+    # (C, P, P) radians, lower triangular: Cholesky factor of the covariance of each component. A code of the component c is at
+    # component_means[c] + component_cholesky[c] @ code
     component_cholesky: np.ndarray
-    component_index: np.ndarray
+    component_index: np.ndarray  # (N,) or (1,): the component of each code
     kind: ClassVar[str] = "mixture"
 
     @property

@@ -104,20 +104,14 @@ follows its markers may then turn across the elbow's hinge, as skin and a wrong 
 
 @dataclass(frozen=True)
 class PoseProblem:
-    """The cost of a take's poses.
-
-    marker_positions  (T, K, 3) metres, the subject's markers, NaN where missing or rejected
-    solver_mask       (T, K) bool: samples that the pose is fitted to; none of them NaN
-    marker_sd         metres, standard deviation per axis of a marker about its place
-    pose_prior        the prior of every frame about the mean pose
-    """
+    """The cost of a take's poses."""
 
     tree: KinematicTree
     attachment: MarkerAttachment
-    marker_positions: Float[np.ndarray, "T K 3"]
-    solver_mask: Bool[np.ndarray, "T K"]
-    marker_sd: float
-    pose_prior: PosePriorTerm
+    marker_positions: Float[np.ndarray, "T K 3"]  # metres, the subject's markers, NaN where missing or rejected
+    solver_mask: Bool[np.ndarray, "T K"]  # bool: samples that the pose is fitted to; none of them NaN
+    marker_sd: float  # metres, standard deviation per axis of a marker about its place
+    pose_prior: PosePriorTerm  # the prior of every frame about the mean pose
     joint_limits: JointLimitTerm
 
     @cached_property
@@ -190,24 +184,16 @@ def build_marker_problem(
 
 @dataclass(frozen=True)
 class MotionProblem:
-    """The problem of T consecutive frames.
+    """The problem of T consecutive frames."""
 
-    pose_problem   of the frames
-    subject        with the K markers
-    prior          the mean pose of independent joints, which makes every frame determinate
-    is_unobserved  (T, J) joints that no marker shows
-    is_uncertain   (T, J) joints that lack a marker, or all
-    rate           frames per second
-    conditioner    the trained prior of every frame; None: all frames have the mean pose as their prior
-    """
-
-    pose_problem: PoseProblem
-    subject: Subject
-    prior: MeanPosePrior
-    is_unobserved: Bool[np.ndarray, "T J"]
-    is_uncertain: Bool[np.ndarray, "T J"]
-    rate: float
+    pose_problem: PoseProblem  # of the frames
+    subject: Subject  # with the K markers
+    prior: MeanPosePrior  # the mean pose of independent joints, which makes every frame determinate
+    is_unobserved: Bool[np.ndarray, "T J"]  # joints that no marker shows
+    is_uncertain: Bool[np.ndarray, "T J"]  # joints that lack a marker, or all
+    rate: float  # frames per second
     options: SolveOptions
+    # the trained prior of every frame; None: all frames have the mean pose as their prior
     conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
@@ -261,14 +247,10 @@ MAX_WINDOW_FRAMES = 8192  # frames of a window; the arrays of one hold 50 kB per
 
 
 class FrameChanges(NamedTuple):
-    """The frames of a take (T,) that must be solved again.
+    """The frames of a take (T,) that must be solved again."""
 
-    is_restarted  their samples changed, so that they start in closed form
-    is_affected   their samples, markers or subject changed
-    """
-
-    is_restarted: np.ndarray
-    is_affected: np.ndarray
+    is_restarted: np.ndarray  # their samples changed, so that they start in closed form
+    is_affected: np.ndarray  # their samples, markers or subject changed
 
 
 class FrameWindow(NamedTuple):

@@ -23,18 +23,12 @@ MAX_CONDITIONING_FRAMES = 64  # frames per batch; the derivatives of one frame t
 
 
 class ObservedErrors(NamedTuple):
-    """The errors of O observed joints over their standard deviations, as the linear dimensions of the code correlate them.
+    """The errors of O observed joints over their standard deviations, as the linear dimensions of the code correlate them."""
 
-    joints         (O,) the observed joints and the root
-    sd             (3 O,) rad: standard deviations without these dimensions
-    whitening      (3 O, 3 O): makes the errors independent, of unit variance
-    occluded_gain  (3 L, 3 O) rad: expected errors of L occluded joints
-    """
-
-    joints: np.ndarray
-    sd: np.ndarray
-    whitening: np.ndarray
-    occluded_gain: np.ndarray
+    joints: np.ndarray  # (O,) the observed joints and the root
+    sd: np.ndarray  # (3 O,) rad: standard deviations without these dimensions
+    whitening: np.ndarray  # (3 O, 3 O): makes the errors independent, of unit variance
+    occluded_gain: np.ndarray  # (3 L, 3 O) rad: expected errors of L occluded joints
 
     def scale(self, values: Float[np.ndarray, "N J 3 C"]) -> Float[np.ndarray, "N E C"]:
         """Return values of the observed joints in radians over the standard deviations."""
@@ -43,16 +37,13 @@ class ObservedErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class PriorConditioner:
-    """A trained pose model as the solver uses it.
+    """A trained pose model as the solver uses it."""
 
-    load_pose_model  returns the model; called only when it is needed, since its weights are read from a file
-    prior_scale      factor of the model's standard deviations (2: weaker prior)
-    predict_motion   predicts the 31 joints of a body in a gap, given the motion around it and the size of the body relative to
-                     the average one: the motion prior; None: it is not used
-    """
-
+    # returns the model; called only when it is needed, since its weights are read from a file
     load_pose_model: Callable[[], PoseModel]
-    prior_scale: float
+    prior_scale: float  # factor of the model's standard deviations (2: weaker prior)
+    # predicts the 31 joints of a body in a gap, given the motion around it and the size of the body relative to the average
+    # one: the motion prior; None: it is not used
     predict_motion: Callable[[GapContext, float], GapPrediction | None] | None = None
 
     def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:

@@ -77,18 +77,12 @@ class DistanceConstraint:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with axes x to the right, y down, z ahead: camera = rotation @ world + translation.
+    """A camera with axes x to the right, y down, z ahead: camera = rotation @ world + translation."""
 
-    rotation     (3, 3)
-    translation  (3,) m
-    scale        focal length in pixels; for a scaled orthographic camera pixels per metre
-    centre       (2,) pixels: the principal point
-    """
-
-    rotation: Float[np.ndarray, "3 3"]
-    translation: ConstraintVector
-    scale: float
-    centre: ConstraintVector = (0.0, 0.0)
+    rotation: Float[np.ndarray, "3 3"]  # (3, 3)
+    translation: ConstraintVector  # (3,) m
+    scale: float  # focal length in pixels; for a scaled orthographic camera pixels per metre
+    centre: ConstraintVector = (0.0, 0.0)  # (2,) pixels: the principal point
     perspective: bool = True
 
     def project(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
@@ -303,28 +297,19 @@ REST_POSE_SD_RAD = 3.0
 
 @dataclass(frozen=True)
 class SolvedPose:
-    """A solved pose.
-
-    root_position    (3,) m in the world
-    local_rotations  (J, 3, 3): joint axes to parent axes, for the root to world axes
-    joint_positions  (J, 3) m in the world
-    joint_sd         (J,) m: predicted standard deviation per axis of the joint positions
-    code             (P,) of the prior, each number in its own standard deviations
-    cost             half the sum of squares of all residuals in standard deviations: about k / 2 for k consistent numbers; for a
-                     mixture see `PoseSolution`
-    status           how the solve ended, as text
-    iterations       Levenberg-Marquardt iterations
-    """
+    """A solved pose."""
 
     skeleton: Skeleton
-    root_position: Float[np.ndarray, "3"]
-    local_rotations: Float[np.ndarray, "J 3 3"]
-    joint_positions: Float[np.ndarray, "J 3"]
-    joint_sd: Float[np.ndarray, " J"]
-    code: Float[np.ndarray, " P"]
+    root_position: Float[np.ndarray, "3"]  # m in the world
+    local_rotations: Float[np.ndarray, "J 3 3"]  # (J, 3, 3): joint axes to parent axes, for the root to world axes
+    joint_positions: Float[np.ndarray, "J 3"]  # m in the world
+    joint_sd: Float[np.ndarray, " J"]  # m: predicted standard deviation per axis of the joint positions
+    code: Float[np.ndarray, " P"]  # of the prior, each number in its own standard deviations
+    # half the sum of squares of all residuals in standard deviations: about k / 2 for k consistent numbers; for a mixture see
+    # `PoseSolution`
     cost: float
-    status: str
-    iterations: int
+    status: str  # how the solve ended, as text
+    iterations: int  # Levenberg-Marquardt iterations
 
 
 def solve_pose(

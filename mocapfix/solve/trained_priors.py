@@ -35,24 +35,15 @@ FEATURE_STEP = 1e-3  # times the derivative of the features: the difference from
 
 @dataclass(frozen=True)
 class NetworkArchitecture:
-    """The architecture of a network.
+    """The architecture of a network."""
 
-    input_features       features that the encoder takes: a key of FEATURE_COUNTS
-    output_features      features that the decoder returns: a key of FEATURE_COUNTS
-    hidden_widths        widths of the encoder's hidden layers; the decoder has the same in reverse order
-    code_size            dimensions of the network's code
-    residual_directions  number of further code dimensions, along the directions of the decoded poses' residuals
-    activation           activation of the hidden layers: a key of ACTIVATION_SLOPES
-    skip_connection      whether a linear map from the code is added to the decoder's output
-    """
-
-    input_features: str
-    output_features: str
-    hidden_widths: tuple[int, ...]
-    code_size: int
-    residual_directions: int
-    activation: str
-    skip_connection: bool
+    input_features: str  # features that the encoder takes: a key of FEATURE_COUNTS
+    output_features: str  # features that the decoder returns: a key of FEATURE_COUNTS
+    hidden_widths: tuple[int, ...]  # widths of the encoder's hidden layers; the decoder has the same in reverse order
+    code_size: int  # dimensions of the network's code
+    residual_directions: int  # number of further code dimensions, along the directions of the decoded poses' residuals
+    activation: str  # activation of the hidden layers: a key of ACTIVATION_SLOPES
+    skip_connection: bool  # whether a linear map from the code is added to the decoder's output
 
     def list_weight_shapes(self, joint_count: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of the network's weights for a skeleton, by their names in the network."""
@@ -191,19 +182,13 @@ NETWORK_PREFIX = "network."  # of the names of the network's weights in a file
 
 @dataclass(frozen=True)
 class AutoencoderModel(PoseModel):
-    """A trained autoencoder whose code has N dimensions of the network and P - N amplitudes of residuals.
-
-    weights              the network's weights in single precision, by their names in the network
-    code_mean            (N,) mean of the network's code over the training poses
-    code_cholesky        (N, N) lower triangular: the network's code is code_mean + code_cholesky @ code[:N]
-    residual_directions  (P - N, J, 3) radians: residual of the decoded pose for one standard deviation of each further code
-                         dimension
-    """
+    """A trained autoencoder whose code has N dimensions of the network and P - N amplitudes of residuals."""
 
     architecture: NetworkArchitecture
-    weights: Mapping[str, np.ndarray]
-    code_mean: np.ndarray
-    code_cholesky: np.ndarray
+    weights: Mapping[str, np.ndarray]  # the network's weights in single precision, by their names in the network
+    code_mean: np.ndarray  # (N,) mean of the network's code over the training poses
+    code_cholesky: np.ndarray  # (N, N) lower triangular: the network's code is code_mean + code_cholesky @ code[:N]
+    # (P - N, J, 3) radians: residual of the decoded pose for one standard deviation of each further code dimension
     residual_directions: np.ndarray
     kind: ClassVar[str] = "autoencoder"
 

@@ -55,14 +55,10 @@ class WorldPoses(NamedTuple):
 
 
 class MarkerEquations(NamedTuple):
-    """The quadratic cost of the markers of N frames about their poses, in root position, root rotation and pose vectors.
+    """The quadratic cost of the markers of N frames about their poses, in root position, root rotation and pose vectors."""
 
-    curvature  (N, 6 + 3 F, 6 + 3 F)
-    gradient   (N, 6 + 3 F)
-    """
-
-    curvature: np.ndarray
-    gradient: np.ndarray
+    curvature: np.ndarray  # (N, 6 + 3 F, 6 + 3 F)
+    gradient: np.ndarray  # (N, 6 + 3 F)
 
 
 def compute_marker_equations(
@@ -247,16 +243,13 @@ def compute_sampled_prior(
 class LinearisedModel(NamedTuple):
     """A pose model near the codes of N frames: a Gaussian of R numbers of the pose, in radians.
 
-    mean         (N, R) of poses whose codes are distributed as in the model
-    information  (N, R, R) inverse covariance of poses
-    code_gain    (N, A, R) expected nonlinear dimensions of the code for a pose's deviation from the mean
 
     Where all frames have the same code, information and gain have one row for all.
     """
 
-    mean: np.ndarray
-    information: np.ndarray
-    code_gain: np.ndarray
+    mean: np.ndarray  # (N, R) of poses whose codes are distributed as in the model
+    information: np.ndarray  # (N, R, R) inverse covariance of poses
+    code_gain: np.ndarray  # (N, A, R) expected nonlinear dimensions of the code for a pose's deviation from the mean
 
     def compute_force(self, vectors: Float[np.ndarray, "N O 3"]) -> Float[np.ndarray, "N R"]:
         """Return the gradient of the cost, half the squared deviation in standard deviations, at poses."""
@@ -416,15 +409,11 @@ class WindowSolution(NamedTuple):
 
 
 class IndependentSolution(NamedTuple):
-    """The solution of T frames before their trajectories are smoothed.
-
-    uncertainty   uncertainty of the poses
-    gap_variance  (T, J) rad^2: variance of the interpolated rotations of uncertain joints
-    """
+    """The solution of T frames before their trajectories are smoothed."""
 
     poses: Poses
-    uncertainty: PoseUncertainty
-    gap_variance: np.ndarray
+    uncertainty: PoseUncertainty  # uncertainty of the poses
+    gap_variance: np.ndarray  # (T, J) rad^2: variance of the interpolated rotations of uncertain joints
 
 
 def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:

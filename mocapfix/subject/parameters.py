@@ -152,15 +152,11 @@ HIP_JOINTS = ("LeftUpLeg", "RightUpLeg")
 
 
 class PelvisLandmarks(NamedTuple):
-    """The markers of a subject on landmarks of the pelvis.
+    """The markers of a subject on landmarks of the pelvis."""
 
-    left_anterior, right_anterior  indices of the markers on the anterior superior iliac spines
-    posterior                      those on the posterior ones, or the one on the sacrum between them
-    """
-
-    left_anterior: int
+    left_anterior: int  # left_anterior, right_anterior: indices of the markers on the anterior superior iliac spines
     right_anterior: int
-    posterior: tuple[int, ...]
+    posterior: tuple[int, ...]  # those on the posterior ones, or the one on the sacrum between them
 
 
 class HipEvidence(NamedTuple):
