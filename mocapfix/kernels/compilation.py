@@ -64,8 +64,8 @@ def choose_cache_folder() -> Path | None:
     """
     installation = Path("mocapfix", f"kernels-{_compute_digest(str(PACKAGE_FOLDER).encode())}")
     candidates = [KERNELS_FOLDER / "__pycache__"]
-    if config.CACHE_DIR:
-        candidates.insert(0, Path(config.CACHE_DIR) / installation)
+    if requested := os.environ.get("NUMBA_CACHE_DIR"):  # Numba's own value is this module's once it was imported
+        candidates.insert(0, Path(requested) / installation)
     with suppress(RuntimeError):  # no home
         candidates.append(_find_user_cache_folder() / installation)
     candidates.append(Path(tempfile.gettempdir()) / installation)

@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -140,6 +141,10 @@ def test_the_folder_of_numba_cache_dir_is_used(package: Path, tmp_path: Path) ->
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == (6.0, 0)
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == (6.0, 1)
     assert list_cache_folders(package) == []
+
+
+def test_the_module_that_runs_as_a_command_uses_the_same_folder() -> None:
+    assert runpy.run_path(inspect.getfile(compilation))["CACHE_FOLDER"] == compilation.CACHE_FOLDER
 
 
 def test_processes_may_start_at_once(package: Path) -> None:
