@@ -65,6 +65,16 @@ class Option:
         """Return the value of the option in a `CleanOptions`."""
         return getattr(getattr(options, self.stage), self.name)
 
+    def convert(self, value: Any) -> Any:
+        """Return a value with the type of the field: a tuple for a list or the only one of several, floats for integers."""
+        if isinstance(value, list):
+            value = tuple(cast("list[Any]", value))
+        elif isinstance(value, str | Path) and isinstance(self.default, tuple):
+            value = (value,)
+        if self.type == tuple[float, ...] and isinstance(value, tuple):
+            return tuple(_convert_integer(each) for each in cast("tuple[Any, ...]", value))
+        return _convert_integer(value) if self.type in (float, float | None) else value
+
     def to_display(self, value: Any) -> Any:
         """Return a value with its numbers in the unit that users see."""
         if isinstance(value, tuple):
@@ -136,6 +146,10 @@ class Option:
         return [argument for each in values for argument in (self.flag, str(each))]
 
 
+def _convert_integer(value: Any) -> Any:
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
 ARGUMENT_FORMS = {"frames": "FIRST:LAST, as in 100:250", "subject": "FILE, or NAME=FILE,... with a name only once"}
 FRAME_LIMIT = 2**62
 """beyond the number of any frame: the end of a range that is left open"""
@@ -172,18 +186,17 @@ def define_option(default: T, flag: str, metavar: str, help: str, **details: Any
 class StageOptions:
     """The options of one stage. A list, or a single text for an option that takes several, becomes a tuple.
 
+    An integer becomes a float for an option that is one, or several: only floats are converted between units.
+
     Raises OptionError for the first value that is not allowed.
     """
 
     def __post_init__(self) -> None:
         for option in list_options(type(self)):
-            name, value = option.name, getattr(self, option.name)
-            if isinstance(value, list):
-                object.__setattr__(self, name, tuple(cast("list[object]", value)))
-            elif isinstance(value, str | Path) and isinstance(option.default, tuple):
-                object.__setattr__(self, name, (value,))
-            if problem := option.find_problem(getattr(self, name)):
-                raise OptionError(name, option.flag, option.job_key, problem)
+            value = option.convert(getattr(self, option.name))
+            object.__setattr__(self, option.name, value)
+            if problem := option.find_problem(value):
+                raise OptionError(option.name, option.flag, option.job_key, problem)
 
 
 @cache

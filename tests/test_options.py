@@ -148,6 +148,9 @@ def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
         {"robust_scales_m": (0.2, 0.07), "min_spike_m": 0.0305, "max_solve_rounds": 2},
         {"marker_set": "cmu41", "subject_prefix": "Jim"},
         {"max_gap_s": float("inf")},
+        {"max_sd_m": 1, "max_gap_s": 2, "output_rate_hz": 30, "floor_height_m": 0},
+        {"robust_scales_m": (2, 1)},
+        {"robust_scales_m": [2, 0.5]},
     ],
 )
 def test_arguments_are_read_as_the_same_options(values: dict[str, object]) -> None:
