@@ -254,8 +254,7 @@ class OpenTake:
             if reason := explain_why_not(self.take):
                 raise SceneError(reason)
             command = build_clean_command(self.take, self.subjects, formats, rigs)
-            self._before_run = (self.view, [change.id for change in self.store.file.changes])
-            self.status = RunStatus("running", "start")
+            before_run = (self.view, [change.id for change in self.store.file.changes])
 
             def note_status(status: RunStatus) -> None:
                 with self.lock:
@@ -264,7 +263,14 @@ class OpenTake:
                     self.status = status
                 report(status)
 
-            self._run = CleaningRun(command, self.take.folder, note_status)
+            try:
+                self._run = CleaningRun(command, self.take.folder, note_status)
+            except OSError as error:
+                problem = error.strerror or error
+                raise WriteError(
+                    f"{self.take.name} cannot be cleaned: its process cannot be started ({problem}); try again."
+                ) from error
+            self._before_run, self.status = before_run, RunStatus("running", "start")
             return self.status
 
     def cancel_cleaning(self) -> None:

@@ -239,6 +239,21 @@ def test_a_failed_cleaning_leaves_the_outputs_and_gives_its_sentence(running: Ru
     assert left == outputs
 
 
+def test_a_cleaning_that_cannot_start_leaves_the_take_open(running: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    change = fetch(running, "takes/walk")["changes"][0]["id"]
+
+    def fail(*_arguments: object, **_options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "Popen", fail)
+        status, data, _ = request(f"{running.address}/api/takes/walk/clean", body={})
+    sentence = " cannot be cleaned: its process cannot be started (Permission denied); try again."
+    assert (status, json.loads(data)["error"].endswith(sentence)) == (423, True)
+    assert fetch(running, "takes/walk")["run"]["state"] == "idle"
+    assert edit(running, {"type": "decide", "ids": [change], "decision": "accept"})["state"] == "in review"
+
+
 def test_approval_has_name_and_date_and_ends_with_the_next_edit(running: RunningServer) -> None:
     change = fetch(running, "takes/walk")["changes"][0]["id"]
     assert fetch(running, "session")["takes"][0]["state"] == "untouched"
