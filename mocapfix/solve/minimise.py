@@ -30,7 +30,7 @@ from mocapfix.kernels.terms import count_rows
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import SolveOrder, order_independently, run_over_frames
-from mocapfix.solve.terms import ShapeDeformations
+from mocapfix.solve.terms import BodyTerms, ShapeDeformations
 
 NEGLIGIBLE_COST_DECREASE = MIN_COST_DECREASE  # decrease of the cost that does not count
 
@@ -265,7 +265,7 @@ class SharedResponses(NamedTuple):
 
 def compute_shared_responses(
     tree: KinematicTree,
-    terms: KernelTerms,
+    terms: BodyTerms,
     deformations: ShapeDeformations,
     squared_robust_scale: float,
     root: Float[np.ndarray, "T 3"],
@@ -280,6 +280,7 @@ def compute_shared_responses(
     only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
     """
     frames, joints = local.shape[:2]
+    _, _, pose_prior, _ = terms
     dense, markers = deformations.marker_offsets.shape[:2]
     rotating = np.flatnonzero(tree.free)[1:]
     unknowns = dense + 3 * markers + 3 * len(rotating)
@@ -289,7 +290,7 @@ def compute_shared_responses(
         np.empty((frames, dense, markers, 3)),
         np.empty((frames, unknowns + 1, markers, 3)),
         np.empty((frames, unknowns + 1, len(rotating), 3)),
-        terms[2].information[0, rotating],
+        pose_prior.information[0, rotating],
         np.empty((frames, unknowns, joints, 3)),
     )
     run_over_frames(
