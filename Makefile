@@ -47,7 +47,7 @@ browser:
 	@command -v chromium >/dev/null || (apt-get update -q && apt-get install -qy --no-install-recommends chromium) >/dev/null \
 		|| echo "Chromium could not be installed, so the tests of the review page are skipped; install it with the system's packages."
 
-# Khronos' validator of glTF, for tests/io/test_character_glb.py, from npm; without it this test is skipped.
+# Khronos' validator of glTF, for tests/characters/test_character_glb.py, from npm; without it this test is skipped.
 gltf-validator: .gltf-validator/installed
 
 lint: $(VENV)/installed-dev

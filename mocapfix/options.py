@@ -25,11 +25,11 @@ DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
 CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
 EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv", "contacts", "events", "fbx")
-"""formats that are written on request (io.output_formats)"""
+"""formats that are written on request (`output_formats.OPTIONAL_FORMATS`)"""
 REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
 )  # fmt: skip
-"""the kinds of fault that a repair can be restricted to; "gap" stands for every kind of missing samples (faults)"""
+"""the kinds of fault that a repair can be restricted to; "gap" stands for every kind of missing samples (`model.faults`)"""
 UNITS = ("mm", "cm", "m", "in", "ft")
 UP_AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
 FEET_OFF, FEET_SOFT, FEET_LOCK = "off", "soft", "lock"
@@ -209,7 +209,8 @@ class SolveOptions(StageOptions):
         job_key="solve.robust_scales_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     limit_sd_rad: float = define_option(
-        0.1, "--solve-limit-sd", "RAD", "standard deviation of a rotation beyond its joint limits",
+        0.1, "--solve-limit-sd", "RAD",
+        "standard deviation of a rotation beyond its joint limits in a pose that lasts 1 s (times sqrt(rate) in one frame)",
         job_key="solve.limit_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
 

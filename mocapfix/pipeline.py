@@ -1,7 +1,7 @@
 """The pipeline: every stage of cleaning a take, in order.
 
-`clean` cleans the take of each subject in a file: detect, calibrate, initialise, solve, detect again, fill, apply decisions. Each
-stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
+`clean` cleans the take of each subject in a file: detect, calibrate, initialise, solve, detect again, find contacts and hold
+feet, fill, apply decisions. Each stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
 """
 
 import os

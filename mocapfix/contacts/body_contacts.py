@@ -118,7 +118,9 @@ def hold_feet(
     is_locked: bool,
     is_root_fixed: bool = False,
 ) -> Motion:
-    """Return the motion with standing feet held: at one place each (`is_locked`), or without the fast part of their motion.
+    """Return the motion of an animation with standing feet held: at one place each (`is_locked`), or without its fast part.
+
+    No marker limits it, unlike `hold_measured_feet`, which holds the feet of a take.
 
     joint_position  (T, J, 3) m: of the motion
     is_root_fixed   only the legs move; otherwise the root may move a little too

@@ -43,7 +43,7 @@ from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
 GAUSSIAN_PROCESS_CORRELATION = 0.8
-"""The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
+"""Correlation of the errors of the Gaussian process and the other estimates: where it is used, they rely on the same markers."""
 MAX_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by splines
 SETTLED_SPLINE_SD_M = 0.001  # standard deviation of a spline below which its samples are used as known ones by the clusters
 PARTIAL_BODY_SD_RATIO = 2.0

@@ -1,7 +1,8 @@
 """Decide the unit, the up axis and the handedness of a file: by the options, by the file, and by the person in it.
 
-This is the one place where positions in the unit and axes of a file become metres with Y up. An option is always followed. What a
-file declares is followed unless its markers prove it wrong, which is noted; what they contradict without showing what is right is
+This is the one place where positions in the unit and axes of a file become metres with Y up. An option is followed, but --up
+and --mirror are refused where they contradict a body that is certain, unless --accept-contradictions is given. What a file
+declares is followed unless its markers prove it wrong, which is noted; what they contradict without showing what is right is
 refused, with the option that settles it.
 """
 

@@ -111,7 +111,7 @@ def infer_occluded_joints(
     """Overwrite the rotations of unobserved joints, and their variance in rad^2, with predictions.
 
     root_position, local_rotations, variance  the solution of each frame on its own, in metres and rad^2
-    is_unobserved                             as from `observability.find_unobserved_joints`
+    is_unobserved                             as from `pose_problem.find_unobserved_joints`
     kernel                                    covariance of the rotations between frames
     solved                                    equal to local_rotations, which are overwritten; copied from there by default
     """

@@ -40,7 +40,7 @@ from mocapfix.solve.terms import (
 from mocapfix.stats.sequences import find_runs
 
 GAP_BORDER_S = 0.05  # time before and after its gaps for which a marker is ignored
-POSE_PERSISTENCE_S = 1.0  # time in which the prior applies once, instead of once a frame
+POSE_PERSISTENCE_S = 1.0  # time in which the prior and the joint limits count once, instead of once a frame
 MIN_GAP_DURATION_S = 0.025  # gaps up to this duration are flicker and have no borders
 
 
@@ -227,7 +227,7 @@ def build_pose_problem(
     """Return the pose problem of a take: markers, prior and joint limits, with the arguments of `build_motion_problem`."""
     is_unobserved = find_unobserved_joints(take.visible, subject, body.free_joints)
     is_border = find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, GAP_BORDER_S)
-    # neighbouring frames show the same pose, so the prior applies once in POSE_PERSISTENCE_S, not in every frame
+    # neighbouring frames show the same pose, so prior and limits count once in POSE_PERSISTENCE_S, not in every frame
     frames_per_pose = POSE_PERSISTENCE_S * take.rate
     return PoseProblem(
         KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
