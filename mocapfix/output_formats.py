@@ -1,6 +1,6 @@
 """The formats of output files, one entry each, and which of them the options select.
 
-Write the contacts of a body as JSON, and the events of gait as CSV.
+`DEFAULT_FORMATS` are always written, `OPTIONAL_FORMATS` on request; `list_output_formats` selects. Two are written here:
 
 walk.contacts.json   {"LeftFoot": [[first, last], ...], "LeftToeBase": ..., ...}: frames of walk.bvh, from 0, inclusive.
                      LeftFoot stands for the heel, LeftToeBase for the ball of the foot; also knees (LeftLeg) and wrists

@@ -1,6 +1,7 @@
 """The result of cleaning a take, and the files that are written of it.
 
-Sentences of the report about the files that are written.
+`CleaningResult.write` writes them, `build_output_notes` says of them what the report must. `merge_results` joins the results of
+several subjects.
 """
 
 import os

@@ -4,12 +4,10 @@
     faults    = detect_animation_faults(animation)     lost values, pops, flips, jitter
     repair    = repair_animation(..., faults, ...)     by the method that suits each kind of fault
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected
+    contacts  = find_animation_contacts(...)           with the floor, and events of gait
 
 All other values stay as they are. Faults and changes refer to the joint tips (see `joint_mapping.build_tip_take`).
-
-Contacts of an animation's body with the floor, and events of gait, from its joints.
-
-The trained models of poses and motion, for the joints of an animation.
+`MappedPriorConditioner` applies the trained models of poses and motion to the joints of the animation.
 """
 
 import shutil

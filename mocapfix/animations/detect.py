@@ -1,22 +1,16 @@
 """Detection of faults in an animation's joint rotations and in the position of its root.
 
 An animation has N = J + 1 tracks: the rotations of its J joints relative to their parents, and the position of its root (of the
-hips where a reference node that does not move is above them).
-Gaps are detected first, because the values that a file holds in a gap resemble every other fault. Pops and flips follow, and
-then jitter in what remains.
+hips where a reference node that does not move is above them). `detect_animation_faults` detects in this order:
 
-Detection of gaps in an animation: intervals without values, of zeros, or of one repeated value.
-
-A moving body does not repeat a value to the last digit, and after a gap in which the last value was held it is somewhere else:
-an interval of one value is a gap if it ends in a jump. A figure that stands still on purpose, as in keyframe animation, does not
-jump, and a knee at its joint limit arrives and leaves at its own speed. Zeros are a gap if the joint jumps to them and back.
-Zeros of the whole figure at the start or end of a file are its rest pose.
-
-Detection of jitter in a joint's rotation: noise that is independent from frame to frame, for some time.
-
-Fourth differences contain almost nothing of a body's motion and amplify noise by a factor of eight. Two properties distinguish
-jitter from fast motion where they are large. Second differences give the same size of jitter as fourth differences do, but a far
-greater one of motion. And jitter is about all axes, whereas a kick, a landing or a clap jerks a joint about one axis.
+- gaps (`detect_animation_gaps`), because the values that a file holds in a gap resemble every other fault: intervals without
+  values, of zeros, or of one repeated value. A moving body does not repeat a value to the last digit, so such an interval is a
+  gap if it ends in a jump; a figure that stands still on purpose does not jump. Zeros are a gap if the joint jumps to them and
+  back; zeros of the whole figure at the start or end of a file are its rest pose;
+- pops and flips (`offsets.detect_offsets`);
+- jitter in what remains (`detect_rotation_jitter`): noise that is independent from frame to frame. Fourth differences amplify
+  it by eight and contain almost nothing of a body's motion. Unlike fast motion, it has the same size in second differences, and
+  is about all axes: a kick, a landing or a clap jerks a joint about one.
 """
 
 from collections.abc import Iterator, Sequence

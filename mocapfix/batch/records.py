@@ -1,11 +1,8 @@
-"""The record of one take in a batch: what was cleaned, with what, and how it ended. One JSON file beside the outputs.
+"""The records of a batch: for each take what was cleaned, with what, and how it ended. One JSON file beside the outputs.
 
 The records are the whole state of a batch. A take whose record agrees with its input, the options and the version, and whose
-outputs exist, is not cleaned again.
-
-Locks on the folder of a batch and on the outputs of a take, which end with the process that holds them, however it ends.
-
-Hashes of what determines the outputs of a take: the bytes of its file, and the options with the files that they name.
+outputs exist, is not cleaned again: `hash_file` and `hash_options` tell. `lock_batch_folder` and `hold_take` lock the folder of a
+batch and the outputs of a take; the locks end with the process that holds them, however it ends.
 """
 
 import hashlib

@@ -1,6 +1,7 @@
-"""The takes of a batch: the files in a folder, those that patterns match, or those that a caller names.
+"""The takes of a batch: files in folders, files that patterns match or that a caller names, and those of a session file.
 
-Session files: YAML files that name the takes of a session, the people in them, and the options of cleaning.
+`find_takes` finds takes and gives them ids. `read_session_file` reads a YAML file that names the takes of a session, the people
+in them, and the options of cleaning.
 """
 
 import os

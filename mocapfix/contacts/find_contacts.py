@@ -1,13 +1,10 @@
 """Find the contacts of a body with the floor, from the positions of its joints.
 
-A joint is in contact while it stands still, near the floor or another level on which the person stands.
-
-Infer the contacts of a foot while no marker shows it: a foot that stands at one place before and after stood there between.
-
-Detect when a joint stands still: the cheapest sequence of the states moving and standing (Viterbi), by the joint's speed.
-
-The solved motion is smooth already, so its speed is the difference of neighbouring frames. A joint of a foot that bears weight
-still rolls: its speed falls to 0.02 to 0.1 m/s, not to 0. The cost of a state is linear in the logarithm of the speed.
+A joint is in contact while it stands still, near the floor or another level on which the person stands. `detect_standing` finds
+the cheapest sequence of the states moving and standing (Viterbi), whose cost is linear in the logarithm of the speed. The
+solved motion is smooth, so the speed is the difference of neighbouring frames; that of a foot that bears weight falls to 0.02
+to 0.1 m/s, since it rolls. While no marker shows a foot, `find_certain_occlusions` infers: one that stands at one place before
+and after stood there.
 """
 
 import numpy as np

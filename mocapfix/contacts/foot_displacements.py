@@ -2,9 +2,8 @@
 
 `soft` removes the fast part of a standing foot's motion: skin and cameras, but not the slow rolling of the foot. `lock` holds the
 foot at one place in the horizontal plane. Both keep its own height, except where no marker shows the foot. Between contacts the
-displacement returns to 0, with the least acceleration.
-
-Keep the distance from ankle to toes where each shall be at a place of its own: a foot is rigid between them.
+displacement returns to 0, with the least acceleration (`smooth_displacement`). A foot is rigid: `restore_foot_length` keeps the
+distance from ankle to toes.
 """
 
 import numpy as np

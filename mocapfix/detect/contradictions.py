@@ -1,10 +1,9 @@
-"""Refuse a take that contradicts its body as a whole: what is then wrong is its unit, axes, rate, marker set or subject.
+"""Takes, and learned marker sets, that contradict their body as a whole.
 
-Single faults are repaired. Where a third of the samples would be, or where the body is no person's, a repair would be written
-without any evidence that it is one.
-
-The trial of a learned marker set: what it changes in the very take from which it was learned. Labels and samples that are
-consistent without a skeleton should stay as they are with it. A wrong skeleton contradicts them, and the set is withdrawn.
+Single faults are repaired. Where a third of the samples would be, or where the body is no person's, a repair has no evidence:
+`check_contradictions` refuses the take, whose unit, axes, rate, marker set or subject is wrong. A marker set that was learned
+from the take is tried on it: `select_consistent_set` withdraws it, or some of its markers, where its body contradicts labels and
+samples that are consistent without a skeleton.
 """
 
 from dataclasses import dataclass

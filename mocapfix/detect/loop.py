@@ -1,12 +1,9 @@
 """The detection loop: labels are corrected and faults are detected, until nothing new is found.
 
 `detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body. Labels come first,
-since a label error looks like every other fault; then swaps before spikes, and spikes before gaps. A correction can uncover
-further faults, so detection is repeated after it.
-
-Detection against the solved body: label swaps, spikes, ghosts and marker shifts that trajectories alone do not show.
-
-Faults of the samples under correct labels, detected from the trajectories alone.
+since a label error looks like every other fault. Under correct labels `detect_sample_faults` detects the fills of other programs
+first, which are not judged; then spikes, frozen values and jitter, and ghosts last, among the samples that are left. After a
+correction of labels the samples are judged again.
 """
 
 from dataclasses import replace

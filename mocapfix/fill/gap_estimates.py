@@ -1,19 +1,13 @@
 """Estimates of every gap of a take, weighted by what each of them achieves where the same markers are hidden elsewhere in it.
 
-A gap is filled from the marker's own trajectory, from rigid clusters of its neighbours, by a regression on their deformation and,
-where these leave it uncertain, by a Gaussian process over all markers. Short gaps come first: what is filled precisely is a
-neighbour for longer ones.
+`estimate_gaps` fills a gap from the marker's own trajectory, from rigid clusters of its neighbours and by a regression on their
+deformation, the short gaps first: what is filled precisely is a neighbour for longer ones. `add_processes` adds a Gaussian
+process over all markers where these leave a gap uncertain. The weights come from two kinds of evidence:
 
-Hidden stretches: visible parts of the take that are treated as missing, to measure the errors of estimates.
-
-A stretch imitates a gap: it is as long, the same markers are hidden together, and the samples beside it are visible. Where the
-take shows no stretch that long, a shorter one is used, which is worth less.
-
-How well the visible markers are interpolated in the very gap of a lost one.
-
-Stretches of a take in which a marker is visible are often those in which it rests, and a short take has few of them. The markers
-that are visible throughout the gap are treated as missing there: they show how the person moves during the gap, and whether
-velocities at its edges help.
+- `choose_hidden_stretches`: visible parts of the take that imitate the gap and are treated as missing. They are as long, hide
+  the same markers, and have visible samples beside them; where the take has none that long, shorter ones, which are worth less;
+- `measure_neighbour_errors`: markers that are visible throughout the gap are treated as missing in it. Hidden stretches are few
+  in a short take, and often those in which the marker rests; the neighbours show how the person moves during this gap.
 """
 
 from collections.abc import Iterator

@@ -1,14 +1,14 @@
-"""Gaussian processes over all markers (see `gaussian_process_fill`), with their errors in hidden stretches.
+"""Gaussian processes over all markers: missing ones are predicted from frames with a similar body state and from neighbouring
+frames.
 
-The axes of a gap follow its input markers only, as in the gap nothing else is known.
+A Gaussian model of the whole marker set given the visible markers (Gloersen & Federolf 2016, "Predicting missing marker
+trajectories in human motion data using marker intercorrelations", PLoS ONE 11), extended to a process over the frames that also
+uses time and recurrence (`stats.gaussian_process`). Positions are relative to axes fixed to the marker set, dominated by the
+trunk. Its constants minimise the error on lost limbs of captures and of CMU's training subjects.
 
-Filling from the rest of the body: missing markers predicted from frames with a similar body state and from neighbouring
-frames.  A Gaussian model of the whole marker set given the visible markers (Gloersen & Federolf 2016, "Predicting missing marker
-trajectories in human motion data using marker intercorrelations", PLoS ONE 11), extended to a process over the frames of the take
-that also uses time and recurrence (see `stats.gaussian_process`). Positions are relative to axes fixed to the whole marker set,
-dominated by the trunk. The variance is validated: stretches as long as the gap are predicted elsewhere in the take, and the error
-there is expected in the gap.  The units and covariances below minimise the error on lost limbs of captures and of CMU's training
-subjects.
+`fill_from_gaussian_process` fills a take beside a solved body, and validates its variance: stretches as long as the gap are
+predicted elsewhere in the take. `MarkerProcesses` estimates single gaps without a body, with its errors in hidden stretches;
+there the axes follow the input markers only, as in the gap nothing else is known.
 """
 
 from typing import NamedTuple

@@ -1,12 +1,11 @@
 """Fragments: trajectories that continue a marker under another label (`*12`, `C_123`, `RBAC-1`).
 
-A segment of such a trajectory continues the marker that is missing at that time and whose rigid signature it matches: the
-distances to the markers of its segment, the side of them on which it lies, and a path that leads to it and on from it. Each
-deviation is measured in its own standard deviations. The sum of their squares is a cost, and the costs give the probability
-of each marker, and of none (Bayes' rule). The most certain segments are joined first: the marker is then no longer missing,
-and its samples help to decide about the next segment.
-
-Classification of trajectory segments: what each one is, and why, in a sentence for a technician.
+`detect_fragments` compares each segment of such a trajectory with the markers that are missing at that time, by their rigid
+signatures: the distances to the markers of the segment, the side of them on which it lies, and a path that leads to it and on
+from it. Each deviation is measured in its own standard deviations. The sum of their squares is a cost, and the costs give the
+probability of each marker, and of none (Bayes' rule). The most certain segments are joined first (`join_fragments`): the marker
+is then no longer missing, and its samples help to decide about the next. The `classify_` functions say in a sentence what a
+segment is.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,6 +1,7 @@
 """Build the report of one subject's take, section by section, from what the stages of its cleaning returned.
 
-The report's section on contacts with the floor, and the notes on what a technician must know of them.
+`build_report` and `build_inspection_report` are the whole; `build_contact_section` is the section on contacts with the floor, and
+`describe_contacts` its notes on what a technician must know.
 """
 
 from collections import Counter

@@ -1,7 +1,4 @@
-"""The JSON report of a cleaned take: typed sections with stable keys; see mocapfix.report.build_report for their builders.
-
-The report's keys of contacts with the floor.
-"""
+"""The JSON report of a cleaned take: typed sections with stable keys. `report.build_report` builds them."""
 
 from typing import NotRequired, TypedDict
 

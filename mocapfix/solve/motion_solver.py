@@ -1,28 +1,17 @@
 """The motion solver: the pose of every frame that best agrees with markers, a prior on poses, and the frames around it.
 
-A take is solved in windows (`window_solver`), and again only where it changed. Limbs that no marker shows are interpolated at
-first, which is all that detection needs. They are inferred from the rest of the take once the faults are known.
+`solve_body` solves a take in windows (`window_solver`), and again only where it changed. Limbs that no marker shows are
+interpolated at first, which is all that detection needs. `complete_body` infers them, once, when the faults are known: as leaves
+of the body they cost nothing that a marker shows, so the other joints keep their poses.
 
-Motion uncertainty: the standard deviations of the joints and markers of a solved motion.
+`compute_pose_sd` gives the standard deviations of joints and markers, from the posterior covariance of the poses. The solver
+weights its terms for robustness; the error of its result is computed from the same curvature with the actual uncertainty of each:
 
-It is the posterior covariance of the poses, computed from the root to the leaves. The solver weights its terms for
-robustness: it assumes a large marker error, and applies the prior only once in a while, since neighbouring frames are correlated.
-The error of its result is a different question. It is computed from the same curvature and factorisation, with the actual
-uncertainty of each term:
-
-- markers: estimated from their distances to the solved body, corrected for the part of the error that the poses absorbed, as in
-  the a posteriori variance of least squares;
-- the pose prior: applied in every frame, since it constrains one frame's pose no less if it is applied to its neighbours too
-  (joint limits stay as in the solve; inside them they have no effect);
+- markers: estimated from their distances to the solved body (`estimate_marker_sd`), corrected for what the poses absorbed;
+- the pose prior: applied in every frame (joint limits stay as in the solve; inside them they have no effect);
 - joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
 - joints that are not solved, as in the fingers: the variation of people's poses;
 - the calibration error, which no frame shows: taken from the subject.
-
-Unobserved joints: the poses of limbs that no marker shows, in a motion whose other joints are solved.
-
-The cost of such joints depends on nothing that a marker shows: they are leaves of the body, and prior, joint limits and tracking
-hold for each joint by itself. So they are inferred last, once, from the solved rest of the take (`occluded_joints`), and the
-other joints keep their poses.
 """
 
 from dataclasses import replace

@@ -1,19 +1,14 @@
-"""The interface of trained pose models, both linear models and neural networks.
+"""The interface of trained pose models, `PoseModel`, and the Gaussian ones.
 
 A pose is given as rotation vectors that lead from a reference pose to the pose, in the axes of each joint's parent. The root's
 vector is its tilt: position and heading are not part of the pose. A code has P numbers that are independent and standard normal
 under the prior, so the cost of a code is half its sum of squares. A pose is normally distributed around the decoded pose of its
-code with the standard deviation `residual_sd_rad`. `kernels.terms.latent_code` uses this interface in the solver.
+code with the standard deviation `residual_sd_rad`. `solve.model_terms` uses this interface in the solver.
 
-Gaussian pose models: linear ones, and mixtures.
-
-A linear model is a mean pose and components, each scaled to one standard deviation of the code. With few components this is
-probabilistic principal component analysis (Tipping and Bishop, 1999, Eqs. 5-8); with all components above the noise it is the
-full Gaussian.
-
-In a mixture (Wei and Chai, IEEE Computer Graphics and Applications, 2011) poses are projected onto principal axes, and their
-density there is a mixture of Gaussians. A pose is described by the component of least cost, with the linear decoder of that
-component. `select_components` selects that component for each pose.
+`GaussianModel`: a mean pose and components, each scaled to one standard deviation of the code. With few components this is
+probabilistic principal component analysis (Tipping and Bishop, 1999, Eqs. 5-8), with all above the noise the full Gaussian.
+`MixtureModel` (Wei and Chai, IEEE Computer Graphics and Applications, 2011): a mixture of Gaussians on the principal axes. Each
+pose is described by the component of least cost (`select_components`).
 """
 
 from abc import ABC, abstractmethod

@@ -1,9 +1,10 @@
-"""The pose problem of a take: a body, its measured markers, and the prior on its poses; and the motion problem, with time.
+"""The problem of a take's poses: what the solver minimises, and the frames in which it has to.
 
-Observability: which marker samples the solver uses, and which joints they determine.
-
-Windows: a round of detection changes the samples of a few frames. Only these frames are solved again, with the neighbours that
-smoothing connects them to; all others keep their solution. A long take is solved in several windows, which limits the memory.
+`build_pose_problem` has the terms of a body in single frames: its markers, the prior on its poses and the joint limits.
+`build_motion_problem` adds time, and which joints the markers determine (`find_unobserved_joints`,
+`find_partly_observed_joints`). A round of detection changes the samples of a few frames: `find_changed_frames` and
+`select_windows` find these and the neighbours that smoothing connects them to. All others keep their solution. Windows also
+limit the memory of a long take.
 """
 
 from dataclasses import dataclass, replace

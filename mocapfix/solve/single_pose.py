@@ -1,9 +1,8 @@
-"""A single pose from constraints and a prior, as in MNN-IK (section 5).
+"""A single pose from constraints and a prior, as in MNN-IK (section 5): `solve_pose`.
 
-Constraints on a single pose, each with its standard deviation, and their terms in the kernels.
-
-Lengths are in metres, angles in radians, Y is up. Joints are named as in the skeleton. An offset is a point in the joint's axes,
-which in the rest pose (a T-pose facing +Z) are parallel to the world axes; by default it is the joint itself.
+Each constraint has a standard deviation; `build_constraint_terms` makes terms of the kernels of them. Lengths are in metres,
+angles in radians, Y is up. Joints are named as in the skeleton. An offset is a point in the joint's axes, which in the rest
+pose (a T-pose facing +Z) are parallel to the world axes; by default it is the joint itself.
 """
 
 from collections.abc import Callable, Sequence
