@@ -3,9 +3,10 @@
 take        marker trajectories, and where their samples lie in a file
 animation   joints and the channels that move them
 skeleton    the tree of joints
-subject     a person: bone lengths and places of markers
+subject     a person: bone lengths and places of markers; marker_set, which markers ride on which segment
 motion      the poses of a subject
-marker_set  which markers ride on which segment
-faults      what is wrong with samples and labels
-changes     what was changed, with its reason
+faults      what is wrong with samples and labels; detected, the take with its labels corrected and its faults
+body_fit    a calibrated subject in a take, with its motion
+changes     what was changed, with its reason; the filled and the decided take
+stage_timer the seconds of each stage
 """
