@@ -4,7 +4,7 @@ SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K + 3 F unkn
 markers' offsets along given deformations, linearly. The next 3 K are the K markers' offsets themselves, in their joints' axes.
 The last 3 F are the mean pose of the frames: the rotation of each of F joints from its target, in its parent's axes.
 
-`subject.refinement` runs these loops and sums over frames.
+`solve.minimise.compute_shared_responses` runs these loops; `subject.refinement` sums over frames.
 """
 
 import numpy as np
