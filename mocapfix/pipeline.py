@@ -49,8 +49,8 @@ from mocapfix.subject.calibration import (
     place_moved_markers,
 )
 from mocapfix.subject.library import (
+    NO_BODY_NOTE,
     SubjectChoice,
-    choose_marker_set,
     describe_marker_set_match,
     withdraw_marker_set,
 )
@@ -146,8 +146,8 @@ def clean_subjects(
     def clean_one(index: int) -> CleaningResult:
         take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        subject, own_timer = identify_subject(take, options.subject), StageTimer(dict(timer.stage_seconds), report_progress)
-        return clean_subject(take, subject, reviews[index], options, conditioner, own_timer)
+        choice, own_timer = identify_subject(take, options.subject), StageTimer(dict(timer.stage_seconds), report_progress)
+        return clean_subject(take, choice, reviews[index], options, conditioner, own_timer)
 
     while len(results) < len(takes):
         for result in map_in_processes(clean_one, range(len(results), len(takes)), multi_subject.list_shared_data(takes)):
@@ -182,16 +182,16 @@ def clean_subject(
     """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
-    subject, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
+    choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
     check_contradictions(detected, body, options)
-    standing, marker_set = None, subject.marker_set
+    standing, marker_set = None, choice.marker_set
     if body:
         with timer("solve"):
             standing = hold_standing_feet(complete_body(body, conditioner, options), take, options.contacts.feet)
     with timer("fill"):
         filling_body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
-        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill, is_own_set=subject.is_learned)
+        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill, is_own_set=choice.is_learned)
         is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
         decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
         decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
@@ -208,7 +208,7 @@ def clean_subject(
         joint_position_world=standing.fit.solved_joint_positions if standing else None,
         contacts=standing.contacts if standing else None,
         residual_m=detected.measure_residuals(standing.fit) if standing else None,
-        report=build_report(take, subject, standing, decided, options, timer.stage_seconds),
+        report=build_report(take, choice, standing, decided, options, timer.stage_seconds),
         review=review,
     )
 
@@ -216,7 +216,7 @@ def clean_subject(
 class FittedTake(NamedTuple):
     """A take with its faults, the subject and marker set that were used, and the body; None without a marker set."""
 
-    subject: SubjectChoice
+    choice: SubjectChoice
     detected: Detected
     body: BodyFit | None
 
@@ -282,19 +282,19 @@ def fit_body(
 
 
 def initialise_and_solve(
-    subject: SubjectInTake,
+    calibrated: SubjectInTake,
     previous: BodyFit | None,
     options: CleanOptions,
     conditioner: PriorConditioner | None,
     timer: StageTimer,
 ) -> BodyFit:
-    """Solve the poses of the calibrated subject: those of all frames, or those that changed since the body was solved."""
+    """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
     with timer("initialise"):
-        start = initialise_body(subject, previous, options.initialise.method_used)
+        start = initialise_body(calibrated, previous, options.initialise.method_used)
     with timer("solve"):
         if options.initialise.is_fast:
-            return place_body(subject, start.motion)
-        return solve_body(subject, start, previous, conditioner, options)
+            return place_body(calibrated, start.motion)
+        return solve_body(calibrated, start, previous, conditioner, options)
 
 
 @limit_blas_threads
@@ -305,7 +305,11 @@ def inspect(
     progress: ProgressCallback | None = None,
     **changed_options: object,
 ) -> list[InspectionReport]:
-    """Return what `clean` would detect, one report for each subject in the file. Nothing is written. Raises as `clean`."""
+    """Return what `clean` would detect, one report for each subject in the file. Nothing is written.
+
+    Raises MocapfixError where the file or its subject cannot be used. A take that `clean` refuses because it contradicts its body
+    as a whole is inspected, and so is one without the markers or frames that the options of filling name.
+    """
     options, timer = options.change(**changed_options), StageTimer(report_progress=report_in_this_process(progress))
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     capture = read_capture(path, options.read)
@@ -317,10 +321,12 @@ def inspect(
     def inspect_one(take: Take) -> InspectionReport:
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         choice = identify_subject(take, options.subject)
-        faults = detect_and_fit(take, choice, FaultReview(), options, conditioner, timer).detected.faults
-        marker_set = choice.marker_set
-        reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
-        notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
-        return build_inspection_report(take, marker_set and marker_set.name, take, faults, notes)
+        choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, conditioner, timer)
+        notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take)]
+        if marker_set := choice.marker_set:
+            notes.append(describe_marker_set_match(marker_set, take.labels))
+        else:
+            notes += [note for note in choice.notes if note != NO_BODY_NOTE]
+        return build_inspection_report(take, marker_set and marker_set.name, take, detected.faults, notes)
 
     return list(map_in_processes(inspect_one, split_corrected_subjects(capture, options)[0]))

@@ -442,6 +442,24 @@ def test_a_take_with_unknown_labels_is_cleaned_with_a_set_of_its_own(cleaned, tm
     assert (result.input_take.markers[undamaged] != result.take.markers[undamaged]).any(-1).mean() < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("kept_count", "name", "note"),
+    [
+        (40, "cmu41", "40 of its 40 markers were found."),
+        (0, None, "A marker set learned from this take would reject or relabel measured samples, so it is not used."),
+    ],
+)
+def test_inspection_names_the_learned_set_that_is_used(brief, monkeypatch, kept_count, name, note):
+    learned = load_marker_set("cmu41")
+    kept = learned.select_markers(learned.labels[:kept_count]) if kept_count else None
+    choice = library.SubjectChoice(None, learned, ("No marker set fits.",), is_learned=True)
+    monkeypatch.setattr(pipeline, "identify_subject", lambda *_: choice)
+    monkeypatch.setattr(pipeline, "select_consistent_set", lambda own, *_: own if own.labels[kept_count:] == () else kept)
+    (inspection,) = pipeline.inspect(brief.path, is_fast=True)
+    assert inspection["take"]["marker_set"] == name
+    assert inspection["notes"][-1].endswith(note)
+
+
 def test_a_take_of_feet_only_is_cleaned_without_a_body(cleaned, tmp_path):
     foot_labels = ("KNE", "ANK", "HEE", "TOE", "MT5")
     feet = [m for m, label in enumerate(cleaned.truth.labels) if label[1:] in foot_labels]

@@ -462,6 +462,9 @@ def _format_match_count(marker_set: MarkerSet, found_labels: Collection[str]) ->
     return f"{found_required_count} of its {required_count} markers{optional}"
 
 
+NO_BODY_NOTE = "The take was cleaned without a skeleton: there is no BVH."
+
+
 @dataclass(frozen=True)
 class SubjectChoice:
     """The subject and the marker set of a take."""
@@ -493,7 +496,7 @@ def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     marker_set = requested.marker_set
     if marker_set is None:
         match = choose_marker_set(take.labels)
-        notes = () if match.marker_set else (match.reason, "The take was cleaned without a skeleton: there is no BVH.")
+        notes = () if match.marker_set else (match.reason, NO_BODY_NOTE)
         return restrict_subject_choice(SubjectChoice(None, match.marker_set, notes), take.labels)
     found = marker_set.match_labels(take.labels)
     if missing := marker_set.describe_missing_body(found):
@@ -516,5 +519,4 @@ def restrict_subject_choice(choice: SubjectChoice, labels: Sequence[str]) -> Sub
 def withdraw_marker_set(choice: SubjectChoice) -> SubjectChoice:
     """Return the choice without its learned marker set, and with the reason."""
     reason = "A marker set learned from this take would reject or relabel measured samples, so it is not used."
-    no_body = "The take was cleaned without a skeleton: there is no BVH."
-    return replace(choice, marker_set=None, is_learned=False, notes=(*choice.notes[:1], reason, no_body))
+    return replace(choice, marker_set=None, is_learned=False, notes=(*choice.notes[:1], reason, NO_BODY_NOTE))
