@@ -1,8 +1,8 @@
 """How kernels are compiled, where compiled kernels are kept from one run to the next, and which are compiled first.
 
 Numba's cache compares the source of a compiled function's module with that of the cached one, but not the sources of the
-functions that it calls. So the folder's name contains a digest of the sources of all kernels and of Numba's version. Folders of
-other digests are removed once a new one is made.
+functions that it calls. So the folder's name contains a digest of the sources of all kernels, of the named tuples that they are
+called with, and of Numba's version. Folders of other digests are removed once a new one is made.
 
 `kernel_signatures.json` lists the kernels that cleaning a take calls, with the types of their arguments. Before the first take is
 cleaned, several processes compile them; `python -m mocapfix.kernels.compilation` does that without cleaning anything. A kernel or
@@ -51,9 +51,17 @@ THREADS_VARIABLE = "MOCAPFIX_NUM_THREADS"  # of the environment
 
 @cache
 def compute_kernels_digest() -> str:
-    """Return a digest of Numba's version and of the sources of all kernels and of what they import."""
-    files = sorted([*KERNELS_FOLDER.rglob("*.py"), PACKAGE_FOLDER / "model" / "motion.py"])
-    return _compute_digest(b"\0".join([numba.__version__.encode(), *(file.read_bytes() for file in files if file.exists())]))
+    """Return a digest of Numba's version and of the sources of all kernels, of what they import and of their named tuples."""
+    files = sorted({*KERNELS_FOLDER.rglob("*.py"), PACKAGE_FOLDER / "model" / "motion.py", *list_named_tuple_files()})
+    return _compute_digest(b"\0".join([numba.__version__.encode(), *(file.read_bytes() for file in files)]))
+
+
+def list_named_tuple_files() -> list[Path]:
+    """Return the files of the modules whose named tuples `kernel_signatures.json` lists."""
+    keys: set[str] = set()
+    json.loads(SIGNATURES_FILE.read_bytes(), object_hook=keys.update)  # called with every object in it
+    modules = {key.rpartition(".")[0] for key in keys}
+    return sorted(PACKAGE_FOLDER.joinpath(*module.split(".")).with_suffix(".py") for module in modules if module)
 
 
 def choose_cache_folder() -> Path | None:

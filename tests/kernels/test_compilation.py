@@ -15,8 +15,10 @@ from numba import types
 from mocapfix.kernels import compilation
 from mocapfix.kernels.compilation import (
     KERNELS_FOLDER,
+    PACKAGE_FOLDER,
     compile_inner_kernel,
     find_kernel,
+    list_named_tuple_files,
     parse_type,
     precompile_kernels,
     read_kernel_list,
@@ -24,13 +26,15 @@ from mocapfix.kernels.compilation import (
 from mocapfix.kernels.forward_kinematics import KinematicTree
 
 KERNEL_SOURCES = {
-    "kernels/inner.py": """
+    "stats/pairs.py": """
         from typing import NamedTuple
-        from mocapfix.kernels.compilation import compile_inner_kernel
 
         class Pair(NamedTuple):
             a: float
             b: float
+        """,
+    "kernels/inner.py": """
+        from mocapfix.kernels.compilation import compile_inner_kernel
 
         @compile_inner_kernel
         def add(pair):
@@ -38,17 +42,20 @@ KERNEL_SOURCES = {
         """,
     "kernels/outer.py": """
         from mocapfix.kernels.compilation import compile_kernel
-        from mocapfix.kernels.inner import Pair, add
+        from mocapfix.kernels.inner import add
 
         @compile_kernel
         def add_twice(pair):
             return add(pair) + add(pair)
         """,
+    "kernels/kernel_signatures.json": """{"types": [{"stats.pairs.Pair": ["float64", "float64"]}], "kernels": []}""",
+    "model/motion.py": "",
     "kernels/__init__.py": "",
     "__init__.py": "",
 }
 RUN_CODE = """
-from mocapfix.kernels.outer import Pair, add_twice
+from mocapfix.kernels.outer import add_twice
+from mocapfix.stats.pairs import Pair
 print(add_twice(Pair(1.0, 2.0)), sum(add_twice.stats.cache_hits.values()))
 """
 DEMO_CODE = """
@@ -110,15 +117,25 @@ def list_cache_folders(package: Path) -> list[Path]:
     return list((package / "kernels" / "__pycache__").glob("compiled-*"))
 
 
-def test_a_changed_callee_is_compiled_again_with_its_callers_and_the_old_files_are_removed(package: Path) -> None:
+def test_a_changed_callee_or_named_tuple_is_compiled_again_with_its_callers_and_the_old_files_are_removed(package: Path) -> None:
     assert run(package) == (6.0, 0)
     assert run(package) == (6.0, 1)
-    (before,) = list_cache_folders(package)
-    inner = package / "kernels" / "inner.py"
+    folders = list_cache_folders(package)
+    inner, pairs = package / "kernels" / "inner.py", package / "stats" / "pairs.py"
     inner.write_text(inner.read_text().replace("pair.a + pair.b", "pair.a - pair.b"))
     assert run(package) == (-2.0, 0)
-    (after,) = list_cache_folders(package)
-    assert before != after
+    folders += list_cache_folders(package)
+    pairs.write_text(pairs.read_text().replace("a: float\n    b: float", "b: float\n    a: float"))
+    assert run(package) == (2.0, 0)
+    folders += list_cache_folders(package)
+    assert len(set(folders)) == len(folders) == 3
+
+
+def test_a_missing_source_is_an_error(package: Path) -> None:
+    (package / "model" / "motion.py").unlink()
+    process = start_run(package)
+    assert "motion.py" in process.communicate()[1]
+    assert process.returncode != 0
 
 
 def test_a_read_only_package_uses_the_folder_of_the_user(package: Path, tmp_path: Path) -> None:
@@ -157,6 +174,12 @@ def test_the_digest_covers_what_the_kernels_import() -> None:
     imported = [line for path in KERNELS_FOLDER.rglob("*.py") for line in path.read_text(encoding="utf-8").splitlines()]
     others = {line.split()[1] for line in imported if line.startswith("from mocapfix.") and ".kernels" not in line}
     assert others == {"mocapfix.model.motion"}
+
+
+def test_the_digest_covers_the_named_tuples_of_other_folders() -> None:
+    files = {file.relative_to(PACKAGE_FOLDER).as_posix() for file in list_named_tuple_files()}
+    others = {file for file in files if not file.startswith("kernels/")}
+    assert others == {"solve/parallel.py", "solve/terms.py", "stats/marker_distances.py"}
 
 
 def test_inner_kernels_can_be_called_from_python() -> None:
