@@ -12,8 +12,9 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
+from typing import TypeAlias
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
@@ -292,13 +293,35 @@ OPTIONAL_FORMATS = {
 }
 
 
-@cache
+MAX_KEPT_FORMAT_LISTS = 4  # each may hold a character with its mesh
+FileVersion: TypeAlias = tuple[int, int]
+"""Time of the last change in nanoseconds, and size in bytes."""
+
+
 def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
     """Return the formats of all files that are to be written, in this order.
+
+    The files of rigs and characters are read when they are first named, and when they have been changed.
 
     Raises SceneError if there is no such rig or character, ReadError if the file of a character is unreadable, WriteError if two
     formats would write the same file.
     """
+    files = (*options.rigs, *options.characters, *([options.character_map] if options.character_map else []))
+    return _read_output_formats(options, tuple(get_file_version(Path(each)) for each in files))
+
+
+def get_file_version(path: Path) -> FileVersion | None:
+    """Return the version of a file, None if there is no such file."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size
+
+
+@lru_cache(MAX_KEPT_FORMAT_LISTS)
+def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | None, ...]) -> tuple[OutputFormat, ...]:
+    """Return the formats, with the rigs and characters as they are in these versions of their files."""
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
     rigs = [build_rig_format(rig.load_rig(name)) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]

@@ -181,6 +181,21 @@ def test_two_rigs_of_one_name_are_an_error(tmp_path):
         list_output_formats(OutputOptions(rigs=("cmu", str(mine))))
 
 
+def test_the_file_of_a_rig_is_read_again_only_once_it_is_changed(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    text = (
+        "{program: Maya, unit_m: 1, rotations: ZYX, rest: skeleton, first_frame: motion, note: n, "
+        "joints: [{name: Hips, parent: null}]}"
+    )
+    mine.write_text(text)
+    options = OutputOptions(rigs=(str(mine),))
+    before = list_output_formats(options)
+    assert list_output_formats(options) is before
+    mine.write_text(text.replace("Maya", "Houdini"))
+    notes = [each.usage_note for each in list_output_formats(options)]
+    assert any(note.startswith("is for Houdini") for note in notes)
+
+
 # the arguments in the report, with which a take can be cleaned again in the same way
 
 
