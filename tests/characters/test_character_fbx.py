@@ -8,8 +8,8 @@ import pytest
 
 from mocapfix.characters import character_files
 from mocapfix.characters.character_files import BLENDER_VARIABLE, find_blender, write_character_fbx, write_character_glb
+from mocapfix.characters.fbx_export import split_rate
 from mocapfix.errors import WriteError
-from mocapfix.io.fbx_export import split_rate
 from tests.characters.character_files import build_figure_character, build_motion
 
 
