@@ -12,10 +12,10 @@ write_synthetic_take(path, compose_take(seed=5, seconds=3.0))
 outputs = mocapfix.clean(path, prior="none").write(folder, overwrite=True)
 
 changes_path = outputs["changes.yaml"]
-review = yaml.safe_load(changes_path.read_text())
+review = yaml.safe_load(changes_path.read_text(encoding="utf-8"))
 rejected = review["changes"][0]
 rejected["decision"] = "reject"  # or "keep": leave the samples as they are and use them in the solve
-changes_path.write_text(yaml.safe_dump(review, sort_keys=False))
+changes_path.write_text(yaml.safe_dump(review, sort_keys=False), encoding="utf-8")
 
 again = mocapfix.clean(path, prior="none", review_files=[changes_path])
 print(f"rejected {rejected['id']}: {[c.decision for c in again.changes if c.id == rejected['id']]}")

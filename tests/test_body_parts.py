@@ -130,7 +130,7 @@ def test_outputs_hold_31_joints_and_say_which_are_real(truth, tmp_path):
     animation = read_capture(paths["bvh"])
     assert isinstance(animation, Animation)
     assert len(animation.names) >= len(NAMES)
-    assert json.loads(paths["report.json"].read_text())["solve"]["solved_joints"][0] == "Hips"
+    assert json.loads(paths["report.json"].read_text(encoding="utf-8"))["solve"]["solved_joints"][0] == "Hips"
 
 
 def test_labels_without_samples_are_no_part_of_the_body(truth, tmp_path):

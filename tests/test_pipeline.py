@@ -175,13 +175,13 @@ def test_output_files_have_the_stem_of_the_input_and_the_input_is_unchanged(brie
 def test_no_file_is_written_if_one_of_them_exists(brief, subject, tmp_path):
     result = pipeline.clean(brief.path, subject=subject)
     existing = tmp_path / "brief.bvh"
-    existing.write_text("mine")
+    existing.write_text("mine", encoding="utf-8")
     with pytest.raises(WriteError, match=r"brief\.bvh: already exists; give --overwrite"):
         result.write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["brief.bvh"]
-    assert existing.read_text() == "mine"
+    assert existing.read_text(encoding="utf-8") == "mine"
     result.write(tmp_path, overwrite=True)
-    assert existing.read_text().startswith("HIERARCHY")
+    assert existing.read_text(encoding="utf-8").startswith("HIERARCHY")
 
 
 def test_written_report_is_that_of_the_result_in_strict_json(cleaned):

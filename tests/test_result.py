@@ -39,7 +39,9 @@ def without_body(cleaned) -> CleaningResult:
 def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
     monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
-    monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
+    monkeypatch.setattr(
+        "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
+    )
 
 
 def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path, monkeypatch):
@@ -58,12 +60,12 @@ def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, t
     }
     assert {path.name for path in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in outputs}
     assert all(path.stat().st_size for path in outputs.values())
-    assert any("FBX needs Blender" in note for note in json.loads(outputs["report.json"].read_text())["notes"])
+    assert any("FBX needs Blender" in note for note in json.loads(outputs["report.json"].read_text(encoding="utf-8"))["notes"])
 
 
 def test_the_report_has_a_note_on_the_use_of_each_format(solved, tmp_path):
     outputs = solved.write(tmp_path, options=ALL_FORMATS)
-    text = outputs["report.json"].read_text()
+    text = outputs["report.json"].read_text(encoding="utf-8")
     for sentence in (
         r"blender\.bvh is for Blender: metres, Y up",
         r"motionbuilder\.bvh is for MotionBuilder: centimetres, Y up; the first frame is a T-pose",
@@ -94,22 +96,22 @@ def test_another_rate_applies_to_all_motion_files_with_a_note(solved, tmp_path, 
     plain = solved.write(tmp_path / "plain")
     outputs = solved.write(tmp_path / "slow", options=replace(ALL_FORMATS, output_rate_hz=fps))
     for suffix in (suffix for suffix in MOTION_SUFFIXES if suffix.endswith("bvh")):
-        file = Bvh(outputs[suffix].read_text())
+        file = Bvh(outputs[suffix].read_text(encoding="utf-8"))
         has_rest_frame = suffix in ("cmu.bvh", "motionbuilder.bvh")
         assert (file.frames, float(file.frame_time)) == (frames + has_rest_frame, pytest.approx(1 / fps, rel=1e-8))
     with np.load(outputs["npz"]) as file:
         assert (len(file["joints"]), float(file["rate"]), float(file["marker_rate"])) == (frames, fps, 120)
         np.testing.assert_array_equal(file["markers"], solved.take.markers)
     assert outputs["c3d"].read_bytes() == plain["c3d"].read_bytes()
-    assert len(re.findall(r"^root ", outputs["amc"].read_text(), re.MULTILINE)) == frames
+    assert len(re.findall(r"^root ", outputs["amc"].read_text(encoding="utf-8"), re.MULTILINE)) == frames
     note = f"Motion files have {fps:g} frames per second \\({how}\\); markers keep 120"
-    assert re.search(note, outputs["report.json"].read_text())
+    assert re.search(note, outputs["report.json"].read_text(encoding="utf-8"))
 
 
 def test_formats_that_need_a_body_are_left_out_with_a_note(without_body, tmp_path):
     outputs = without_body.write(tmp_path, options=replace(ALL_FORMATS, output_rate_hz=30.0))
     assert set(outputs) == {"c3d", "npz", "trc", "csv", "changes.yaml", "rrd", "report.html", "report.json"}
-    text = outputs["report.json"].read_text()
+    text = outputs["report.json"].read_text(encoding="utf-8")
     assert all(
         f"{suffix} is not written: the take has no body." in text for suffix in MOTION_SUFFIXES if suffix not in ("bvh", "asf")
     )
@@ -132,7 +134,7 @@ def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp
         back = capture.read_take(outputs[suffix])
         assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST_FRAME)
         np.testing.assert_allclose(back.markers, result.take.markers, atol=2e-5)
-    lines = source.read_text().splitlines(), outputs["trc"].read_text().splitlines()
+    lines = source.read_text(encoding="utf-8").splitlines(), outputs["trc"].read_text(encoding="utf-8").splitlines()
     assert sum(before == after for before, after in zip(*lines, strict=True)) > 50  # lines without changes
 
 
@@ -142,20 +144,20 @@ def test_a_table_without_fields_for_missing_samples_is_replaced_by_a_plain_one_w
     outputs = replace(solved, input_take=input_take).write(tmp_path, options=OutputOptions(extra_formats=("csv",)))
     assert outputs["csv"].name == "walk.csv"
     np.testing.assert_allclose(capture.read_take(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
-    assert "walk.csv lists only visible markers" in outputs["report.json"].read_text()
+    assert "walk.csv lists only visible markers" in outputs["report.json"].read_text(encoding="utf-8")
 
 
 def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):
     joint = solved.subject.skeleton.find_joint("LHipJoint")
     solved.motion.local_rotations[:, joint] = smooth_rotations(0, 61, 1, swing=0.5)[:, 0]
-    (tmp_path / "walk.bvh").write_text("earlier")
+    (tmp_path / "walk.bvh").write_text("earlier", encoding="utf-8")
     with pytest.raises(WriteError, match="MotionBuilder"):
         solved.write(tmp_path, overwrite=True, options=OutputOptions(rigs=("motionbuilder",)))
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"walk.bvh": "earlier"}
+    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == {"walk.bvh": "earlier"}
 
 
 def test_an_existing_output_of_any_format_is_not_replaced(solved, tmp_path):
-    (tmp_path / "walk.glb").write_text("mine")
+    (tmp_path / "walk.glb").write_text("mine", encoding="utf-8")
     with pytest.raises(WriteError, match=r"walk\.glb: already exists"):
         solved.write(tmp_path, options=OutputOptions(extra_formats=("gltf",)))
     assert [path.name for path in tmp_path.iterdir()] == ["walk.glb"]
@@ -175,7 +177,8 @@ def test_two_rigs_of_one_name_are_an_error(tmp_path):
     mine = tmp_path / "cmu.yaml"
     mine.write_text(
         "{program: p, unit_m: 1, rotations: ZYX, rest: skeleton, first_frame: motion, note: n, "
-        "joints: [{name: Hips, parent: null}]}"
+        "joints: [{name: Hips, parent: null}]}",
+        encoding="utf-8",
     )
     with pytest.raises(WriteError, match=r"both have the suffix \.cmu\.bvh"):
         list_output_formats(OutputOptions(rigs=("cmu", str(mine))))
@@ -187,11 +190,11 @@ def test_the_file_of_a_rig_is_read_again_only_once_it_is_changed(tmp_path):
         "{program: Maya, unit_m: 1, rotations: ZYX, rest: skeleton, first_frame: motion, note: n, "
         "joints: [{name: Hips, parent: null}]}"
     )
-    mine.write_text(text)
+    mine.write_text(text, encoding="utf-8")
     options = OutputOptions(rigs=(str(mine),))
     before = list_output_formats(options)
     assert list_output_formats(options) is before
-    mine.write_text(text.replace("Maya", "Houdini"))
+    mine.write_text(text.replace("Maya", "Houdini"), encoding="utf-8")
     notes = [each.usage_note for each in list_output_formats(options)]
     assert any(note.startswith("is for Houdini") for note in notes)
 

@@ -9,7 +9,6 @@ path, so that a picture takes about one kilobyte and a page can have thousands.
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,10 +21,6 @@ from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.report.stick_figures import FigureView, find_worst_frame, fit_figure_view, select_shown_body
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import predict_markers
-
-if TYPE_CHECKING:
-    from mocapfix.result import CleaningResult
-
 
 AXIS_COUNT = 3  # axes of a position, whose errors are alike: the predicted distance error is the root of their sum of squares
 

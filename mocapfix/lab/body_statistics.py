@@ -125,7 +125,7 @@ def write_prior_yaml(target_path: str, header: str, content: object) -> None:
 
 def write_mean_pose(motion_folder: str, target_path: str) -> None:
     """Fit the mean pose to a folder of motion and write the prior's file."""
-    names = json.loads((Path(motion_folder) / "skeletons.json").read_text())["joints"]
+    names = json.loads((Path(motion_folder) / "skeletons.json").read_text(encoding="utf-8"))["joints"]
     shards = [np.load(path) for path in sorted(Path(motion_folder).glob("train-*.npz")) if "approx" not in path.name]
     euler_deg = np.concatenate([shard["euler"] for shard in shards]) / 32767 * 180
     lengths = np.concatenate([shard["length"] for shard in shards])
@@ -175,7 +175,7 @@ def fit_shape_components(
 
 def write_shape_components(motion_folder: str, target_path: str) -> None:
     """Fit shape components to the bodies in a folder of motion and write their file."""
-    data, skeleton = json.loads((Path(motion_folder) / "skeletons.json").read_text()), load_cmu31_skeleton()
+    data, skeleton = json.loads((Path(motion_folder) / "skeletons.json").read_text(encoding="utf-8")), load_cmu31_skeleton()
     offsets = [data["skeletons"][subject]["offsets_asf"] for subject in BODY_SUBJECTS]
     mirrored_index = [skeleton.find_joint(mirror_joint_name(name)) for name in skeleton.names]
     body_offsets = data["unit_to_metres"] * np.array(offsets)
@@ -281,7 +281,7 @@ def compute_newcomer_margin(rotation_vectors: dict[str, Float[np.ndarray, "_ 3"]
 
 def write_joint_limits(motion_folder: str, target_path: str) -> None:
     """Measure joint limits on a folder of motion and write their file."""
-    names = json.loads((Path(motion_folder) / "skeletons.json").read_text())["joints"]
+    names = json.loads((Path(motion_folder) / "skeletons.json").read_text(encoding="utf-8"))["joints"]
     trials: list[np.ndarray] = []
     subjects: list[str] = []
     for path in sorted(Path(motion_folder).glob("train-*.npz")):

@@ -61,7 +61,9 @@ def run_measured(command: Sequence[str], environment: Mapping[str, str]) -> Proc
     Raises RuntimeError with the end of its output if it fails.
     """
     launcher = [sys.executable, "-I", "-S", "-c", LAUNCHER, *command]
-    ran = subprocess.run(launcher, env=dict(environment), stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        launcher, env=dict(environment), stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8", check=False
+    )
     if ran.returncode:
         raise RuntimeError(f"{' '.join(command)}: status {ran.returncode}\n{ran.stderr[-MAX_QUOTED_OUTPUT:]}")
     return ProcessUsage(*json.loads(ran.stdout))

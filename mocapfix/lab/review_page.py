@@ -56,7 +56,7 @@ class RunningReview:
 
     def __init__(self, folder: Path) -> None:
         command = [sys.executable, "-m", "mocapfix", "review", str(folder), "--no-browser"]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8")
         assert self._process.stdout
         match = ADDRESS_PATTERN.search(self._process.stdout.readline())
         assert match

@@ -12,7 +12,6 @@ Without a plausible body there is no set: no skeleton is better than a wrong one
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -42,10 +41,6 @@ from mocapfix.subject.library import (
 from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.subject.props import find_props
 from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud
-
-if TYPE_CHECKING:
-    from mocapfix.subject.marker_set_fit import MarkerSetFit
-
 
 # Mean distance of the markers from the body of a correct set; with a wrong side or segment among them it is larger.
 MAX_LEARNED_MEAN_RESIDUAL_M = 0.009

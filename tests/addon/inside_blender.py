@@ -154,6 +154,6 @@ STEPS = {each.__name__: each for each in (
 if __name__ == "__main__":
     job, answers = map(Path, sys.argv[1:])
     results = {}
-    for title, step, options in json.loads(job.read_text()):
+    for title, step, options in json.loads(job.read_text(encoding="utf-8")):
         results[title] = STEPS[step](**options)
-    answers.write_text(json.dumps(results))
+    answers.write_text(json.dumps(results), encoding="utf-8")

@@ -50,7 +50,7 @@ def test_texts_of_the_manifest_have_the_form_that_blender_requires(manifest):
 
 
 def test_version_is_that_of_the_package(manifest, archive):
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert manifest["version"] == project["version"]
     assert archive.name == f"mocapfix_blender-{project['version']}.zip"
 
@@ -63,7 +63,7 @@ def test_archive_has_the_sources_and_the_license_at_its_top(archive):
 
 def test_sources_import_neither_the_package_nor_compiled_libraries():
     for path in (ROOT / "addon" / "mocapfix_blender").glob("*.py"):
-        imports = re.findall(r"^\s*(?:from|import) (\w+)", path.read_text(), re.MULTILINE)
+        imports = re.findall(r"^\s*(?:from|import) (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
         assert not {"mocapfix", "numba", "scipy", "yaml"} & set(imports), path.name
 
 

@@ -74,7 +74,7 @@ def build_take(positions: np.ndarray):
 def test_joints_are_where_mocapfix_has_found_them(tmp_path, order, unit, up):
     text, positions = compose_motion(order)
     expected = unit * positions @ Rotation.from_euler(up, 90, degrees=True).as_matrix().T + [0.1, 0.2, 0.3]
-    (tmp_path / "a.bvh").write_text(text)
+    (tmp_path / "a.bvh").write_text(text, encoding="utf-8")
     body = bvh_file.read_bvh_body(tmp_path / "a.bvh", build_take(expected))
     assert body.names == NAMES
     assert body.rate == pytest.approx(40)
@@ -92,7 +92,7 @@ def test_translated_joints_are_followed(tmp_path, is_displacement):
         values = np.array([line.split() for line in body.splitlines()], float)
         values[:, 6:9] -= OFFSETS[1]
         text = head + "Frame Time: 0.025\n" + "\n".join(" ".join(map(str, row)) for row in values)
-    (tmp_path / "a.bvh").write_text(text)
+    (tmp_path / "a.bvh").write_text(text, encoding="utf-8")
     body = bvh_file.read_bvh_body(tmp_path / "a.bvh", build_take(0.01 * positions))
     assert list(body.translations) == [1]
     np.testing.assert_allclose(bvh_file.compute_joint_positions(body, np.arange(FRAME_COUNT)), 0.01 * positions, atol=1e-6)
@@ -100,7 +100,7 @@ def test_translated_joints_are_followed(tmp_path, is_displacement):
 
 def test_constant_positions_replace_offsets(tmp_path):
     text, positions = compose_motion("ZXY", np.tile([11.0, -42.0, 1.0], (FRAME_COUNT, 1)))
-    (tmp_path / "a.bvh").write_text(text)
+    (tmp_path / "a.bvh").write_text(text, encoding="utf-8")
     body = bvh_file.read_bvh_body(tmp_path / "a.bvh", build_take(0.01 * positions))
     assert not body.translations
     np.testing.assert_allclose(np.linalg.norm(body.offsets[1]), 0.01 * np.linalg.norm([11, -42, 1]), atol=1e-7)
@@ -109,6 +109,6 @@ def test_constant_positions_replace_offsets(tmp_path):
 @pytest.mark.parametrize("keep", [0.3, 0.9])
 def test_file_that_is_cut_off_is_one_sentence(tmp_path, keep):
     text, positions = compose_motion("ZXY")
-    (tmp_path / "a.bvh").write_text(text[: int(keep * len(text))])
+    (tmp_path / "a.bvh").write_text(text[: int(keep * len(text))], encoding="utf-8")
     with pytest.raises(process.ProcessError, match="the cleaned BVH cannot be read; import it with"):
         bvh_file.read_bvh_body(tmp_path / "a.bvh", build_take(positions))

@@ -142,7 +142,7 @@ def answers(takes, archive, tmp_path_factory) -> dict:
         )}),
     ]  # fmt: skip
     job_path, answers_path = folder / "job.json", folder / "answers.json"
-    job_path.write_text(json.dumps(job))
+    job_path.write_text(json.dumps(job), encoding="utf-8")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     environment["BLENDER_USER_RESOURCES"] = str(folder / "user")
     process = subprocess.run(
@@ -151,7 +151,7 @@ def answers(takes, archive, tmp_path_factory) -> dict:
     )  # fmt: skip
     assert process.returncode == 0, process.stderr + process.stdout
     assert "Traceback" not in process.stderr + process.stdout
-    return json.loads(answers_path.read_text())
+    return json.loads(answers_path.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -339,7 +339,7 @@ def test_retargeting_keeps_rotation_modes_and_shows_the_mapping(answers):
 def test_saved_mapping_is_used_from_then_on(answers, takes):
     assert answers["save mapping"] == "FINISHED"
     assert answers["mapping field"] == str(takes / "hero.yaml")
-    assert (takes / "hero.yaml").read_text() == answers["retargeted"]["texts"]["Hero.map.yaml"]
+    assert (takes / "hero.yaml").read_text(encoding="utf-8") == answers["retargeted"]["texts"]["Hero.map.yaml"]
 
 
 def test_undo_removes_the_motion_in_one_step(answers):

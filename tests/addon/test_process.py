@@ -21,7 +21,7 @@ def start(tmp_path):
 
     def start_script(script: str, **options):
         path = tmp_path / "mocapfix"
-        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
         path.chmod(path.stat().st_mode | stat.S_IEXEC)
         temporary = process.make_temporary_folder()
         return process.CleaningProcess(str(path), ["take.c3d"], temporary, **options), temporary
@@ -48,7 +48,7 @@ def test_environment_asks_for_stages_and_has_no_variables_of_blenders_python(sta
     monkeypatch.setenv("PYTHONHOME", "/blender")
     running, temporary = start("env")
     running.wait()
-    variables = (temporary / "output.txt").read_text().splitlines()
+    variables = (temporary / "output.txt").read_text(encoding="utf-8").splitlines()
     assert "MOCAPFIX_STAGE_LINES=1" in variables
     assert not [each for each in variables if each.startswith("PYTHONHOME")]
 
@@ -84,8 +84,8 @@ def test_failure_without_a_word_names_the_status(start):
 
 def test_cancelling_stops_the_process_and_what_it_has_started(start, tmp_path):
     running, temporary = start(f"sleep 60 & echo $! > {tmp_path}/child; wait")
-    wait_for(lambda: (tmp_path / "child").exists() and (tmp_path / "child").read_text().strip())
-    child = int((tmp_path / "child").read_text())
+    wait_for(lambda: (tmp_path / "child").exists() and (tmp_path / "child").read_text(encoding="utf-8").strip())
+    child = int((tmp_path / "child").read_text(encoding="utf-8"))
     started = time.monotonic()
     running.cancel()
     assert time.monotonic() - started < process.STOP_S
@@ -124,4 +124,4 @@ def is_running(number: int) -> bool:
     except ProcessLookupError:
         return False
     status = Path(f"/proc/{number}/stat")
-    return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")
+    return not (status.exists() and status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "Z")

@@ -57,7 +57,7 @@ def test_contacts_are_those_of_the_body_and_the_file_is_unchanged(truth, path, t
         column = found.joints.index(joint)
         assert (found.is_contact[:, column] == expected.is_contact[:, column]).mean() > 0.995
         assert len(expected.list_intervals(joint)) > 2
-    contacts = json.loads(outputs["contacts.json"].read_text())
+    contacts = json.loads(outputs["contacts.json"].read_text(encoding="utf-8"))
     assert contacts["LeftFoot"] == [list(each) for each in found.list_intervals("LeftFoot")]  # the BVH keeps its rate
     report = get_section(result)
     assert report["floor"] is not None
@@ -71,7 +71,7 @@ def test_contacts_are_those_of_the_body_and_the_file_is_unchanged(truth, path, t
 
 def test_reports_of_animations_show_contacts_in_their_own_terms(path, tmp_path):
     outputs = pipeline.clean(path).write(tmp_path)
-    page = outputs["report.html"].read_text()
+    page = outputs["report.html"].read_text(encoding="utf-8")
     assert "Contacts with the floor" in page
     assert "Feet in contact are as they were in the file" in page
     assert "marker" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
@@ -88,11 +88,11 @@ def test_events_follow_the_strikes_of_the_motion(truth, path):
 
 
 def test_reference_pose_before_the_motion_has_no_contacts(truth, path, tmp_path):
-    lines = path.read_text().split("\n")
+    lines = path.read_text(encoding="utf-8").split("\n")
     head = next(n for n, line in enumerate(lines) if line.startswith("Frame Time")) + 1
     count = len(lines[head].split())
     lines.insert(head, " ".join(["0"] * count))
-    (tmp_path / "posed.bvh").write_text("\n".join(lines).replace("Frames: 720", "Frames: 721"))
+    (tmp_path / "posed.bvh").write_text("\n".join(lines).replace("Frames: 720", "Frames: 721"), encoding="utf-8")
     posed, plain = (get_contacts(pipeline.clean(each)) for each in (tmp_path / "posed.bvh", path))
     assert bvh.read_bvh(tmp_path / "posed.bvh").has_reference_pose
     assert not posed.is_contact[0].any()
@@ -102,11 +102,11 @@ def test_reference_pose_before_the_motion_has_no_contacts(truth, path, tmp_path)
 
 
 def test_a_figure_without_feet_has_no_contacts_and_a_note(path, tmp_path):
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     for side in ("Left", "Right"):
         for joint in ("Foot", "ToeBase"):
             text = re.sub(rf"JOINT {side}{joint}\n", f"JOINT {side}Stump{joint[0]}\n", text)
-    (tmp_path / "stumps.bvh").write_text(text)
+    (tmp_path / "stumps.bvh").write_text(text, encoding="utf-8")
     result = pipeline.clean(tmp_path / "stumps.bvh", feet="lock")
     assert not get_contacts(result).is_contact.any()
     assert get_section(result)["joints"] == {}

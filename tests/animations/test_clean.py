@@ -97,7 +97,7 @@ def interpolate_rotations(truth: Animation, joints: tuple[str, ...], first: int,
 def test_requested_files_are_written_and_no_subject(walk):
     default = {"bvh", "changes.yaml", "report.json", "report.html", "rrd"}
     assert set(walk.outputs) == default | {"glb", "trc", "blender.bvh"}
-    assert "Frames: 360\n" in walk.outputs["blender.bvh"].read_text()
+    assert "Frames: 360\n" in walk.outputs["blender.bvh"].read_text(encoding="utf-8")
 
 
 def test_a_figure_that_lies_in_its_rest_pose_and_all_frames_needs_the_up_axis(walk):
@@ -108,7 +108,7 @@ def test_a_figure_that_lies_in_its_rest_pose_and_all_frames_needs_the_up_axis(wa
 
 
 def test_faults_are_detected_where_they_are_and_nowhere_else(walk):
-    report = json.loads(walk.outputs["report.json"].read_text())
+    report = json.loads(walk.outputs["report.json"].read_text(encoding="utf-8"))
     found = {(each["kind"], each["marker"]): (each["first"], each["last"]) for each in report["faults"]}
     assert {(kind, joints[0]) for joints, _, _, kind in DAMAGE} == set(found)
     for joints, first, last, kind in DAMAGE:
@@ -160,9 +160,9 @@ def test_second_cleaning_changes_nothing(walk, mocapfix, tmp_path):
 
 @pytest.mark.parametrize("decision", ["reject", "keep"])
 def test_declined_change_restores_the_bytes(walk, mocapfix, tmp_path, decision):
-    review = yaml.safe_load(walk.outputs["changes.yaml"].read_text())
+    review = yaml.safe_load(walk.outputs["changes.yaml"].read_text(encoding="utf-8"))
     review["changes"][[each["kind"] for each in review["changes"]].index("pop")]["decision"] = decision
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(review))
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(review), encoding="utf-8")
     status, out, _ = mocapfix("clean", walk.path, "--out", tmp_path, "--changes", tmp_path / "mine.yaml")
     assert (status, "1 rejected by decision" in out) == (0, True)
     before, first, second = (path.read_bytes().split(b"\n") for path in (walk.path, walk.outputs["bvh"], tmp_path / "walk.bvh"))
@@ -196,7 +196,7 @@ def test_only_editable_values_change(walk, options, kinds):
 
 
 def test_html_report_uses_terms_for_joints(walk):
-    text = unescape(re.sub(r"<[^>]+>", " ", walk.outputs["report.html"].read_text()))
+    text = unescape(re.sub(r"<[^>]+>", " ", walk.outputs["report.html"].read_text(encoding="utf-8")))
     assert "31 joints" in text
     assert "marker" not in text
     assert "LeftUpLeg is off by 35 degrees in one frame." in text
@@ -212,16 +212,16 @@ def test_inspect_reports_degrees(walk, mocapfix):
 
 
 def test_figure_with_unknown_joint_names_is_cleaned(walk, mocapfix, tmp_path):
-    text = walk.path.read_text()
+    text = walk.path.read_text(encoding="utf-8")
     for n, name in enumerate(walk.truth.names):
         text = re.sub(rf"(ROOT|JOINT) {name}\n", rf"\1 Part{n}\n", text)
-    (tmp_path / "crane.bvh").write_text(text)
+    (tmp_path / "crane.bvh").write_text(text, encoding="utf-8")
     status, out, _ = mocapfix("clean", tmp_path / "crane.bvh", "--out", tmp_path / "out", "--also", "gltf")
     assert (status, "glb is not written: the joints could not be identified." in out) == (0, True)
     assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".bvh", ".yaml", ".json", ".html", ".rrd"}
     convention = ["name: parts", "title: parts of a crane", "joints:"]
     convention += [f"  {name}: [Part{n}]" for n, name in enumerate(walk.truth.names)]
-    (tmp_path / "parts.yaml").write_text("\n".join(convention))
+    (tmp_path / "parts.yaml").write_text("\n".join(convention), encoding="utf-8")
     result = pipeline.clean(tmp_path / "crane.bvh", hierarchy=tmp_path / "parts.yaml")
     assert result.motion is not None
     assert result.motion.frame_count == walk.truth.frame_count
@@ -252,7 +252,7 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
     truncated.write_bytes(walk.path.read_bytes()[:-200])
     check_error(mocapfix("clean", truncated), "truncated.bvh, line ", "the file is damaged there")
     wrong = tmp_path / "wrong.yaml"
-    wrong.write_text("name: x\ntitle: x\njoints: {Hip: [Hips]}\n")
+    wrong.write_text("name: x\ntitle: x\njoints: {Hip: [Hips]}\n", encoding="utf-8")
     clean = ("clean", walk.path, "--out", tmp_path)
     check_error(mocapfix(*clean, "--hierarchy", wrong), "wrong.yaml: joints.Hip", "there is no joint 'Hip'")
     check_error(mocapfix(*clean, "--hierarchy", "smpl"), "smpl: does not fit walk.bvh")
@@ -271,16 +271,16 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
 
 
 def test_single_frame_does_not_change(walk, tmp_path):
-    lines = walk.path.read_text().split("\n")
+    lines = walk.path.read_text(encoding="utf-8").split("\n")
     head = next(n for n, line in enumerate(lines) if line.startswith("Frame Time")) + 1
     text = "\n".join([*lines[: head + 1], ""]).replace("Frames: 720", "Frames: 1")
-    (tmp_path / "pose.bvh").write_text(text)
+    (tmp_path / "pose.bvh").write_text(text, encoding="utf-8")
     outputs = pipeline.clean(tmp_path / "pose.bvh").write(tmp_path / "out")
-    assert outputs["bvh"].read_text() == text
+    assert outputs["bvh"].read_text(encoding="utf-8") == text
 
 
 def test_job_file_names_the_hierarchy(walk, mocapfix, tmp_path):
-    (tmp_path / "s.yaml").write_text(f"kind: clean\ntitle: one\ntakes: ['{walk.path}']\nhierarchy: smpl\n")
+    (tmp_path / "s.yaml").write_text(f"kind: clean\ntitle: one\ntakes: ['{walk.path}']\nhierarchy: smpl\n", encoding="utf-8")
     status, _, err = mocapfix("run", tmp_path / "s.yaml", "--out", tmp_path / "out")
     assert status == 1
     assert "smpl: does not fit walk.bvh" in err
@@ -304,19 +304,19 @@ def test_amc_is_written_with_its_asf(walk, tmp_path):
 
 
 def test_absent_values_are_filled(walk, tmp_path):
-    words = [line.split(" ") for line in walk.path.read_text().split("\n")]
+    words = [line.split(" ") for line in walk.path.read_text(encoding="utf-8").split("\n")]
     head = next(n for n, line in enumerate(words) if line[0] == "Frame") + 1
     columns = get_rotation_columns(walk.truth, "LeftForeArm")
     for frame in range(100, 130):
         for column in columns:
             words[head + frame][column] = "nan"
-    (tmp_path / "holes.bvh").write_text("\n".join(" ".join(line) for line in words))
+    (tmp_path / "holes.bvh").write_text("\n".join(" ".join(line) for line in words), encoding="utf-8")
     result = pipeline.clean(tmp_path / "holes.bvh", repair_kinds=("gap",))
     assert isinstance(result, AnimationResult)
     elbow = result.input_take.labels.index("LeftForeArm")
     assert not result.input_take.visible[100:130, elbow].any()
     assert np.isfinite(result.animation.values).all()
-    assert "nan" not in result.write(tmp_path / "out")["bvh"].read_text()
+    assert "nan" not in result.write(tmp_path / "out")["bvh"].read_text(encoding="utf-8")
 
 
 @needs_captures

@@ -87,14 +87,14 @@ def test_written_file_has_the_locked_feet_and_keeps_other_numbers(path, locked, 
     outputs = locked.write(tmp_path)
     written = bvh.read_bvh(outputs["bvh"])
     np.testing.assert_allclose(written.compute_world_poses()[0], locked.animation.compute_world_poses()[0], atol=1e-4)
-    before, after = (each.read_text().split("\n") for each in (path, outputs["bvh"]))
+    before, after = (each.read_text(encoding="utf-8").split("\n") for each in (path, outputs["bvh"]))
     head = next(n for n, line in enumerate(before) if line.startswith("Frame Time")) + 1
     assert before[:head] == after[:head]
     columns = {c for name in LEGS for c in written.joint_columns[written.names.index(name)].tolist()}
     for old, new in zip(before[head:], after[head:], strict=True):
         differing = {c for c, (a, b) in enumerate(zip(old.split(), new.split(), strict=True)) if a != b}
         assert differing <= columns
-    page = outputs["report.html"].read_text()
+    page = outputs["report.html"].read_text(encoding="utf-8")
     assert "foot slide: LeftUpLeg, LeftLeg, LeftFoot" in page
     assert "sliding feet" in page
 
@@ -107,10 +107,10 @@ def test_angles_stay_continuous(locked):
 @pytest.mark.parametrize("decision", ["reject", "keep"])
 def test_declined_change_leaves_that_contact_as_it_was(path, locked, tmp_path, decision):
     outputs = locked.write(tmp_path / "first")
-    review = yaml.safe_load(outputs["changes.yaml"].read_text())
+    review = yaml.safe_load(outputs["changes.yaml"].read_text(encoding="utf-8"))
     declined = review["changes"][2]
     declined["decision"] = decision
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(review))
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(review), encoding="utf-8")
     again = pipeline.clean(path, feet="lock", review_files=(tmp_path / "mine.yaml",))
     assert isinstance(again, AnimationResult)
     side = declined["markers"][0].removesuffix("UpLeg").lower()
@@ -149,7 +149,7 @@ def test_options_limit_what_changes(path, options, joints):
 def test_knees_that_are_hinges_are_named_and_left_unchanged(path, tmp_path):
     animation = bvh.read_bvh(path)
     knee = animation.names.index("LeftLeg")
-    lines = path.read_text().split("\n")
+    lines = path.read_text(encoding="utf-8").split("\n")
     n = next(n for n, line in enumerate(lines) if line.strip() == "JOINT LeftLeg")
     channels = next(k for k in range(n, n + 6) if "CHANNELS" in lines[k])
     axis = lines[channels].split()[-1]
@@ -158,7 +158,7 @@ def test_knees_that_are_hinges_are_named_and_left_unchanged(path, tmp_path):
     dropped = animation.joint_columns[knee][:-1].tolist()
     for k in range(head, head + animation.frame_count):
         lines[k] = " ".join(word for c, word in enumerate(lines[k].split()) if c not in dropped)
-    (tmp_path / "hinge.bvh").write_text("\n".join(lines))
+    (tmp_path / "hinge.bvh").write_text("\n".join(lines), encoding="utf-8")
     result = pipeline.clean(tmp_path / "hinge.bvh", feet="lock")
     assert isinstance(result, AnimationResult)
     assert find_changed_joints(result) <= {name for name in LEGS if name.startswith("Right")}

@@ -106,7 +106,7 @@ def test_convention_from_file(tmp_path):
     names = [f"j{index}" for index in range(len(MIXAMO_NAMES))]
     name_by_model = {model: names[MIXAMO_NAMES.index(name)] for model, name in map_names(MIXAMO_NAMES, MIXAMO_PARENTS).items()}
     lines = ["name: mine", "title: My own", "joints:", *(f"  {model}: [{name}]" for model, name in name_by_model.items())]
-    (tmp_path / "mine.yaml").write_text("\n".join(lines))
+    (tmp_path / "mine.yaml").write_text("\n".join(lines), encoding="utf-8")
     assert map_names(names, MIXAMO_PARENTS, tmp_path / "mine.yaml") == name_by_model
     mapping = joint_mapping.map_joints(names, np.array(MIXAMO_PARENTS), tmp_path / "mine.yaml")
     assert mapping.reason == f"My own: found {len(name_by_model)} of the 31 joints."
@@ -116,9 +116,9 @@ def test_convention_from_file(tmp_path):
 def test_unknown_or_invalid_convention_is_refused(tmp_path):
     with pytest.raises(SceneError, match=r"naming convention.*acclaim, biped"):
         joint_mapping.load_naming_convention("mayan")
-    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: [a], Tail: [b]}")
+    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: [a], Tail: [b]}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Tail.*no joint 'Tail'"):
         joint_mapping.load_naming_convention(tmp_path / "a.yaml")
-    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}")
+    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Hips"):
         joint_mapping.load_naming_convention(Path(tmp_path / "a.yaml"))

@@ -9,7 +9,7 @@ from tests.bvh_files import TEXT
 
 @pytest.fixture
 def figure(tmp_path) -> Animation:
-    (tmp_path / "figure.bvh").write_text(TEXT)
+    (tmp_path / "figure.bvh").write_text(TEXT, encoding="utf-8")
     return bvh.read_bvh(tmp_path / "figure.bvh")
 
 
@@ -71,7 +71,9 @@ REFERENCE = REFERENCE.replace("ROOT Hips", "JOINT Hips").replace("MOTION", "}\nM
 
 def test_the_position_track_is_that_of_the_hips_below_a_reference_that_does_not_move(tmp_path):
     head, rows = REFERENCE.split(".0083333\n")
-    (tmp_path / "a.bvh").write_text(f"{head}.0083333\n" + "".join(f"0 0 0 {row}\n" for row in rows.splitlines()))
+    (tmp_path / "a.bvh").write_text(
+        f"{head}.0083333\n" + "".join(f"0 0 0 {row}\n" for row in rows.splitlines()), encoding="utf-8"
+    )
     figure = bvh.read_bvh(tmp_path / "a.bvh")
     tips = joint_mapping.build_tip_take(figure)
     assert tips.labels[-1] == "Hips position"

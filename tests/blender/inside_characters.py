@@ -58,4 +58,4 @@ def answer(job: dict) -> dict:
 
 if __name__ == "__main__":
     jobs, target = map(Path, sys.argv[1:])
-    target.write_text(json.dumps([answer(job) for job in json.loads(jobs.read_text())]))
+    target.write_text(json.dumps([answer(job) for job in json.loads(jobs.read_text(encoding="utf-8"))]), encoding="utf-8")

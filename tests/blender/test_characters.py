@@ -91,7 +91,7 @@ def opened(written) -> dict[str, dict]:
         for file in files
     ]
     jobs_path, answers = folder / "jobs.json", folder / "answers.json"
-    jobs_path.write_text(json.dumps(jobs, default=list))
+    jobs_path.write_text(json.dumps(jobs, default=list), encoding="utf-8")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     process = subprocess.run(
         [PYTHON, Path(__file__).with_name("inside_characters.py"), jobs_path, answers],
@@ -100,7 +100,7 @@ def opened(written) -> dict[str, dict]:
         text=True,
     )
     assert process.returncode == 0, process.stderr[-3000:]
-    return dict(zip(files, json.loads(answers.read_text()), strict=True))
+    return dict(zip(files, json.loads(answers.read_text(encoding="utf-8")), strict=True))
 
 
 @pytest.mark.parametrize("file", [*FILES, *(f"{name}.fbx" for name in FBX_CHARACTERS)])

@@ -40,13 +40,13 @@ def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
         for kind, path in paths.items()
     ]
     jobs_path, answers = folder / "jobs.json", folder / "answers.json"
-    jobs_path.write_text(json.dumps(jobs))
+    jobs_path.write_text(json.dumps(jobs), encoding="utf-8")
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     process = subprocess.run(
         [PYTHON, Path(__file__).with_name("inside.py"), jobs_path, answers], env=environment, capture_output=True, text=True
     )
     assert process.returncode == 0, process.stderr
-    return dict(zip(paths, json.loads(answers.read_text()), strict=True))
+    return dict(zip(paths, json.loads(answers.read_text(encoding="utf-8")), strict=True))
 
 
 def lead(kind: str) -> int:

@@ -69,7 +69,7 @@ Frame Time: 0.01
 
 
 def test_a_file_with_z_up_stands_with_y_up(tmp_path):
-    (tmp_path / "figure.bvh").write_text(Z_UP)
+    (tmp_path / "figure.bvh").write_text(Z_UP, encoding="utf-8")
     character = read_character(tmp_path / "figure.bvh")
     positions, rotations = character.compute_rest_pose()
     np.testing.assert_allclose(positions, [[0, 0.9, 0], [0.02, 1.5, 0], [0, 0.1, 0.1]], atol=1e-9)
@@ -79,12 +79,12 @@ def test_a_file_with_z_up_stands_with_y_up(tmp_path):
 
 
 def test_repeated_names_become_unique(tmp_path):
-    (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"))
+    (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"), encoding="utf-8")
     assert read_character(tmp_path / "figure.bvh").names == ("Hips", "Head", "Head#2")
 
 
 def test_a_damaged_file_is_refused(tmp_path):
-    (tmp_path / "figure.bvh").write_text(Z_UP.replace("MOTION", "MOTI"))
+    (tmp_path / "figure.bvh").write_text(Z_UP.replace("MOTION", "MOTI"), encoding="utf-8")
     with pytest.raises(ReadError, match=r"figure\.bvh"):
         read_character(tmp_path / "figure.bvh")
 
@@ -92,7 +92,7 @@ def test_a_damaged_file_is_refused(tmp_path):
 def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
     write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
     plain = read_character(tmp_path / "walk.bvh")
-    text = (tmp_path / "walk.bvh").read_text()
+    text = (tmp_path / "walk.bvh").read_text(encoding="utf-8")
     knee = text.index("JOINT LeftLeg")
     offset = re.search(r"OFFSET (.*)\n", text[knee:])
     assert offset
@@ -103,7 +103,7 @@ def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
     column = 3 + 3 * names.index("LeftLeg")
     rows = [" ".join([*row.split()[:column], offset[1], *row.split()[column:]]) for row in rows]
     lines = [(text[:knee] + changed).partition("Frame Time")[0] + "Frame Time" + header, *rows]
-    (tmp_path / "positions.bvh").write_text("\n".join(lines))
+    (tmp_path / "positions.bvh").write_text("\n".join(lines), encoding="utf-8")
     found = read_character(tmp_path / "positions.bvh")
     np.testing.assert_allclose(found.rest_positions, plain.rest_positions, atol=1e-9)
     np.testing.assert_allclose(found.tails, plain.tails, atol=1e-9)

@@ -21,7 +21,7 @@ def glb(tmp_path):
 
 
 def make_executable(path, text):
-    path.write_text(f"#!{sys.executable}\n{text}\n")
+    path.write_text(f"#!{sys.executable}\n{text}\n", encoding="utf-8")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return path
 

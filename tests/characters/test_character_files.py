@@ -27,7 +27,9 @@ from tests.io.read_back import motion_of
 def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
     monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
-    monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
+    monkeypatch.setattr(
+        "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
+    )
     monkeypatch.setattr("mocapfix.characters.character_files.find_blender", lambda: None)
 
 
@@ -42,7 +44,7 @@ def test_all_files_of_each_character_are_written(solved, tmp_path):
     outputs = solved.write(tmp_path, options=options)
     for name in ("mixamo", "smpl"):
         assert {f"{name}.{suffix}" for suffix in ("glb", "bvh", "npz", "map.yaml")} <= set(outputs)
-    notes = json.loads(outputs["report.json"].read_text())["notes"]
+    notes = json.loads(outputs["report.json"].read_text(encoding="utf-8"))["notes"]
     assert any("walk.mixamo.glb" in note and "ratio of the legs' lengths" in note for note in notes)
 
 
@@ -62,7 +64,7 @@ def test_bvh_of_a_character_moves_like_its_arrays(solved, tmp_path):
 def test_fbx_that_cannot_be_written_is_no_failure(solved, tmp_path):
     outputs = solved.write(tmp_path, options=OutputOptions(characters=("mixamo",), extra_formats=("fbx",)))
     assert "mixamo.fbx" not in outputs
-    notes = json.loads(outputs["report.json"].read_text())["notes"]
+    notes = json.loads(outputs["report.json"].read_text(encoding="utf-8"))["notes"]
     assert sum("FBX needs Blender" in note for note in notes) == 2  # of the solved skeleton, and of the character
 
 

@@ -147,7 +147,7 @@ def test_side_files_become_one_glb(tmp_path):
     document = json.loads(split_glb(GLB)[0])
     (tmp_path / "side.bin").write_bytes(split_glb(GLB)[1])
     document["buffers"][0]["uri"] = "side.bin"
-    (tmp_path / "figure.gltf").write_text(json.dumps(document))
+    (tmp_path / "figure.gltf").write_text(json.dumps(document), encoding="utf-8")
     character = read_character(tmp_path / "figure.gltf")
     character = replace(character, mapping=map_figure(character.names))
     (tmp_path / "side.bin").unlink()

@@ -52,7 +52,9 @@ def test_missing_segments_are_empty_lists(daz: Character, tmp_path: Path):
 def test_edited_bone_is_used(daz: Character, tmp_path: Path):
     write_mapping_file(tmp_path / "a.yaml", daz)
     text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
-    (tmp_path / "a.yaml").write_text(text.replace("pelvis: [hip]", "pelvis: hip").replace("[spine1, spine2, ", "[spine2, "))
+    (tmp_path / "a.yaml").write_text(
+        text.replace("pelvis: [hip]", "pelvis: hip").replace("[spine1, spine2, ", "[spine2, "), encoding="utf-8"
+    )
     mapping = read_mapping_file(tmp_path / "a.yaml", daz)
     assert mapping.bones["pelvis"] == (daz.find_bone("hip"),)
     assert [daz.names[bone] for bone in mapping.bones["spine"]] == ["spine2", "spine3", "spine4"]

@@ -243,7 +243,7 @@ def test_side_files_are_packed_without_a_change_of_their_bytes(tmp_path):
     )
     document["bufferViews"].append({"buffer": 1, "byteLength": 5})
     document["images"] = [{"uri": "skin.png"}, {"uri": "missing.png"}]
-    (tmp_path / "figure.gltf").write_text(json.dumps(document))
+    (tmp_path / "figure.gltf").write_text(json.dumps(document), encoding="utf-8")
     character = read_character(tmp_path / "figure.gltf")
     check_rest_pose(character, [f"{PREFIX}{name}" for name in FIGURE.names])
     assert character.source is not None

@@ -105,7 +105,7 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert "41 markers on 31 joints, from" in flat(out)
     status, out, _ = mocapfix("clean", brief.path, "--subject", subject, "--out", tmp_path / "out")
     assert status == 0
-    assert (tmp_path / "out" / "brief.subject.yaml").read_text() == subject.read_text()
+    assert (tmp_path / "out" / "brief.subject.yaml").read_text(encoding="utf-8") == subject.read_text(encoding="utf-8")
     status, _, err = mocapfix("calibrate", brief.path, "-o", subject)
     assert status == 1
     assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another name or folder."
@@ -129,7 +129,7 @@ def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_
 def test_clean_with_json_prints_the_report_and_nothing_else(mocapfix, brief, tmp_path):
     status, out, _ = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--json")
     assert status == 0
-    assert json.loads(out) == json.loads((tmp_path / "brief.report.json").read_text())
+    assert json.loads(out) == json.loads((tmp_path / "brief.report.json").read_text(encoding="utf-8"))
 
 
 def test_options_restrict_what_is_changed(mocapfix, brief, tmp_path):
@@ -392,7 +392,7 @@ def test_corrupt_subject_is_named(mocapfix, brief, tmp_path, text):
 
 def test_unwritable_outputs_are_named(mocapfix, brief, tmp_path):
     taken = tmp_path / "taken"
-    taken.write_text("a file")
+    taken.write_text("a file", encoding="utf-8")
     for where in (taken, taken / "deeper"):
         status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
         check_refused(status, where.name, "the folder cannot be created .*; choose another with --out")
@@ -400,7 +400,7 @@ def test_unwritable_outputs_are_named(mocapfix, brief, tmp_path):
     missing = tmp_path / "gone" / "person.yaml"
     check_refused(mocapfix("calibrate", brief.path, "-o", missing), "person.yaml", "cannot be written")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
-    assert taken.read_text() == "a file"
+    assert taken.read_text(encoding="utf-8") == "a file"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="folders cannot be locked for this user")

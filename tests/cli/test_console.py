@@ -118,7 +118,7 @@ def test_broken_pipe_ends_quietly(brief, arguments):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_output_that_cannot_be_written_is_an_error():
-    with Path("/dev/full").open("w") as full:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(
             [sys.executable, "-m", "mocapfix", "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )

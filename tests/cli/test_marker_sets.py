@@ -43,12 +43,12 @@ def test_learn_writes_a_set_and_does_not_overwrite(mocapfix, wave, tmp_path):
     learned = load_marker_set(path)
     assert (learned.name, len(learned.labels), "Floor" in learned.labels) == ("mine", 41, False)
     assert {"LUPA!", "RSHN!"} <= set(learned.labels)
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert text.startswith("# Learned from wave.c3d. ")
     assert "# Not included: Floor names an object" in text
     status, _, err = mocapfix("marker-set", "learn", wave, "-o", path)
     assert (status, "already exists" in " ".join(err.split())) == (1, True)
-    assert path.read_text() == text
+    assert path.read_text(encoding="utf-8") == text
 
 
 def test_missing_take_writes_nothing(mocapfix, tmp_path):

@@ -26,7 +26,7 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
     assert expected <= {path.name for path in tmp_path.iterdir()}
     assert all(name in out for name in expected)
     assert re.search(r"Motion files have 60 frames per second \(one of 2 solved frames\); markers keep 120", out)
-    assert "Frames: 60\n" in (tmp_path / "brief.bvh").read_text()
+    assert "Frames: 60\n" in (tmp_path / "brief.bvh").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_unknown_output_is_wrong_usage(mocapfix, brief, tmp_path, requested, mes
 
 
 def test_existing_output_is_not_overwritten(mocapfix, brief, tmp_path):
-    (tmp_path / "brief.npz").write_text("mine")
+    (tmp_path / "brief.npz").write_text("mine", encoding="utf-8")
     status, _, err = mocapfix("clean", brief.path, "--out", tmp_path, "--also", "npz")
     assert status == 1
     assert "brief.npz: already exists; give --overwrite" in " ".join(err.split())

@@ -15,7 +15,7 @@ def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     keypoints, _, _ = compose_example_film("coco", 0.3, 10.0)
     (tmp_path / "film.json").write_text(json.dumps(keypoints), encoding="utf-8")
-    (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n")
+    (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n", encoding="utf-8")
     status, out, _ = mocapfix("run", "mine.yaml")
     assert status == 0
     assert "Mine: 3 frames" in out
@@ -36,7 +36,7 @@ def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, mon
 )
 def test_invalid_scene_is_an_error(mocapfix, tmp_path, scene, message):
     if scene:
-        (tmp_path / "mine.yaml").write_text(scene)
+        (tmp_path / "mine.yaml").write_text(scene, encoding="utf-8")
     status, _, err = mocapfix("run", tmp_path / "mine.yaml")
     assert (status, message in " ".join(err.split())) == (1, True)
 
@@ -54,7 +54,7 @@ def test_shipped_demo_is_composed_and_cleaned(mocapfix, tmp_path):
     assert "A person walks, reaches, crouches and turns: 1 take." in out
     written = {path.name for path in (tmp_path / "here").iterdir()}
     assert {"composed", "walk.c3d", "walk.bvh", "walk.blender.bvh", "walk.glb", "walk.npz", "walk.report.html"} <= written
-    assert json.loads((tmp_path / "here" / "walk.report.json").read_text())["take"]["marker_set"] == "cmu41"
+    assert json.loads((tmp_path / "here" / "walk.report.json").read_text(encoding="utf-8"))["take"]["marker_set"] == "cmu41"
     status, _, err = mocapfix("run", "demo", "-o", tmp_path / "here")
     assert (status, "already exists; give --overwrite" in " ".join(err.split())) == (1, True)
 
@@ -83,7 +83,8 @@ def test_shipped_session_calibrates_once_for_all_takes(mocapfix, tmp_path):
 def test_missing_take_does_not_stop_the_job(mocapfix, tmp_path, brief):
     (tmp_path / "there.c3d").write_bytes(brief.path.read_bytes())
     (tmp_path / "mine.yaml").write_text(
-        f"kind: clean\ntitle: Mine\ntakes: [gone.c3d, there.c3d]\nsubject: {brief.subject}\nvolume: {{floor: 0.5}}\n"
+        f"kind: clean\ntitle: Mine\ntakes: [gone.c3d, there.c3d]\nsubject: {brief.subject}\nvolume: {{floor: 0.5}}\n",
+        encoding="utf-8",
     )
     status, out, err = mocapfix("run", tmp_path / "mine.yaml", "-o", tmp_path / "out")
     assert status == 1

@@ -60,7 +60,7 @@ class ProjectedKeypoints:
             f"{t + 1}\t{t / RATE:.5f}\t" + "\t".join("" if np.isnan(x) else f"{x:.6f}" for x in frame.ravel())
             for t, frame in enumerate(self.markers)
         ]
-        path.write_text(header + "\n".join(rows) + "\n")
+        path.write_text(header + "\n".join(rows) + "\n", encoding="utf-8")
         return path
 
 

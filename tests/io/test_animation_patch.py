@@ -28,16 +28,16 @@ def test_only_changed_numbers_are_replaced(figure, tmp_path):
 
 def test_new_numbers_have_the_most_frequent_decimals(tmp_path):
     text = TEXT.replace("0000 ", "0 ").replace("0000\n", "0\n").replace("10.50 ", "10 ").replace("11.0 ", "1.1e1 ")
-    (tmp_path / "in.bvh").write_text(text)
+    (tmp_path / "in.bvh").write_text(text, encoding="utf-8")
     figure = bvh.read_bvh(tmp_path / "in.bvh")
     values = figure.values.copy()
     values[0, 6] = 1 / 3
     patch_animation(tmp_path / "out.bvh", figure, values)
-    assert (tmp_path / "out.bvh").read_text() == text.replace(" 15.0 ", " 0.3 ", 1)
+    assert (tmp_path / "out.bvh").read_text(encoding="utf-8") == text.replace(" 15.0 ", " 0.3 ", 1)
 
 
 def test_an_unchanged_copy_of_whole_numbers_is_byte_identical(tmp_path):
-    (tmp_path / "in.bvh").write_text(TEXT.replace(".0000", "").replace("000", ""))
+    (tmp_path / "in.bvh").write_text(TEXT.replace(".0000", "").replace("000", ""), encoding="utf-8")
     figure = bvh.read_bvh(tmp_path / "in.bvh")
     figure = replace(figure, values=np.round(figure.values))
     patch_animation(tmp_path / "out.bvh", figure, figure.values)
@@ -46,24 +46,24 @@ def test_an_unchanged_copy_of_whole_numbers_is_byte_identical(tmp_path):
 
 def test_missing_numbers_can_be_filled(figure, tmp_path):
     text = TEXT.replace("16.0000", "nan")
-    (tmp_path / "in.bvh").write_text(text)
+    (tmp_path / "in.bvh").write_text(text, encoding="utf-8")
     figure = bvh.read_bvh(tmp_path / "in.bvh")
     patch_animation(tmp_path / "out.bvh", figure, figure.values)
-    assert (tmp_path / "out.bvh").read_text() == text
+    assert (tmp_path / "out.bvh").read_text(encoding="utf-8") == text
     patch_animation(tmp_path / "out.bvh", figure, np.nan_to_num(figure.values, nan=2.5))
-    assert (tmp_path / "out.bvh").read_text() == TEXT.replace("16.0000", "2.5000")
+    assert (tmp_path / "out.bvh").read_text(encoding="utf-8") == TEXT.replace("16.0000", "2.5000")
 
 
 def test_an_amc_in_radians_is_patched_in_radians(tmp_path):
-    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
     text = AMC.replace(":DEGREES", ":RADIANS").replace("lfoot 7.5 8.5", "lfoot 0.5 0.25")
-    (tmp_path / "09_01.amc").write_text(text)
+    (tmp_path / "09_01.amc").write_text(text, encoding="utf-8")
     before = asf_amc.read_amc(tmp_path / "09_01.amc")
     foot = before.get_rotation_channels(before.names.index("lfoot"))[0]
     values = before.values.copy()
     values[1, foot] *= 2
     patch_animation(tmp_path / "out.amc", before, values)
-    written = (tmp_path / "out.amc").read_text()
+    written = (tmp_path / "out.amc").read_text(encoding="utf-8")
     assert written == text.replace("lfoot 0.5 0.25", "lfoot 1.0 0.5")
 
 
@@ -95,7 +95,7 @@ def test_values_without_a_spelling_are_refused(figure, tmp_path, bad):
 def test_the_input_is_never_overwritten_and_must_be_unchanged(figure, tmp_path):
     with pytest.raises(WriteError, match="is the input itself"):
         patch_animation(tmp_path / "in.bvh", figure, figure.values)
-    (tmp_path / "in.bvh").write_text("HIERARCHY")
+    (tmp_path / "in.bvh").write_text("HIERARCHY", encoding="utf-8")
     with pytest.raises(WriteError, match="has become shorter"):
         patch_animation(tmp_path / "out.bvh", figure, figure.values)
     (tmp_path / "in.bvh").unlink()

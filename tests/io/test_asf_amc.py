@@ -69,7 +69,7 @@ def test_angles_are_continuous(tmp_path):
 
 def test_the_layout_is_that_of_cmus_files(tmp_path):
     write_and_read(tmp_path, random_motion(2))
-    lines = (tmp_path / "w_1.amc").read_text().splitlines()
+    lines = (tmp_path / "w_1.amc").read_text(encoding="utf-8").splitlines()
     assert [line.split()[0] for line in lines[1:6]] == [":FULLY-SPECIFIED", ":DEGREES", "1", "root", "lfemur"]
     assert len(lines) == 3 + 20 * (1 + 29)  # the frame number, the root and 28 bones: all except the hip joints
     assert all(len(line.split()) in (1, 4, 7) for line in lines[3:])
@@ -104,8 +104,8 @@ UNIT = 0.0254 / 0.45
 
 
 def read(folder: Path, text: str = AMC, skeleton: str = ASF):
-    (folder / "09.asf").write_text(skeleton)
-    (folder / "09_01.amc").write_text(text)
+    (folder / "09.asf").write_text(skeleton, encoding="utf-8")
+    (folder / "09_01.amc").write_text(text, encoding="utf-8")
     return asf_amc.read_amc(folder / "09_01.amc")
 
 
@@ -153,10 +153,10 @@ def test_length_channels_move_the_child_bones(tmp_path):
 def test_a_patch_changes_only_the_edited_numbers(tmp_path):
     before = read(tmp_path)
     patch_animation(tmp_path / "same.amc", before, before.values)
-    assert (tmp_path / "same.amc").read_text() == AMC
+    assert (tmp_path / "same.amc").read_text(encoding="utf-8") == AMC
     after = before.replace_rotations(np.array([3]), np.array([1]), before.compute_local_rotations()[:1, 3:4])
     patch_animation(tmp_path / "out.amc", before, after.values)
-    assert (tmp_path / "out.amc").read_text() == AMC.replace("lfoot 7.5 8.5", "lfoot 7.0 8.0")
+    assert (tmp_path / "out.amc").read_text(encoding="utf-8") == AMC.replace("lfoot 7.5 8.5", "lfoot 7.0 8.0")
 
 
 def test_radians_are_converted_to_degrees(tmp_path):
@@ -189,15 +189,15 @@ def test_an_asf_alone_is_read_as_its_rest_pose(tmp_path):
 
 def test_the_asf_is_found_in_the_folder_of_the_amc(tmp_path):
     read(tmp_path)
-    (tmp_path / "09_0.asf").write_text("")
-    (tmp_path / "1.asf").write_text("")
+    (tmp_path / "09_0.asf").write_text("", encoding="utf-8")
+    (tmp_path / "1.asf").write_text("", encoding="utf-8")
     assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "09_0.asf"
     (tmp_path / "09_0.asf").unlink()
     assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "09.asf"
     (tmp_path / "09.asf").unlink()
     assert asf_amc.find_asf(tmp_path / "09_01.amc").name == "1.asf"
-    (tmp_path / "2.asf").write_text("")
-    (tmp_path / "my skeleton.asf").write_text(ASF)
+    (tmp_path / "2.asf").write_text("", encoding="utf-8")
+    (tmp_path / "my skeleton.asf").write_text(ASF, encoding="utf-8")
     assert asf_amc.read_amc(tmp_path / "09_01.amc", asf_path=tmp_path / "my skeleton.asf").frame_count == 2
     (tmp_path / "my skeleton.asf").unlink()
     with pytest.raises(ReadError, match=r"not in its folder, only 1\.asf, 2\.asf; copy it there as 09\.asf or 09_01\.asf"):

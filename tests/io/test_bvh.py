@@ -161,7 +161,7 @@ def test_a_giant_keeps_the_usual_unit_with_a_note_that_names_the_option(tmp_path
 
 
 def test_a_figure_in_no_known_unit_is_refused_and_read_in_the_unit_of_the_option(tmp_path):
-    (tmp_path / "a.bvh").write_text(scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), 1000))
+    (tmp_path / "a.bvh").write_text(scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), 1000), encoding="utf-8")
     with pytest.raises(ReadError, match=r"figure is 1,[78]\d0 m tall.*--unit, one of mm"):
         bvh.read_bvh(tmp_path / "a.bvh")
     assert bvh.read_bvh(tmp_path / "a.bvh", options=ReadOptions(unit="mm")).unit_m == 0.001
@@ -170,7 +170,7 @@ def test_a_figure_in_no_known_unit_is_refused_and_read_in_the_unit_of_the_option
 
 @pytest.mark.parametrize("axis", ["-Y", "-Z"])
 def test_an_animation_with_a_downward_axis_is_upright(tmp_path, axis):
-    (tmp_path / "a.bvh").write_text(TEXT)
+    (tmp_path / "a.bvh").write_text(TEXT, encoding="utf-8")
     upright = bvh.read_bvh(tmp_path / "a.bvh")
     turn = ROTATIONS_TO_Y_UP[axis].T
     root, frames = np.array([0]), np.arange(upright.frame_count)

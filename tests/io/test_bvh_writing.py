@@ -29,7 +29,7 @@ def rotate_about(axis, degrees):
 
 def write(folder, motion, rate=120.0):
     write_bvh(folder / "walk.bvh", SKELETON, motion, rate)
-    return Bvh((folder / "walk.bvh").read_text())
+    return Bvh((folder / "walk.bvh").read_text(encoding="utf-8"))
 
 
 def test_joints_read_back_at_their_positions(tmp_path):
@@ -89,7 +89,7 @@ def test_angles_in_every_order_reproduce_rotations(order):
 def test_channels_are_listed_in_rotation_order(tmp_path, order):
     rotations = smooth_rotations(0, 20, 31, swing=2.5)
     write_bvh(tmp_path / "walk.bvh", SKELETON, motion_of(rotations), 120.0, rotation_order=order)
-    read = Bvh((tmp_path / "walk.bvh").read_text())
+    read = Bvh((tmp_path / "walk.bvh").read_text(encoding="utf-8"))
     assert {tuple(names[-3:]) for names in read.channels} == {tuple(f"{axis}rotation" for axis in order)}
     places, _ = kinematics.compute_world_poses(SKELETON, motion_of(rotations))
     found = read.compute_world_positions()[:, [read.names.index(name) for name in SKELETON.names]]

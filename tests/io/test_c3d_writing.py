@@ -61,7 +61,7 @@ def test_a_take_reads_back(tmp_path_factory, markers, missing, sample_sd, frame,
 def test_other_libraries_read_the_same(tmp_path):
     xyz = STANDING.copy()
     xyz[1, 2] = np.nan
-    (tmp_path / "walk.trc").write_text(trc(xyz, first=185))
+    (tmp_path / "walk.trc").write_text(trc(xyz, first=185), encoding="utf-8")
     take = capture.read_take(tmp_path / "walk.trc")
     write_c3d(tmp_path / "walk.c3d", take)
     file = ezc3d.c3d(str(tmp_path / "walk.c3d"))

@@ -80,8 +80,8 @@ def test_encodings_and_leading_comments_change_nothing(tmp_path, kind, before, e
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
 @pytest.mark.parametrize("sign", [".", ","])
 def test_amc_and_asf_in_any_encoding(tmp_path, encoding, sign):
-    (tmp_path / "09.asf").write_text(ASF)
-    (tmp_path / "09_01.amc").write_text(AMC)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
+    (tmp_path / "09_01.amc").write_text(AMC, encoding="utf-8")
     expected = capture.read_capture(tmp_path / "09_01.amc")
     (tmp_path / "09.asf").write_bytes(ASF.replace(".", sign).encode(encoding))
     header, body = AMC.split("\n7\n")
@@ -197,7 +197,7 @@ def test_captures_without_trajectories_are_refused(name, words):
 
 
 def test_an_animation_is_detected_from_its_content(tmp_path):
-    (tmp_path / "walk.txt").write_text("\ufeff\n" + TEXT)
+    (tmp_path / "walk.txt").write_text("\ufeff\n" + TEXT, encoding="utf-8")
     animation = capture.read_capture(tmp_path / "walk.txt")
     assert isinstance(animation, Animation)
     assert animation.names == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
@@ -208,21 +208,21 @@ def test_an_animation_is_detected_from_its_content(tmp_path):
 
 
 def test_a_take_is_not_read_from_an_animation(tmp_path):
-    (tmp_path / "walk.bvh").write_text(TEXT)
+    (tmp_path / "walk.bvh").write_text(TEXT, encoding="utf-8")
     with pytest.raises(TakeError, match=r"walk\.bvh: has joints and no markers"):
         capture.read_take(tmp_path / "walk.bvh")
 
 
 def test_an_amc_is_detected_with_and_without_keywords(tmp_path):
-    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
     for text in (AMC, FRAMES, f"# a comment\n{FRAMES}"):
-        (tmp_path / "09_01.dat").write_text(text)
+        (tmp_path / "09_01.dat").write_text(text, encoding="utf-8")
         animation = capture.read_capture(tmp_path / "09_01.dat")
         assert isinstance(animation, Animation)
         assert (animation.names[0], animation.first_frame, animation.frame_count) == ("root", 7, 2)
 
 
 def test_an_asf_alone_is_refused(tmp_path):
-    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
     with pytest.raises(ReadError, match=r"09\.asf: is a skeleton without motion; name the AMC"):
         capture.read_capture(tmp_path / "09.asf")

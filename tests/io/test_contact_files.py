@@ -65,7 +65,7 @@ def test_contacts_are_intervals_of_frames_by_joint(tmp_path):
     is_contact = np.zeros(FRAMES, bool)
     is_contact[10:30] = is_contact[200:] = True
     write_contacts(tmp_path / "walk.contacts.json", build_contacts(is_contact), 120.0)
-    assert json.loads((tmp_path / "walk.contacts.json").read_text()) == {
+    assert json.loads((tmp_path / "walk.contacts.json").read_text(encoding="utf-8")) == {
         joint: [[10, 29], [200, 239]] for joint in CONTACT_JOINTS
     }
 
@@ -73,7 +73,7 @@ def test_contacts_are_intervals_of_frames_by_joint(tmp_path):
 def test_events_are_a_table_with_the_files_frames(tmp_path):
     events = (GaitEvent("left", "foot strike", 0.5, "markers"), GaitEvent("right", "foot off", 1.23456, "force plate"))
     write_gait_events(tmp_path / "walk.events.csv", build_contacts(np.zeros(FRAMES, bool), events=events), 301)
-    assert (tmp_path / "walk.events.csv").read_text().splitlines() == [
+    assert (tmp_path / "walk.events.csv").read_text(encoding="utf-8").splitlines() == [
         "time_s,frame,side,event,source",
         "0.5000,361.00,left,foot strike,markers",
         "1.2346,449.15,right,foot off,force plate",
@@ -92,7 +92,7 @@ def test_missing_folder_is_named(tmp_path):
 def test_files_of_a_take_agree_with_its_bvh_and_npz(cleaned, tmp_path, rate):
     options = OutputOptions(extra_formats=("contacts", "events", "npz"), output_rate_hz=rate, floor_height_m=0.25)
     outputs = cleaned.result.write(tmp_path, options=options)
-    contacts, bvh = json.loads(outputs["contacts.json"].read_text()), outputs["bvh"].read_text()
+    contacts, bvh = json.loads(outputs["contacts.json"].read_text(encoding="utf-8")), outputs["bvh"].read_text(encoding="utf-8")
     frames = int(re.findall(r"Frames: (\d+)", bvh)[0])
     assert set(CONTACT_JOINTS) <= set(contacts)
     assert sum(len(contacts[joint]) for joint in CONTACT_JOINTS) > 10
@@ -123,7 +123,7 @@ def test_each_of_several_people_has_files(tmp_path):
     result = pipeline.clean(tmp_path / "two.c3d", prior="none")
     assert result.contacts is None
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("contacts", "events", "npz")))
-    jim, ann = (json.loads(outputs[f"{name}.contacts.json"].read_text()) for name in ("Jim", "Ann"))
+    jim, ann = (json.loads(outputs[f"{name}.contacts.json"].read_text(encoding="utf-8")) for name in ("Jim", "Ann"))
     assert sum(map(len, jim.values())) > 3
     reports = [part.subject_report for part in result.subject_results]
     assert len(reports) == 2
@@ -140,7 +140,7 @@ def test_each_of_several_people_has_files(tmp_path):
     for name in ("Jim", "Ann"):
         with np.load(outputs[f"{name}.npz"]) as arrays:
             assert arrays["contacts"].shape[0] == frames
-        assert "Contacts with the floor" in outputs[f"{name}.report.html"].read_text()
+        assert "Contacts with the floor" in outputs[f"{name}.report.html"].read_text(encoding="utf-8")
 
 
 def test_a_take_without_visible_feet_has_empty_files_and_a_note(tmp_path):
@@ -149,10 +149,13 @@ def test_a_take_without_visible_feet_has_empty_files_and_a_note(tmp_path):
     (tmp_path / "walk.c3d").write_bytes(build_c3d(truth.marker_positions[:, kept], [truth.labels[m] for m in kept]))
     result = pipeline.clean(tmp_path / "walk.c3d", prior="none")
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("contacts", "events")))
-    assert set(map(tuple, json.loads(outputs["contacts.json"].read_text()).values())) == {()}
+    assert set(map(tuple, json.loads(outputs["contacts.json"].read_text(encoding="utf-8")).values())) == {()}
     # the event is that of the file's header
-    assert outputs["events.csv"].read_text() == "time_s,frame,side,event,source\n0.5000,61.00,right,foot strike,file\n"
+    assert (
+        outputs["events.csv"].read_text(encoding="utf-8")
+        == "time_s,frame,side,event,source\n0.5000,61.00,right,foot strike,file\n"
+    )
     assert "contacts" in result.subject_report
     assert result.subject_report["contacts"]["floor"] is None
     assert any("do not show both feet" in note for note in result.subject_report["notes"])
-    assert "Contacts with the floor" not in outputs["report.html"].read_text()
+    assert "Contacts with the floor" not in outputs["report.html"].read_text(encoding="utf-8")

@@ -215,7 +215,7 @@ def test_odd_files_are_upright_and_in_scale(tmp_path, name, note):
 def test_numbers_in_a_corrected_unit_resolve_a_hundredth_of_a_millimetre(tmp_path):
     names = ["Time", *(f"{label}_{axis}_mm" for label in LABELS for axis in "XYZ")]
     rows = [[f"{t / 60:.4f}", *(f"{value:.2f}" for value in row.ravel())] for t, row in enumerate(MOTIONS["walks"])]
-    (tmp_path / "in_metres.csv").write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n")
+    (tmp_path / "in_metres.csv").write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n", encoding="utf-8")
     layout = capture.read_take(tmp_path / "in_metres.csv").layout
     assert isinstance(layout, TableLayout)
     assert layout.unit_m == 1.0

@@ -31,8 +31,8 @@ def list_names(folder: Path) -> list[str]:
 
 def test_both_are_removed_at_the_end(tmp_path: Path) -> None:
     with replace_atomically(tmp_path / "walk.npz") as part, open_temporary_folder(tmp_path) as folder:
-        (folder / "a").write_text("x")
-        part.write_text("new")
+        (folder / "a").write_text("x", encoding="utf-8")
+        part.write_text("new", encoding="utf-8")
         assert part.parent.parent == folder.parent == tmp_path
         remove_abandoned_files(tmp_path)
         assert part.exists()
@@ -41,7 +41,7 @@ def test_both_are_removed_at_the_end(tmp_path: Path) -> None:
 
 
 def test_only_those_of_dead_owners_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "walk.bvh").write_text("an output")
+    (tmp_path / "walk.bvh").write_text("an output", encoding="utf-8")
     owner = subprocess.Popen([sys.executable, "-c", OWNER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert owner.stdout
     assert owner.stdout.readline() == "ready\n"

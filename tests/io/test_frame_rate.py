@@ -220,7 +220,7 @@ IMPOSSIBLE_RATES: dict[str, bytes] = {
 
 @pytest.mark.parametrize("name", IMPOSSIBLE_RATES)
 def test_impossible_rates_of_files_are_refused_and_the_option_corrects_them(tmp_path, name):
-    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
     (tmp_path / name).write_bytes(IMPOSSIBLE_RATES[name])
     with pytest.raises(ReadError, match=r"--rate HZ") as refused:
         capture.read_capture(tmp_path / name)
@@ -252,10 +252,10 @@ def test_rows_that_are_missing_are_gaps_and_stay_missing_in_the_copy(tmp_path: P
 
 @pytest.mark.parametrize("present", [[1, 2, 5, 6], [3, 4, 5, 7]])
 def test_frames_that_an_amc_omits_are_gaps(tmp_path, present):
-    (tmp_path / "09.asf").write_text(ASF)
+    (tmp_path / "09.asf").write_text(ASF, encoding="utf-8")
     header, _, frame = AMC.partition("7\n")
     frame = frame[: frame.index("\n8\n") + 1]
-    (tmp_path / "09_01.amc").write_text(header + "".join(f"{number}\n{frame}" for number in present))
+    (tmp_path / "09_01.amc").write_text(header + "".join(f"{number}\n{frame}" for number in present), encoding="utf-8")
     found = capture.read_capture(tmp_path / "09_01.amc")
     assert isinstance(found, Animation)
     is_present = np.isin(np.arange(present[0], present[-1] + 1), present)
@@ -274,7 +274,7 @@ def test_frames_that_an_amc_omits_are_gaps(tmp_path, present):
 def test_time_columns_of_plain_tables(tmp_path, column):
     scale = 1000 if "ms" in column else 1
     rows = [f"{scale * (1.7e9 * ('stamp' in column) + t / 50):.3f},0.1,1.2,0.3,0.4,0.{t:02}5,0.6\n" for t in range(20)]
-    (tmp_path / "a.csv").write_text("# exported\n\n" + WIDE.replace("Time", column) + "".join(rows))
+    (tmp_path / "a.csv").write_text("# exported\n\n" + WIDE.replace("Time", column) + "".join(rows), encoding="utf-8")
     found = capture.read_take(tmp_path / "a.csv")
     assert (found.rate, found.frame_count, found.labels) == (50, 20, ("A", "B"))
 
@@ -282,7 +282,7 @@ def test_time_columns_of_plain_tables(tmp_path, column):
 @pytest.mark.parametrize("rate", [30.0, 120.0])
 def test_a_table_without_times_has_the_rate_of_the_option(tmp_path, rate):
     text = "body_nose_x,body_nose_y,body_nose_z\n" + "".join(f"{t},1600,{10 * t}\n" for t in range(20))
-    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     with pytest.raises(ReadError, match=r"line 1: there is no column for the time.*give it with --rate HZ"):
         capture.read_take(tmp_path / "a.csv")
     found = capture.read_take(tmp_path / "a.csv", ReadOptions(rate_hz=rate))
@@ -290,11 +290,11 @@ def test_a_table_without_times_has_the_rate_of_the_option(tmp_path, rate):
 
 
 def test_decimal_commas_between_commas_are_named(tmp_path):
-    (tmp_path / "a.csv").write_text(WIDE + "".join(f"0,0{t},1,5,1,6,1,7,1,8,1,9,2,0\n" for t in range(9)))
+    (tmp_path / "a.csv").write_text(WIDE + "".join(f"0,0{t},1,5,1,6,1,7,1,8,1,9,2,0\n" for t in range(9)), encoding="utf-8")
     with pytest.raises(ReadError, match=r"line 2: has 14 fields for 7 columns.*export it with semicolons"):
         capture.read_take(tmp_path / "a.csv")
     text = WIDE.replace(",", ";") + "".join(f"0,0{t};1,5;1,6;1,7;1,8;1,9;2,0\n" for t in range(9))
-    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     assert capture.read_take(tmp_path / "a.csv").rate == 100
 
 

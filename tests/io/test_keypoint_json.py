@@ -15,7 +15,7 @@ POINTS = np.random.default_rng(0).normal(0, 0.3, (6, len(LABELS), 3)) + [0.0, 1.
 
 def write(tmp_path, content):
     path = tmp_path / "film.json"
-    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
     return path
 
 

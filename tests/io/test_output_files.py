@@ -11,26 +11,26 @@ from mocapfix.io.files import hold_signals, make_scratch_folder, replace_atomica
 
 def test_the_target_is_replaced_at_the_end(tmp_path):
     target = tmp_path / "walk.bvh"
-    target.write_text("old")
+    target.write_text("old", encoding="utf-8")
     with replace_atomically(target) as part:
-        part.write_text("new")
-        assert target.read_text() == "old"
-    assert target.read_text() == "new"
+        part.write_text("new", encoding="utf-8")
+        assert target.read_text(encoding="utf-8") == "old"
+    assert target.read_text(encoding="utf-8") == "new"
     assert list(tmp_path.iterdir()) == [target]
 
 
 def write_half(target):
     with replace_atomically(target) as part:
-        part.write_text("half")
+        part.write_text("half", encoding="utf-8")
         raise RuntimeError("in the middle")
 
 
 def test_a_failure_keeps_the_target(tmp_path):
     target = tmp_path / "walk.bvh"
-    target.write_text("old")
+    target.write_text("old", encoding="utf-8")
     with pytest.raises(RuntimeError, match="in the middle"):
         write_half(target)
-    assert target.read_text() == "old"
+    assert target.read_text(encoding="utf-8") == "old"
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -81,25 +81,25 @@ def test_signal_takes_effect_after_the_block(number):
 def test_files_are_replaced_together_or_not_at_all(tmp_path):
     targets = [tmp_path / name for name in ("a", "b", "c")]
     for target in targets:
-        target.write_text("old")
+        target.write_text("old", encoding="utf-8")
     with pytest.raises(WriteError, match=f"{tmp_path}.*No space left"), replace_together(targets, tmp_path) as folder:  # noqa: PT012
-        (folder / "a").write_text("new")
+        (folder / "a").write_text("new", encoding="utf-8")
         raise OSError(28, "No space left on device")
-    assert [target.read_text() for target in targets] == ["old"] * 3
+    assert [target.read_text(encoding="utf-8") for target in targets] == ["old"] * 3
     with replace_together(targets, tmp_path) as folder:
-        (folder / "a").write_text("new")
-        (folder / "b").write_text("new")
+        (folder / "a").write_text("new", encoding="utf-8")
+        (folder / "b").write_text("new", encoding="utf-8")
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["a", "b"]
-    assert targets[0].read_text() == targets[1].read_text() == "new"
+    assert targets[0].read_text(encoding="utf-8") == targets[1].read_text(encoding="utf-8") == "new"
 
 
 def test_folder_that_is_removed_midway_is_an_error(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(WriteError, match="out"), replace_together([out / "a"], out) as folder:  # noqa: PT012
-        (folder / "a").write_text("new")
+        (folder / "a").write_text("new", encoding="utf-8")
         shutil.rmtree(out)
-        (folder / "b").write_text("new")
+        (folder / "b").write_text("new", encoding="utf-8")
     assert not out.exists()
 
 

@@ -106,11 +106,11 @@ joints:
 )
 def test_rig_file_is_read_and_its_errors_are_named(tmp_path: Path, valid: str, invalid: str, message: str):
     path = tmp_path / "mine.yaml"
-    path.write_text(RIG_TEXT)
+    path.write_text(RIG_TEXT, encoding="utf-8")
     rig = load_rig(path)
     assert (rig.name, rig.unit_m, rig.parents) == ("mine", 0.0254, [-1, 0])
     assert (rig.joints[1].joint, rig.joints[1].axes, rig.joints[1].end) == ("LowerBack", "LowerBack", "Head")
-    path.write_text(RIG_TEXT.replace(valid, invalid))
+    path.write_text(RIG_TEXT.replace(valid, invalid), encoding="utf-8")
     with pytest.raises(SceneError, match=rf"mine\.yaml.*{message}"):
         load_rig(path)
 
@@ -125,7 +125,7 @@ class WrittenRig(NamedTuple):
 def write_for_rig(folder: Path, name: str, skeleton: Skeleton, motion: Motion) -> WrittenRig:
     rig = load_rig(name)
     write_rig_bvh(folder / "walk.bvh", rig, skeleton, motion, 120.0)
-    return WrittenRig(rig, Bvh((folder / "walk.bvh").read_text()))
+    return WrittenRig(rig, Bvh((folder / "walk.bvh").read_text(encoding="utf-8")))
 
 
 def build_motion(seed: int = 0, frame_count: int = 40) -> Motion:

@@ -58,7 +58,7 @@ def test_error_names_file_and_line(tmp_path, content, message):
 )
 def test_value_that_cannot_be_built_is_an_error(tmp_path, value):
     path = tmp_path / "set.yaml"
-    path.write_text(f"a: 1\nb: {value}\n" if value[0] != "-" else f"{value}\n")
+    path.write_text(f"a: 1\nb: {value}\n" if value[0] != "-" else f"{value}\n", encoding="utf-8")
     with pytest.raises(SceneError, match=r"set\.yaml") as raised:
         shipped.read_yaml(path)
     assert "\n" not in str(raised.value)
@@ -89,13 +89,13 @@ def test_missing_file_and_folder_are_errors(tmp_path):
 def test_aliases_that_multiply_are_refused(tmp_path):
     path, levels = tmp_path / "set.yaml", range(1, 9)
     lines = ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in levels)]
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(SceneError, match="aliases"):
         shipped.read_yaml(path)
-    path.write_text("a: &a [1, *a]\n")
+    path.write_text("a: &a [1, *a]\n", encoding="utf-8")
     with pytest.raises(SceneError, match="aliases"):
         shipped.read_yaml(path)
-    path.write_text("a: &a [1, 2]\nb: *a\n")
+    path.write_text("a: &a [1, 2]\nb: *a\n", encoding="utf-8")
     assert shipped.read_yaml(path) == {"a": [1, 2], "b": [1, 2]}
 
 

@@ -140,7 +140,7 @@ def test_refused_copies_leave_no_files(tmp_path):
         patch_table(tmp_path / "before.txt", before, before)
     with pytest.raises(WriteError, match="does not have a field for every sample"):
         patch_table(tmp_path / "after.txt", replace(before, layout=None), before)
-    (tmp_path / "before.txt").write_text("gone\n")
+    (tmp_path / "before.txt").write_text("gone\n", encoding="utf-8")
     with pytest.raises(WriteError, match="has become shorter"):
         patch_table(tmp_path / "after.txt", before, before)
     (tmp_path / "before.txt").unlink()

@@ -236,6 +236,6 @@ def test_invalid_files_are_refused_with_the_line_of_qualisys(tmp_path, case):
 def test_a_first_field_of_thousands_of_digits_is_no_frame_number(tmp_path):
     text = qualisys(columns=("Frame",), named=False).replace("\r\n1\t", f"\r\n{'9' * 5000}\t", 1)
     assert "9" * 5000 in text
-    (tmp_path / "a.tsv").write_text(text, newline="")
+    (tmp_path / "a.tsv").write_text(text, newline="", encoding="utf-8")
     found = capture.read_capture(tmp_path / "a.tsv")
     assert (found.first_frame, found.frame_count) == (1, len(STANDING))

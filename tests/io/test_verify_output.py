@@ -181,7 +181,7 @@ def test_coordinates_with_exponents_are_compared_within_their_last_decimal(tmp_p
     rows = [",".join([f"{t / 100:.2f}", *(f"{value:.{decimals}e}" for value in row.ravel())]) for t, row in enumerate(XYZ[:, 1:])]
     names = ["Time (s)", *(f"{label}_{axis}_mm" for label in LABELS[1:] for axis in "XYZ")]
     path, target = tmp_path / "before.csv", tmp_path / "after.csv"
-    path.write_text("\n".join([",".join(names), *rows, ""]))
+    path.write_text("\n".join([",".join(names), *rows, ""]), encoding="utf-8")
     before = read_take(path, ReadOptions(up_axis="Z"))
     after = before.replace_markers(before.markers + np.pi / 1000)
     assert patch_table(target, before, after) == []

@@ -86,7 +86,7 @@ def package(tmp_path: Path) -> Path:
     for name, source in KERNEL_SOURCES.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(textwrap.dedent(source))
+        path.write_text(textwrap.dedent(source), encoding="utf-8")
     shutil.copy(inspect.getfile(compilation), folder / "kernels")
     return folder
 
@@ -122,10 +122,12 @@ def test_a_changed_callee_or_named_tuple_is_compiled_again_with_its_callers_and_
     assert run(package) == (6.0, 1)
     folders = list_cache_folders(package)
     inner, pairs = package / "kernels" / "inner.py", package / "stats" / "pairs.py"
-    inner.write_text(inner.read_text().replace("pair.a + pair.b", "pair.a - pair.b"))
+    inner.write_text(inner.read_text(encoding="utf-8").replace("pair.a + pair.b", "pair.a - pair.b"), encoding="utf-8")
     assert run(package) == (-2.0, 0)
     folders += list_cache_folders(package)
-    pairs.write_text(pairs.read_text().replace("a: float\n    b: float", "b: float\n    a: float"))
+    pairs.write_text(
+        pairs.read_text(encoding="utf-8").replace("a: float\n    b: float", "b: float\n    a: float"), encoding="utf-8"
+    )
     assert run(package) == (2.0, 0)
     folders += list_cache_folders(package)
     assert len(set(folders)) == len(folders) == 3
@@ -150,7 +152,7 @@ def test_kernels_work_where_nothing_can_be_written(package: Path, tmp_path: Path
     blocked = tmp_path / "blocked"
     blocked.write_bytes(b"")
     names = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME", "NUMBA_CACHE_DIR")
-    (package / "__init__.py").write_text(f"import tempfile; tempfile.gettempdir = lambda: {str(blocked)!r}\n")
+    (package / "__init__.py").write_text(f"import tempfile; tempfile.gettempdir = lambda: {str(blocked)!r}\n", encoding="utf-8")
     assert run(package, **dict.fromkeys(names, str(blocked))) == (6.0, 0)
 
 

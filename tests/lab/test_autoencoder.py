@@ -66,7 +66,7 @@ def test_other_seed_or_poses_start_again(poses, tmp_path):
 
 
 def test_invalid_checkpoint_raises(poses, tmp_path):
-    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "mine").write_text("mine", encoding="utf-8")
     with pytest.raises(ReadError, match="is not a training checkpoint"):
         train_weights(poses, tmp_path / "mine", build_settings("autoencoder"))
 

@@ -110,7 +110,7 @@ def test_the_committed_baseline_can_be_read_and_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["", "[]", json.dumps({"a": {"value": "fast"}})])
 def test_a_malformed_baseline_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "baseline.json"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError, match=r"baseline\.json"):
         read_baseline(path)
 

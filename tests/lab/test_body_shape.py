@@ -56,4 +56,4 @@ def test_shipped_components_are_those_that_the_script_writes(tmp_path):
         for folder in (tmp_path, find_shipped_folder("priors"))
     )
     np.testing.assert_allclose(found, shipped, atol=2e-5)
-    assert "mocap.cs.cmu.edu" in (find_shipped_folder("priors") / "shape.yaml").read_text()
+    assert "mocap.cs.cmu.edu" in (find_shipped_folder("priors") / "shape.yaml").read_text(encoding="utf-8")

@@ -34,7 +34,7 @@ def test_training_with_other_settings_or_motion_begins_anew(tmp_path):
 
 
 def test_other_files_raise(tmp_path):
-    (tmp_path / "text").write_text("weights")
+    (tmp_path / "text").write_text("weights", encoding="utf-8")
     torch.save({"network": 1}, tmp_path / "no_fingerprint")
     torch.save([1.0], tmp_path / "list")
     write_checkpoint(tmp_path / "wide", "a", 7, build_states(width=5))

@@ -31,7 +31,7 @@ class FakeCase:
     size_bytes: int = 0
 
     def save(self, folder: Path) -> None:
-        (folder / "case.txt").write_text(str(self.number))
+        (folder / "case.txt").write_text(str(self.number), encoding="utf-8")
 
     def run(self, folder: Path) -> str:
         match self.number:
@@ -60,8 +60,8 @@ def test_findings_are_counted_and_written(tmp_path: Path) -> None:
         2: "message", 3: "exception", 4: "memory", 5: "timeout", 6: "crash",
     }  # fmt: skip
     assert dict(tally.outcomes) == {"read": 2, "refused": 2, "exception": 1, "memory": 1, "timeout": 1, "crash": 1}
-    assert (tmp_path / "crash-6" / "case.txt").read_text() == "6"
-    assert "bug" in (tmp_path / "exception-3" / "finding.json").read_text()
+    assert (tmp_path / "crash-6" / "case.txt").read_text(encoding="utf-8") == "6"
+    assert "bug" in (tmp_path / "exception-3" / "finding.json").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("file", list_seed_files(), ids=lambda file: file.name)
@@ -102,12 +102,12 @@ def test_memory_limit_is_lifted_again(tmp_path: Path) -> None:
 
 def test_incomplete_outputs_are_recognised(tmp_path: Path) -> None:
     path = tmp_path / "out"
-    path.write_text('{"a": 1')
+    path.write_text('{"a": 1', encoding="utf-8")
     assert not is_whole("report.json", path, {})
     assert not is_whole("report.html", path, {})
     assert not is_whole("rrd", path, {})
     assert not is_whole("c3d", path, {"c3d": b"x"})
-    path.write_text('{"a": 1}')
+    path.write_text('{"a": 1}', encoding="utf-8")
     assert is_whole("report.json", path, {})
 
 

@@ -84,7 +84,7 @@ def test_a_jump_is_a_radian_in_a_thirtieth_of_a_second(step, expected):
 def test_written_limits_load(tmp_path, monkeypatch):
     names = list(load_cmu31_body().skeleton.names)
     (tmp_path / "mean-pose.yaml").write_bytes((find_shipped_folder("priors") / "mean-pose.yaml").read_bytes())
-    (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
+    (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'), encoding="utf-8")
     angles = np.random.default_rng(1).uniform(-20, 20, (40, len(names), 3))
     written = np.round(angles / 180 * 32767).astype(np.int16)
     np.savez(tmp_path / "train-0.npz", euler=written, trial=np.array(["01_01", "02_01"]), start=np.array([0, 25]))

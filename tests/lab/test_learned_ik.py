@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
         length=[70, 70],
         root=np.zeros((140, 3), np.float32),
     )
-    (path / "skeletons.json").write_text(json.dumps({"joints": load_cmu31_skeleton().names}))
+    (path / "skeletons.json").write_text(json.dumps({"joints": load_cmu31_skeleton().names}), encoding="utf-8")
     return path
 
 

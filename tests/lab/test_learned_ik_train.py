@@ -40,7 +40,7 @@ def build_settings(name="ik", **changes):
 
 def test_command_writes_weights_and_a_card(motion, tmp_path, mocapfix):
     shipped = yaml.safe_load((find_shipped_folder("priors") / "ik.yaml").read_text(encoding="utf-8"))
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL))
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL), encoding="utf-8")
     options = ("--config", tmp_path / "mine.yaml", "--data", motion, "-o", tmp_path / "mine.safetensors")
     status, output, _ = mocapfix("train", "ik", *options)
     assert status == 0

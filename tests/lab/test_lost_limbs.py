@@ -75,7 +75,7 @@ def test_shard_is_measured_by_limb_duration_and_method(tmp_path):
         euler[:, SKELETON.find_joint(name), 2] = 32767 / 180 * 20 * np.sin(3 * time + phase)
     root = np.tile([0.0, 17.0, 0.0], (150, 1)).astype(np.float32)
     np.savez(tmp_path / "test.npz", euler=euler, root=root, trial=np.array(["02_01"]), start=np.array([0]))
-    (tmp_path / "skeletons.json").write_text(json.dumps({"joints": SKELETON.names}))
+    (tmp_path / "skeletons.json").write_text(json.dumps({"joints": SKELETON.names}), encoding="utf-8")
     messages = []
     results = lost_limbs.measure_lost_limbs(tmp_path, None, gap_count=1, progress=messages.append)
     assert set(results) == {"arm", "leg", "ways"}

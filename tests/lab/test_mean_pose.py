@@ -131,7 +131,7 @@ def test_chordal_mean_of_half_rotations_is_not_a_reflection():
 def test_written_mean_pose_loads(tmp_path, monkeypatch):
     names, count = list(load_cmu31_body().skeleton.names), 40
     angles = np.random.default_rng(1).uniform(-20, 20, (count, len(names), 3))
-    (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
+    (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'), encoding="utf-8")
     np.savez(tmp_path / "train-0.npz", euler=np.round(angles / 180 * 32767).astype(np.int16), length=[30, 10])
     body_statistics.write_mean_pose(str(tmp_path), str(tmp_path / "mine.yaml"))
     text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")

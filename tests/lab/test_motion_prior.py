@@ -45,7 +45,7 @@ def fit(motion, checkpoint, **changes):
 
 def test_trained_prior_loads_and_has_a_card(motion, tmp_path, mocapfix):
     shipped = yaml.safe_load((find_shipped_folder("priors") / "motion.yaml").read_text(encoding="utf-8"))
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL))
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL), encoding="utf-8")
     options = ("--config", tmp_path / "mine.yaml", "--data", motion, "-o", tmp_path / "mine.safetensors")
     status, output, complaint = mocapfix("train", "motion", *options)
     assert status == 0, complaint
@@ -85,7 +85,7 @@ def test_training_lowers_the_loss(motion, tmp_path, monkeypatch):
 
 
 def test_file_that_is_not_a_checkpoint_raises(motion, tmp_path):
-    (tmp_path / "mine").write_text("weights")
+    (tmp_path / "mine").write_text("weights", encoding="utf-8")
     with pytest.raises(ReadError, match="is not a training checkpoint"):
         fit(motion, tmp_path / "mine")
 

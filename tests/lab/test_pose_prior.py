@@ -31,7 +31,7 @@ def motion(tmp_path_factory):
 def train(name, motion, folder, *more, **changes):
     """Run the command with changed settings of a shipped prior and return its exit status."""
     shipped = yaml.safe_load((find_shipped_folder("priors") / f"{name}.yaml").read_text(encoding="utf-8"))
-    (folder / "mine.yaml").write_text(yaml.safe_dump(shipped | changes))
+    (folder / "mine.yaml").write_text(yaml.safe_dump(shipped | changes), encoding="utf-8")
     with pytest.raises(SystemExit) as exited:
         app.run_command_line(
             [

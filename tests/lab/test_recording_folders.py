@@ -32,9 +32,9 @@ def test_high_rate_is_reduced_and_initial_t_pose_skipped(tmp_path):
 def test_incomplete_frames_are_skipped(tmp_path):
     rotations = draw_motion(2)
     write_bvh_motion(tmp_path / "a.bvh", rotations)
-    lines = (tmp_path / "a.bvh").read_text().splitlines()
+    lines = (tmp_path / "a.bvh").read_text(encoding="utf-8").splitlines()
     lines[-3] = " ".join(["nan", *lines[-3].split()[1:-1], "nan"])
-    (tmp_path / "a.bvh").write_text("\n".join(lines))
+    (tmp_path / "a.bvh").write_text("\n".join(lines), encoding="utf-8")
     (recording,) = recordings.read_bvh_recording(tmp_path / "a.bvh")
     np.testing.assert_allclose(recording.rotations, np.delete(rotations, -3, axis=0), atol=1e-7)
 
@@ -49,9 +49,9 @@ def test_incomplete_frames_are_skipped(tmp_path):
 )
 def test_unknown_skeleton_or_truncated_file_raises(tmp_path, old, new, message):
     write_bvh_motion(tmp_path / "a.bvh", draw_motion(3))
-    text = (tmp_path / "a.bvh").read_text()
+    text = (tmp_path / "a.bvh").read_text(encoding="utf-8")
     assert old in text
-    (tmp_path / "a.bvh").write_text(text.replace(old, new, 1))
+    (tmp_path / "a.bvh").write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ReadError, match=rf"a\.bvh.*{message}"):
         list(recordings.read_bvh_recording(tmp_path / "a.bvh"))
 

@@ -33,7 +33,7 @@ def test_no_training_reads_the_subjects_of_the_benchmarks():
 
 def test_invalid_settings_of_learned_ik_raise(tmp_path):
     text = (find_shipped_folder("priors") / "ik.yaml").read_text(encoding="utf-8")
-    (tmp_path / "mine.yaml").write_text(text.replace("frame_offsets: [1, 3, 5, 7, 9]", "frame_offsets: []"))
+    (tmp_path / "mine.yaml").write_text(text.replace("frame_offsets: [1, 3, 5, 7, 9]", "frame_offsets: []"), encoding="utf-8")
     with pytest.raises(SceneError, match=r"mine\.yaml: .*frame_offsets"):
         settings.read_ik_settings(tmp_path / "mine.yaml")
 
@@ -69,6 +69,6 @@ def test_mnn_ik_settings_are_those_of_the_paper():
     ],
 )
 def test_invalid_settings_raise_with_file_and_key(tmp_path, old, new, message):
-    (tmp_path / "mine.yaml").write_text(PCA.replace(old, new))
+    (tmp_path / "mine.yaml").write_text(PCA.replace(old, new), encoding="utf-8")
     with pytest.raises(SceneError, match=rf"mine\.yaml: .*{message}"):
         settings.read_prior_settings(tmp_path / "mine.yaml")

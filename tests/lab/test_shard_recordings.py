@@ -21,7 +21,7 @@ def write_shard(folder, name="train-1.npz", joints=NAMES):
     trials = {"trial": np.array(["01_02", "14_01"]), "start": np.array([0, 10]), "length": np.array([10, 14])}
     trials["root"] = np.outer(np.arange(24), [1.0, 2.0, 0.0]).astype(np.float32)
     np.savez(folder / name, allow_pickle=False, euler=euler, **trials)
-    (folder / "skeletons.json").write_text(json.dumps({"joints": joints}))
+    (folder / "skeletons.json").write_text(json.dumps({"joints": joints}), encoding="utf-8")
     return folder / name, rotations
 
 
@@ -38,11 +38,13 @@ def test_manifest_names_sources_and_retargeted_motion(tmp_path):
     path, _ = write_shard(tmp_path)
     assert [each.source for each in recordings.read_shard_recordings(path)] == [recordings.UNKNOWN_SOURCE] * 2
     manifest = tmp_path / "manifest.csv"
-    manifest.write_text("trial,quality,source,licence\n01_02,exact,a/b@1,CMU (free)\n14_01,retargeted,c/d@2,MIT\n")
+    manifest.write_text(
+        "trial,quality,source,licence\n01_02,exact,a/b@1,CMU (free)\n14_01,retargeted,c/d@2,MIT\n", encoding="utf-8"
+    )
     first, second = recordings.read_shard_recordings(path)
     assert first.source == recordings.CMU_SOURCE
     assert second.source == recordings.RecordingSource("c/d", "MIT", is_retargeted=True)
-    manifest.write_text("trial,licence\n01_02,MIT\n")
+    manifest.write_text("trial,licence\n01_02,MIT\n", encoding="utf-8")
     with pytest.raises(ReadError, match=r"manifest\.csv.*columns"):
         list(recordings.read_shard_recordings(path))
 
@@ -89,7 +91,7 @@ def test_folders_are_read_one_after_the_other(tmp_path):
 
 
 def test_folder_without_motion_raises(tmp_path):
-    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "notes.txt").write_text("nothing", encoding="utf-8")
     with pytest.raises(ReadError, match="holds no motion"):
         list(recordings.read_recordings([tmp_path]))
 

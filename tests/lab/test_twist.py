@@ -40,7 +40,7 @@ def command(motion, tmp_path, mocapfix):
 
     def run(*more, **changes):
         shipped = yaml.safe_load((find_shipped_folder("priors") / "twist.yaml").read_text(encoding="utf-8"))
-        (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL | changes))
+        (tmp_path / "mine.yaml").write_text(yaml.safe_dump(shipped | SMALL | changes), encoding="utf-8")
         options = ("--config", tmp_path / "mine.yaml", "--data", motion, "-o", tmp_path / "mine.safetensors")
         return mocapfix("train", "twist", *options, *more)
 
@@ -70,11 +70,11 @@ def test_trained_regressor_loads_and_has_a_card(command, tmp_path):
 
 
 def test_existing_weights_are_not_overwritten(command, tmp_path):
-    (tmp_path / "mine.safetensors").write_text("weights")
+    (tmp_path / "mine.safetensors").write_text("weights", encoding="utf-8")
     status, _, complaint = command()
     assert status == 1
     assert "already exists" in complaint
-    assert (tmp_path / "mine.safetensors").read_text() == "weights"
+    assert (tmp_path / "mine.safetensors").read_text(encoding="utf-8") == "weights"
     assert command("--overwrite")[0] == 0
 
 

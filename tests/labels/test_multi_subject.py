@@ -241,11 +241,11 @@ def test_every_subject_has_output_files_with_its_name(files, two):
     suffixes |= {f"{name}.{suffix}" for name in ("Jim", "Ann") for suffix in ("bvh", "subject.yaml")} | {"c3d"}
     assert set(outputs) == suffixes
     assert {path.name for path in (files / "two.mocapfix").iterdir()} == {f"two.{suffix}" for suffix in suffixes}
-    report = json.loads(outputs["Ann.report.json"].read_text())
+    report = json.loads(outputs["Ann.report.json"].read_text(encoding="utf-8"))
     assert (report["take"]["file"], report["take"]["person"], report["take"]["markers"]) == ("two.c3d", "Ann", 41)
     assert [each.report["fill"]["missing_before"] for each in result.subject_results] == [50, 50, 15]
     assert all(each.report["fill"]["left_empty"] == 0 for each in result.subject_results)
-    assert "two.c3d (Ann)" in outputs["Ann.report.html"].read_text()
+    assert "two.c3d (Ann)" in outputs["Ann.report.html"].read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["Jim", "Ann"])
@@ -256,7 +256,7 @@ def test_each_subject_is_cleaned_as_in_a_file_of_its_own(files, two, name, tmp_p
     markers = np.flatnonzero(np.array(both.marker_subjects) == name)
     np.testing.assert_allclose(both.markers[:, markers], own.markers, atol=1e-6)
     paths = (outputs[f"{name}.bvh"], own_outputs["bvh"])
-    bvh, expected = (np.array(path.read_text().split()[-FRAMES * 96 :], float) for path in paths)
+    bvh, expected = (np.array(path.read_text(encoding="utf-8").split()[-FRAMES * 96 :], float) for path in paths)
     np.testing.assert_allclose(bvh, expected, atol=1e-3)  # centimetres and degrees
 
 
@@ -342,14 +342,16 @@ def test_labels_that_two_subjects_exchanged_are_exchanged_back(two, corrected):
     assert [change.samples for change in jim.changes if change.kind == "swap"] == [80] * 4
     note = "Jim and Ann had exchanged the labels LANK, LHEE, LTOE, LMT5 in frames 81 to 120; they are exchanged back."
     assert note in jim.subject_report["notes"]
-    assert json.loads(outputs["Jim.report.json"].read_text())["changes"][0]["markers"] == ["Jim:LANK", "Ann:LANK"]
-    assert "exchanged their labels" in outputs["Jim.report.html"].read_text()
+    assert json.loads(outputs["Jim.report.json"].read_text(encoding="utf-8"))["changes"][0]["markers"] == ["Jim:LANK", "Ann:LANK"]
+    assert "exchanged their labels" in outputs["Jim.report.html"].read_text(encoding="utf-8")
 
 
 def test_exchanges_between_subjects_can_be_declined(exchanged, corrected, tmp_path):
     _, outputs = corrected
     declined = tmp_path / "declined.yaml"
-    declined.write_text(outputs["Jim.changes.yaml"].read_text().replace("decision: accept", "decision: reject"))
+    declined.write_text(
+        outputs["Jim.changes.yaml"].read_text(encoding="utf-8").replace("decision: accept", "decision: reject"), encoding="utf-8"
+    )
     result = pipeline.clean(exchanged, review_files=(declined,))
     assert not [fault for fault in result.faults.items if fault.kind == "swap" and fault.first == 50]
     changes = [change for change in result.subject_results[0].changes if change.kind == "swap" and "Ann:LANK" in change.markers]
@@ -379,10 +381,10 @@ def test_a_selected_subject_leaves_the_rest_of_the_file_unchanged(files, two, tm
 
 def test_every_subject_has_a_review_file(files, two, tmp_path):
     result, outputs = two
-    text = outputs["Ann.changes.yaml"].read_text()
+    text = outputs["Ann.changes.yaml"].read_text(encoding="utf-8")
     assert text.count("decision: accept") == 2
     edited = tmp_path / "mine.yaml"
-    edited.write_text(text.replace("decision: accept", "decision: reject", 1))
+    edited.write_text(text.replace("decision: accept", "decision: reject", 1), encoding="utf-8")
     takes = [each.input_take for each in result.subject_results]
     of_jim, of_ann, of_others = read_changes_files([edited, outputs["Jim.changes.yaml"]], takes)
     assert tuple(len(each.declined) for each in (of_jim, of_ann, of_others)) == (0, 1, 0)
@@ -428,7 +430,7 @@ def test_calibration_needs_the_name_of_one_of_several_subjects(files):
 
 
 def test_existing_files_are_not_replaced_and_nothing_is_written(two, tmp_path):
-    (tmp_path / "two.Ann.bvh").write_text("mine")
+    (tmp_path / "two.Ann.bvh").write_text("mine", encoding="utf-8")
     with pytest.raises(WriteError, match=r"two\.Ann\.bvh: already exists"):
         two[0].write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["two.Ann.bvh"]
@@ -461,7 +463,9 @@ def test_samples_that_the_file_cannot_store_are_empty_in_the_report_of_their_sub
     far = replace(ann, take=ann.take.replace_markers(markers, sample_sd))
     take = two[0].input_take
     outputs = merge_results(SubjectExchanges(take, take), (jim, far, others)).write(tmp_path)
-    fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
+    fills = {
+        name: json.loads(outputs[f"{name}.report.json"].read_text(encoding="utf-8"))["fill"] for name in ("Jim", "Ann", "others")
+    }
     assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
     (run,) = fills["Ann"]["unfilled"]
     assert (run["marker"], run["first"], run["last"]) == (ann.input_take.labels[3], FIRST_FRAME + 5, FIRST_FRAME + 5)
@@ -471,8 +475,11 @@ def test_the_command_line_lists_every_subject(files, two, mocapfix, tmp_path):
     status, out, _ = mocapfix("inspect", files / "two.c3d", "--subject-prefix", "box")
     assert (status, " ".join(out.split()).startswith("two.c3d (box): 4 markers, frames 31 to 150 at 120 Hz.")) == (0, True)
     of_jim, of_ann = (tmp_path / f"{name}.yaml" for name in ("jim", "ann"))
-    of_jim.write_text(two[1]["Jim.changes.yaml"].read_text())
-    of_ann.write_text(two[1]["Ann.changes.yaml"].read_text().replace("decision: accept", "decision: reject", 1))
+    of_jim.write_text(two[1]["Jim.changes.yaml"].read_text(encoding="utf-8"), encoding="utf-8")
+    of_ann.write_text(
+        two[1]["Ann.changes.yaml"].read_text(encoding="utf-8").replace("decision: accept", "decision: reject", 1),
+        encoding="utf-8",
+    )
     arguments = ("--changes", of_jim, "--changes", of_ann, "--out", tmp_path / "out", "--json")
     status, out, _ = mocapfix("clean", files / "two.c3d", *arguments)
     left_empty = {report["take"]["person"]: report["fill"]["left_empty"] for report in json.loads(out)}

@@ -15,7 +15,7 @@ from tests.bvh_files import TEXT
 
 @pytest.fixture
 def figure(tmp_path) -> Animation:
-    (tmp_path / "figure.bvh").write_text(TEXT)
+    (tmp_path / "figure.bvh").write_text(TEXT, encoding="utf-8")
     return bvh.read_bvh(tmp_path / "figure.bvh")
 
 

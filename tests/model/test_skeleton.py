@@ -76,7 +76,7 @@ def test_total_length_scales_with_offsets():
 
 def test_shape_components_are_read_by_joint(tmp_path: Path):
     path = tmp_path / "two.yaml"
-    path.write_text("components:\n- {b: [1, 2.5, -3]}\n- {a: [0, 0, 0.1], c: [4, 5, 6]}\n")
+    path.write_text("components:\n- {b: [1, 2.5, -3]}\n- {a: [0, 0, 0.1], c: [4, 5, 6]}\n", encoding="utf-8")
     expected = [[[0, 0, 0], [1, 2.5, -3], [0, 0, 0]], [[0, 0, 0.1], [0, 0, 0], [4, 5, 6]]]
     np.testing.assert_array_equal(load_shape_components(path, ("a", "b", "c")), expected)
 
@@ -95,7 +95,7 @@ def test_shape_components_are_read_by_joint(tmp_path: Path):
 )
 def test_invalid_shape_component_is_named(tmp_path: Path, text: str, message: str):
     path = tmp_path / "wrong.yaml"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError, match=rf"wrong\.yaml: {message}"):
         load_shape_components(path, ("a", "b", "c"))
 

@@ -116,7 +116,7 @@ def test_page_shows_the_part(scene, tmp_path, has_contacts):
         scene = scene.replace_comparison(contacts=contacts)
         scene.report["contacts"] = build_contact_section(contacts, scene.comparison.input_take)
     write_html_report(tmp_path / "walk.html", scene.report, scene.comparison)
-    page = (tmp_path / "walk.html").read_text()
+    page = (tmp_path / "walk.html").read_text(encoding="utf-8")
     assert ("Contacts with the floor" in page) == has_contacts
     assert ('aria-label="contacts of the left heel"' in page) == has_contacts
     assert ('class="strike" style="left:' in page) == has_contacts

@@ -94,7 +94,7 @@ def test_model_of_other_joints_raises(tmp_path, gaussian):
 
 
 def test_missing_and_invalid_files_raise(tmp_path):
-    (tmp_path / "text.safetensors").write_text("not that")
+    (tmp_path / "text.safetensors").write_text("not that", encoding="utf-8")
     with pytest.raises(SceneError, match=r"text\.safetensors: is not a prior"):
         trained_priors.load_pose_model(str(tmp_path / "text.safetensors"), SKELETON)
     with pytest.raises(SceneError, match="no trained prior 'nobody'"):

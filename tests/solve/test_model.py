@@ -105,7 +105,7 @@ def test_file_has_the_same_weights(prior, tmp_path):
 
 def test_other_files_raise(tmp_path):
     motion_prior.write_motion_prior(tmp_path / "part.safetensors", motion_prior.MotionPrior({"input.weight": np.ones(3)}))
-    (tmp_path / "text.safetensors").write_text("weights")
+    (tmp_path / "text.safetensors").write_text("weights", encoding="utf-8")
     for name in ("part", "text", "absent"):
         with pytest.raises(SceneError, match=f"{name}.safetensors: is not a motion prior"):
             motion_prior.read_motion_prior(tmp_path / f"{name}.safetensors")

@@ -213,7 +213,7 @@ def test_invalid_tensors_are_rejected(tmp_path, change, message):
 
 
 def test_invalid_and_missing_files_are_rejected(tmp_path):
-    (tmp_path / "text.safetensors").write_text("not that")
+    (tmp_path / "text.safetensors").write_text("not that", encoding="utf-8")
     for name in ("text", "none"):
         with pytest.raises(SceneError, match=rf"{name}\.safetensors: is not a twist regressor"):
             read_twist_regressor(tmp_path / f"{name}.safetensors")

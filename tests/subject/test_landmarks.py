@@ -99,7 +99,7 @@ def test_spread_of_landmarks_is_that_of_markers():
 )
 def test_invalid_places_are_errors(tmp_path, place, message):
     path = tmp_path / "mine.yaml"
-    path.write_text(f"name: mine\ntitle: Mine\nskeleton: cmu31\nmarkers:\n  A: {place}\n")
+    path.write_text(f"name: mine\ntitle: Mine\nskeleton: cmu31\nmarkers:\n  A: {place}\n", encoding="utf-8")
     with pytest.raises(SceneError, match=message):
         load_marker_set(path)
 
@@ -108,7 +108,8 @@ def test_landmark_of_a_studio_set_takes_its_own_spread(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(
         "name: mine\ntitle: Mine\nskeleton: cmu31\npoint_sd: 0.02\n"
-        "markers:\n  A: {landmark: right heel, spread: 0.04}\n  B: {landmark: sacrum}\n"
+        "markers:\n  A: {landmark: right heel, spread: 0.04}\n  B: {landmark: sacrum}\n",
+        encoding="utf-8",
     )
     marker_set = load_marker_set(path)
     np.testing.assert_array_equal(marker_set.marker_spread, [0.04, find_landmark("sacrum").spread])

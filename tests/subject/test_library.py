@@ -36,7 +36,7 @@ markers:
 
 def test_file_of_a_studio(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(GOOD)
+    path.write_text(GOOD, encoding="utf-8")
     marker_set = load_marker_set(path)
     assert (marker_set.name, marker_set.labels, marker_set.aliases) == ("mine", ("TOP", "HIP"), (("CROWN",), ()))
     assert (marker_set.optional_labels, marker_set.required_labels) == ({"TOP"}, ("HIP",))
@@ -65,7 +65,7 @@ def test_file_of_a_studio(tmp_path):
 )
 def test_error_names_the_wrong_key(tmp_path, old, new, message):
     path = tmp_path / "mine.yaml"
-    path.write_text(GOOD.replace(old, new))
+    path.write_text(GOOD.replace(old, new), encoding="utf-8")
     with pytest.raises(SceneError, match=rf"mine\.yaml.*{message}"):
         load_marker_set(path)
 
@@ -73,7 +73,7 @@ def test_error_names_the_wrong_key(tmp_path, old, new, message):
 @pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 def test_written_set_is_read_back(marker_set, tmp_path):
     write_marker_set(tmp_path / "mine.yaml", marker_set, "Two lines\n\nof comment.")
-    assert (tmp_path / "mine.yaml").read_text().startswith("# Two lines\n#\n# of comment.\nname: ")
+    assert (tmp_path / "mine.yaml").read_text(encoding="utf-8").startswith("# Two lines\n#\n# of comment.\nname: ")
     back = load_marker_set(tmp_path / "mine.yaml")
     assert all(
         getattr(back, name) == getattr(marker_set, name) for name in ("name", "title", "labels", "aliases", "optional_labels")

@@ -63,7 +63,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
 def test_file_is_readable(tmp_path):
     path = tmp_path / "one.subject.yaml"
     library.write_subject(path, SUBJECT)
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("# A subject of mocapfix")
     assert "metres" in lines[0]
     assert "  LeftLeg: {parent: LeftUpLeg, offset: [0.143, -0.3929, 0.0], sd: 0.0}" in lines
@@ -81,9 +81,9 @@ def test_labels_that_look_like_yaml_values_round_trip(tmp_path):
 def test_bone_order_is_irrelevant(tmp_path):
     path = tmp_path / "one.subject.yaml"
     library.write_subject(path, SUBJECT)
-    data = yaml.safe_load(path.read_text())
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
     data["bones"] = dict(sorted(data["bones"].items()))
-    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     np.testing.assert_array_equal(library.read_subject(path).skeleton.offsets, SUBJECT.skeleton.offsets)
 
 
@@ -107,9 +107,9 @@ def test_bone_order_is_irrelevant(tmp_path):
 def test_invalid_file_names_the_key(tmp_path, old, new, message):
     path = tmp_path / "one.subject.yaml"
     library.write_subject(path, SUBJECT)
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert old in text
-    path.write_text(text.replace(old, new, 1))
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {message}"):
         library.read_subject(path)
 
