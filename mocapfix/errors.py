@@ -46,10 +46,11 @@ class ConstraintError(MocapfixError):
 class OptionError(MocapfixError):
     """An option whose value is not allowed.
 
-    name     the option's name in Python
-    flag     its flag on the command line
-    job_key  its dotted key in a job file
-    problem  what is wrong, as the end of a sentence that begins with the option's name, without a full stop
+    Attributes:
+        name: The option's name in Python.
+        flag: Its flag on the command line.
+        job_key: Its dotted key in a job file.
+        problem: What is wrong, as the end of a sentence that begins with the option's name, without a full stop.
     """
 
     def __init__(self, name: str, flag: str, job_key: str, problem: str) -> None:

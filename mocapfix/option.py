@@ -19,24 +19,25 @@ T = TypeVar("T")
 class Option:
     """How one option is presented and checked. Limits are in the unit of the field.
 
-    flag          the flag on the command line
-    metavar       the placeholder of its value in help texts
-    help          one line for help texts and documentation
-    job_key       the dotted key in a job file; "" if a job cannot set it
-    unit          the unit of the value on the command line and in job files
-    per_unit      how many of `unit` make one of the field's unit: 1000 for a field in metres that users give in millimetres
-    aliases       other flags of the same meaning
-    default_text  the default in help texts where None or an empty list does not explain itself
-    choices       the allowed values, of a tuple the allowed elements; empty if any value is allowed
-    above         lower limit, exclusive
-    at_least      lower limit, inclusive
-    at_most       upper limit, inclusive
-    is_finite     whether the value must be finite
-    is_expert     whether the option is hidden from the short help and the example job
-    is_file       whether the value names a file, or something shipped
-    for_markers   whether the option has no use for animations, and is refused for them
-    lab_default   the default with the purpose "lab", which differs from the usual one; None if it does not
-    name, stage, type, default  of its field, and the name of the stage in `CleanOptions`
+    Attributes:
+        flag: The flag on the command line.
+        metavar: The placeholder of its value in help texts.
+        help: One line for help texts and documentation.
+        job_key: The dotted key in a job file; "" if a job cannot set it.
+        unit: The unit of the value on the command line and in job files.
+        per_unit: How many of `unit` make one of the field's unit: 1000 for a field in metres that users give in millimetres.
+        aliases: Other flags of the same meaning.
+        default_text: The default in help texts where None or an empty list does not explain itself.
+        choices: The allowed values, of a tuple the allowed elements; empty if any value is allowed.
+        above: Lower limit, exclusive.
+        at_least: Lower limit, inclusive.
+        at_most: Upper limit, inclusive.
+        is_finite: Whether the value must be finite.
+        is_expert: Whether the option is hidden from the short help and the example job.
+        is_file: Whether the value names a file, or something shipped.
+        for_markers: Whether the option has no use for animations, and is refused for them.
+        lab_default: The default with the purpose "lab", which differs from the usual one; None if it does not.
+        name, stage, type, default: Of its field, and the name of the stage in `CleanOptions`.
     """
 
     flag: str
@@ -188,7 +189,8 @@ class StageOptions:
 
     An integer becomes a float for an option that is one, or several: only floats are converted between units.
 
-    Raises OptionError for the first value that is not allowed.
+    Raises:
+        OptionError: For the first value that is not allowed.
     """
 
     def __post_init__(self) -> None:

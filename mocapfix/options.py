@@ -345,7 +345,8 @@ class CleanOptions:
     def change(self, **values: object) -> "CleanOptions":
         """Return the options with other values, given by the names of the stages' fields: `change(prior="none", max_gap_s=2.0)`.
 
-        Raises OptionError if there is no such option or its value is not allowed.
+        Raises:
+            OptionError: If there is no such option or its value is not allowed.
         """
         given = {*self.purpose.given, *values.keys() & set(PURPOSE_OPTIONS)}
         values = {name: default for name, default in PURPOSE_DEFAULTS.items() if name not in given} | values

@@ -1,11 +1,7 @@
 """The formats of output files, one entry each, and which of them the options select.
 
-`DEFAULT_FORMATS` are always written, `OPTIONAL_FORMATS` on request; `list_output_formats` selects. Two are written here:
-
-walk.contacts.json   {"LeftFoot": [[first, last], ...], "LeftToeBase": ..., ...}: frames of walk.bvh, from 0, inclusive.
-                     LeftFoot stands for the heel, LeftToeBase for the ball of the foot; also knees (LeftLeg) and wrists
-                     (LeftHand), where the body has them
-walk.events.csv      time_s (after the first frame), frame (the file's own, with a fraction), side, event, source
+`DEFAULT_FORMATS` are always written, `OPTIONAL_FORMATS` on request; `list_output_formats` selects. Contacts and events of
+gait (docs/contacts.md) are written here.
 """
 
 import json
@@ -303,8 +299,10 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
 
     The files of rigs and characters are read when they are first named, and when they have been changed.
 
-    Raises SceneError if there is no such rig or character, ReadError if the file of a character is unreadable, WriteError if two
-    formats would write the same file.
+    Raises:
+        SceneError: If there is no such rig or character.
+        ReadError: If the file of a character is unreadable.
+        WriteError: If two formats would write the same file.
     """
     files = (*options.rigs, *options.characters, *([options.character_map] if options.character_map else []))
     return _read_output_formats(options, tuple(get_file_version(Path(each)) for each in files))

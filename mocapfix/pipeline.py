@@ -232,7 +232,8 @@ def detect_and_fit(
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
     fitted to the inliers known before. A learned marker set that contradicts the take is withdrawn.
 
-    Raises TakeError where too few markers are visible.
+    Raises:
+        TakeError: Where too few markers are visible.
     """
     with timer("detect"):
         detected = detect_on_trajectories(take, choice.marker_set, choice.subject, review, options)
@@ -268,7 +269,8 @@ def fit_body(
     timer: StageTimer,
 ) -> tuple[Calibrated, BodyFit]:
     """Calibrate the body, unless its subject is known, and solve its poses: all of them, or those that changed since the previous
-    round. Markers that moved on the body are then placed on it where they were moved to, and it is solved again."""
+    round. Markers that moved on the body are then placed on it where they were moved to, and it is solved again.
+    """
     calibrated, body = previous or (None, None)
     with timer("calibrate") if subject is None else nullcontext():
         calibrated = calibrate_body(detected, marker_set, subject, calibrated)

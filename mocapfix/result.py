@@ -79,22 +79,23 @@ DEFAULT_CLEAN_OPTIONS = CleanOptions()
 class CleaningResult:
     """A cleaned take with its faults, changes, body and report.
 
-    input_take       the take as read
-    relabelled_take  the same with corrected labels
-    take             the cleaned take
-    faults           detected faults, indexing the markers of `relabelled_take`
-    changes          changes that were applied or declined in review
-    unfilled_runs    intervals that stay empty, with their reasons
-    report           contents of the JSON report
-    fragment_donors  markers whose samples are fragments of other markers
-    subject          calibrated subject; None if no marker set matches
-    motion           motion of the subject; None if no marker set matches
-    joint_position_world  (T, J, 3) m, the solved joints; NaN for joints that the markers do not show; None without a body
-    residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
-    contacts         when joints of the body are in contact with the floor, and the events of gait; None without a body
-    review           what a reviewer decided after an earlier cleaning
-    requested        the options with which the take was cleaned
-    subject_results  results by subject of a take of several subjects. Their common result has no body of its own
+    Attributes:
+        input_take: The take as read.
+        relabelled_take: The same with corrected labels.
+        take: The cleaned take.
+        faults: Detected faults, indexing the markers of `relabelled_take`.
+        changes: Changes that were applied or declined in review.
+        unfilled_runs: Intervals that stay empty, with their reasons.
+        report: Contents of the JSON report.
+        fragment_donors: Markers whose samples are fragments of other markers.
+        subject: Calibrated subject; None if no marker set matches.
+        motion: Motion of the subject; None if no marker set matches.
+        joint_position_world: Metres, the solved joints; NaN for joints that the markers do not show; None without a body.
+        residual_m: Distance of each inlier marker from the body in metres, NaN for other samples; None without a body.
+        contacts: When joints of the body are in contact with the floor, and the events of gait; None without a body.
+        review: What a reviewer decided after an earlier cleaning.
+        requested: The options with which the take was cleaned.
+        subject_results: Results by subject of a take of several subjects. Their common result has no body of its own.
     """
 
     input_take: Take
@@ -128,7 +129,8 @@ class CleaningResult:
 
         Returns the paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
 
-        Raises WriteError if a file exists (unless `overwrite`) or cannot be written.
+        Raises:
+            WriteError: If a file exists (unless `overwrite`) or cannot be written.
         """
         folder, stem, results = Path(folder), self._stem, self.subject_results or (self,)
         subject_stems = [result.input_take.output_stem for result in results]
@@ -271,8 +273,9 @@ def build_output_paths(
 ) -> dict[str, Path]:
     """Return the paths of all possible outputs by suffix.
 
-    stem          stem of the input, also of the cleaned file, which contains all subjects
-    subject_stem  stem of the other outputs of one of several subjects; empty: that of the input
+    Args:
+        stem: Stem of the input, also of the cleaned file, which contains all subjects.
+        subject_stem: Stem of the other outputs of one of several subjects; empty: that of the input.
     """
     source_suffixes = get_source_suffixes(source_path)
     others = [suffix for each in list_output_formats(options) for suffix in each.all_suffixes if suffix not in source_suffixes]
@@ -290,8 +293,9 @@ def check_outputs_free(
 ) -> tuple[Path, ...]:
     """Return the paths of all possible outputs of all subjects.
 
-    Raises WriteError if an output exists (unless `overwrite`), would replace the input or the output of another subject, or if
-    the folder is a file.
+    Raises:
+        WriteError: If an output exists (unless `overwrite`), would replace the input or the output of another subject, or if the
+            folder is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise WriteError(f"{folder}: the folder cannot be created (it is a file); choose another with --out.")
@@ -309,8 +313,6 @@ def list_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: 
     """Return the input and the arguments of `mocapfix clean` that clean it again in the same way, for the report.
 
     Files are named relative to the output folder. A subject without a file is the one that was written there.
-
-    stem  of the outputs
     """
 
     def name_file(path: Path) -> str:

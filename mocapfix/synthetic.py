@@ -190,8 +190,9 @@ def compute_plateau(time_s: Curve, times_s: tuple[float, float, float, float]) -
 def compute_gesture_angles(gait_phase: Curve, pelvis_drop_deg: Curve, time_s: Curve) -> dict[str, Positions]:
     """Return angles in degrees about X, Y, Z of the rotated joints above the pelvis, each in its parent's axes.
 
-    gait_phase       distance of the left foot in front of the right, in strides
-    pelvis_drop_deg  rotation of the pelvis about Z, which the back compensates
+    Args:
+        gait_phase: Distance of the left foot in front of the right, in strides.
+        pelvis_drop_deg: Rotation of the pelvis about Z, which the back compensates.
     """
     zeros, ones = np.zeros_like(gait_phase), np.ones_like(gait_phase)
     curves = {  # the shoulders rotate against the hips, the head with neither
@@ -386,7 +387,8 @@ def compose_take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, asym
 
     The seed determines the person, the skin and the damage; the motion depends on the length of the person's legs only.
 
-    asymmetric  give every bone its own length and direction, as people have, instead of scaling groups of bones only
+    Args:
+        asymmetric: Give every bone its own length and direction, as people have, instead of scaling groups of bones only.
     """
     rng = np.random.default_rng(seed)
     subject = draw_subject(rng, asymmetric)
@@ -402,7 +404,8 @@ def compose_take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, asym
 def write_synthetic_take(path: Path, synthetic: SyntheticTake) -> None:
     """Write the damaged take as a C3D file, as a capture system would export it: millimetres, Z up, frames numbered from 1.
 
-    Raises WriteError if the folder cannot be written.
+    Raises:
+        WriteError: If the folder cannot be written.
     """
     markers = np.where(synthetic.missing_mask[..., None], np.nan, synthetic.damaged_positions)
     write_c3d(path, Take(markers, synthetic.labels, synthetic.rate))

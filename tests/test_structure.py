@@ -6,6 +6,7 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
@@ -20,6 +21,7 @@ MAX_TUPLE_RESULTS = 3
 FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
 SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank", "schur")
 """the kernels of which a minimisation consists"""
+FOLDERS_WITH_COLUMNS = {"animations", "batch", "characters", "fill"}
 
 
 def name_of(path: Path) -> str:
@@ -90,6 +92,19 @@ def functions() -> list[tuple[str, ast.FunctionDef]]:
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
     ]
+
+
+def test_docstrings_have_sections_instead_of_columns() -> None:
+    """Arguments and fields are described in Google's sections, which the site renders as tables; indented blocks are literal."""
+    column, header = re.compile(r"\S(.*\S)? {2,}\S|-{3,}$"), re.compile(r"(Args|Attributes|Raises):$")
+    found: list[str] = []
+    for name, tree in modules().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and folder_of(name) not in FOLDERS_WITH_COLUMNS:
+                lines = (ast.get_docstring(node) or "").splitlines()
+                found += [f"{name}: {line}" for line in lines if column.match(line)]
+                found += [f"{name}: {b}" for a, b in pairwise(lines) if header.match(a) and not re.match(r"    \S.*: \S", b)]
+    assert not found
 
 
 def test_imports_have_no_cycles() -> None:

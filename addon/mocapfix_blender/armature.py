@@ -67,10 +67,7 @@ def edit_bones(context, data: bpy.types.Armature) -> Generator[bpy.types.Armatur
 
 
 def key_body(armature: bpy.types.Object, body: SkeletonMotion, frames: np.ndarray, actions: ActionWriter) -> None:
-    """Write the motion of a body as keys of the bones of its armature.
-
-    frames  (T,) frames of the scene
-    """
+    """Write the motion of a body as keys of the bones of its armature."""
     keys = actions.assign(armature)
     for j, name in enumerate(body.names):
         bone = armature.data.bones[name]
@@ -90,8 +87,9 @@ def key_pose_bone(
 ) -> None:
     """Write rotations, and locations if there are any, of a pose bone in its rotation mode.
 
-    basis     (T, 4): quaternions x, y, z, w in the bone's axes in the rest pose, without changes of sign
-    location  (T, 3) in the bone's axes in the rest pose, in units of the armature
+    Args:
+        basis: (T, 4): quaternions x, y, z, w in the bone's axes in the rest pose, without changes of sign.
+        location: (T, 3) in the bone's axes in the rest pose, in units of the armature.
     """
     path = bone.path_from_id()
     if bone.rotation_mode == "QUATERNION":

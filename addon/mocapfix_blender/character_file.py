@@ -26,22 +26,14 @@ MAX_SCALE_DIFFERENCE = 1e-3
 
 @dataclass(frozen=True)
 class BoneMotion:
-    """The motion of N bones of an armature over T frames, relative to their rest pose, in their own axes.
+    """The motion of N bones of an armature over T frames, relative to their rest pose, in their own axes."""
 
-    names      names of the bones that are moved
-    basis      (T, N, 4): quaternions x, y, z, w, without changes of sign
-    pelvis     name of the bone that is translated, one of `names`
-    location   (T, 3) m: its translation
-    rate       frames per second
-    segments   the bones of each segment of the body, from the pelvis outwards
-    """
-
-    names: tuple[str, ...]
-    basis: np.ndarray
-    pelvis: str
-    location: np.ndarray
-    rate: float
-    segments: dict[str, list[str]]
+    names: tuple[str, ...]  # names of the bones that are moved
+    basis: np.ndarray  # (T, N, 4): quaternions x, y, z, w, without changes of sign
+    pelvis: str  # name of the bone that is translated, one of `names`
+    location: np.ndarray  # (T, 3) m: its translation
+    rate: float  # frames per second
+    segments: dict[str, list[str]]  # the bones of each segment of the body, from the pelvis outwards
 
 
 def get_object_scale(armature: bpy.types.Object) -> float:

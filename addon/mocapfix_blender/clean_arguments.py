@@ -30,12 +30,14 @@ def get_output_folder(take: Path) -> Path:
 def build_arguments(take: Path, options: str, *, frame_rate: float, feet: str, use_decisions: bool) -> list[str]:
     """Return the arguments of `mocapfix clean` for a take.
 
-    options        further options as on the command line
-    frame_rate     of the motion, 0 for that of the take
-    feet           one of FEET_ITEMS
-    use_decisions  whether to apply the decisions of an earlier review
+    Args:
+        options: Further options as on the command line.
+        frame_rate: Of the motion, 0 for that of the take.
+        feet: One of FEET_ITEMS.
+        use_decisions: Whether to apply the decisions of an earlier review.
 
-    Raises ProcessError if the options are no list of words.
+    Raises:
+        ProcessError: If the options are no list of words.
     """
     try:
         words = shlex.split(options)

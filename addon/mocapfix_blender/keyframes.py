@@ -65,8 +65,9 @@ class KeyWriter:
     def write(self, data_path: str, frames: np.ndarray, values: np.ndarray, *, group: str, interpolation: str = "LINEAR") -> None:
         """Write the keys of a property of C components.
 
-        frames  (T,) frames of the scene, not necessarily whole
-        values  (T, C), or (T,) for a property of one component; frames in which a value is not finite get no key
+        Args:
+            frames: (T,) frames of the scene, not necessarily whole.
+            values: (T, C), or (T,) for a property of one component; frames in which a value is not finite get no key.
         """
         is_single = values.ndim == 1
         values = values.reshape(len(frames), -1)

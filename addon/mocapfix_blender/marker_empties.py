@@ -19,8 +19,9 @@ def build_markers(
 ) -> bpy.types.Object:
     """Make the empties of the markers, or update those of an earlier import; return the object that carries them.
 
-    armature  that of the take, which carries them, so that they follow it
-    frames    (F,) frames of the scene
+    Args:
+        armature: That of the take, which carries them, so that they follow it.
+        frames: (F,) frames of the scene.
     """
     root = _find_root(context, take, take_key)
     if armature is not None:

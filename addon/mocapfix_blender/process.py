@@ -42,9 +42,11 @@ class ProcessError(Exception):
 def find_executable(given: str) -> str:
     """Return the path of mocapfix.
 
-    given  its path or name from the preferences; empty for `mocapfix` on PATH
+    Args:
+        given: Its path or name from the preferences; empty for `mocapfix` on PATH.
 
-    Raises ProcessError if it is not there.
+    Raises:
+        ProcessError: If it is not there.
     """
     given = str(Path(given.strip()).expanduser()) if given.strip() else ""
     found = shutil.which(given or "mocapfix")
@@ -68,11 +70,13 @@ class CleaningProcess:
     def __init__(self, executable: str, arguments: list[str], temporary: Path, output_folder: Path | None = None) -> None:
         """Start the process.
 
-        arguments      those after `clean`, without the output folder
-        temporary      folder of `make_temporary_folder`, which is removed with the process
-        output_folder  folder for the outputs, in which files are replaced; None for a temporary one
+        Args:
+            arguments: Those after `clean`, without the output folder.
+            temporary: Folder of `make_temporary_folder`, which is removed with the process.
+            output_folder: Folder for the outputs, in which files are replaced; None for a temporary one.
 
-        Raises ProcessError if it cannot be started.
+        Raises:
+            ProcessError: If it cannot be started.
         """
         self._temporary = temporary
         self.output_folder = output_folder or self._temporary / "out"

@@ -141,7 +141,8 @@ class MOCAPFIX_OT_retarget(ProcessOperator, bpy.types.Operator, ImportHelper):
 def find_target(context, take: str) -> bpy.types.Object:
     """Return the armature to retarget onto: the active one, else the only selected one, but not the one imported from the take.
 
-    Raises ProcessError if there is no such armature, or if it cannot be edited.
+    Raises:
+        ProcessError: If there is no such armature, or if it cannot be edited.
     """
     selected = [each for each in context.selected_objects if each.type == "ARMATURE"]
     if context.object is not None and context.object.mode == "POSE" and context.object not in selected:
@@ -182,10 +183,7 @@ def check_bones(armature: bpy.types.Object, motion: BoneMotion) -> None:
 
 
 def key_rest_values(keys: KeyWriter, armature: bpy.types.Object, motion: BoneMotion, frame: np.ndarray) -> None:
-    """Key what an earlier pose has left in the moved bones and above them: scales, locations, rotations of bones above.
-
-    frame  (1,) frame of the scene
-    """
+    """Key what an earlier pose has left in the moved bones and above them: scales, locations, rotations of bones above."""
     one = np.ones((1, 3))
     for bone in _list_with_parents(armature, motion):
         path = bone.path_from_id()

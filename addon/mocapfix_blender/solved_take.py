@@ -18,14 +18,15 @@ NPZ_FORMAT = "mocapfix 1"
 class SkeletonMotion:
     """A tree of J joints and its motion over T frames. In the rest pose the axes of all joints are Blender's.
 
-    names, parents  J names, and the index of each joint's parent, -1 for the root; parents come first
-    offsets         (J, 3) m: each joint in its parent's axes
-    ends            (J, 3) m: end of a last bone in its joint's axes, NaN for other joints
-    root            (T, 3) m: the root in the world
-    rotations       (T, J, 4): quaternions x, y, z, w of each joint relative to its parent, without changes of sign
-    rate            frames per second
-    is_solved       (J,) whether the markers show the joint; the others stay in their rest pose
-    translations    (T, 3) m for each joint below the root whose position in its parent's axes changes, by its index
+    Attributes:
+        names, parents: J names, and the index of each joint's parent, -1 for the root; parents come first.
+        offsets: (J, 3) m: each joint in its parent's axes.
+        ends: (J, 3) m: end of a last bone in its joint's axes, NaN for other joints.
+        root: (T, 3) m: the root in the world.
+        rotations: (T, J, 4): quaternions x, y, z, w of each joint relative to its parent, without changes of sign.
+        rate: Frames per second.
+        is_solved: (J,) whether the markers show the joint; the others stay in their rest pose.
+        translations: (T, 3) m for each joint below the root whose position in its parent's axes changes, by its index.
     """
 
     names: tuple[str, ...]
@@ -41,31 +42,19 @@ class SkeletonMotion:
 
 @dataclass(frozen=True)
 class SolvedTake:
-    """One subject of a take: its markers, and its body if it has one.
+    """One subject of a take: its markers, and its body if it has one."""
 
-    name          name of the take, with that of the subject if the take has several: "walk", "walk.Jim"
-    subject       name of the subject if the take has several, else empty
-    labels        M labels of markers (joints of an animation)
-    markers       (F, M, 3) m, NaN where missing
-    marker_sd     (F, M) m: predicted standard deviation per axis of samples that mocapfix estimated, NaN elsewhere
-    marker_rate   frames per second of the markers
-    first_frame   the file's number of the first frame
-    body          None if the take has no body
-    pose_status   (T,) the confidence in each pose: an index into status_texts
-    report        the contents of the JSON report
-    """
-
-    name: str
-    subject: str
-    labels: tuple[str, ...]
-    markers: np.ndarray
-    marker_sd: np.ndarray
-    marker_rate: float
-    first_frame: int
-    body: SkeletonMotion | None
-    pose_status: np.ndarray
+    name: str  # name of the take, with that of the subject if the take has several: "walk", "walk.Jim"
+    subject: str  # name of the subject if the take has several, else empty
+    labels: tuple[str, ...]  # M labels of markers (joints of an animation)
+    markers: np.ndarray  # (F, M, 3) m, NaN where missing
+    marker_sd: np.ndarray  # (F, M) m: predicted standard deviation per axis of samples that mocapfix estimated, NaN elsewhere
+    marker_rate: float  # frames per second of the markers
+    first_frame: int  # the file's number of the first frame
+    body: SkeletonMotion | None  # None if the take has no body
+    pose_status: np.ndarray  # (T,) the confidence in each pose: an index into status_texts
     status_texts: tuple[str, ...]
-    report: dict = field(repr=False)
+    report: dict = field(repr=False)  # the contents of the JSON report
 
     def replace_body(self, body: SkeletonMotion) -> "SolvedTake":
         """Return the take with another body, of the same frames."""
@@ -95,9 +84,11 @@ class SolvedTake:
 def read_solved_takes(folder: Path, since: float = 0.0) -> list[SolvedTake]:
     """Read the subjects of the take that mocapfix has cleaned into a folder.
 
-    since  ignore older files: a time in seconds since the epoch
+    Args:
+        since: Ignore older files: a time in seconds since the epoch.
 
-    Raises ProcessError if files are missing or have an unknown form.
+    Raises:
+        ProcessError: If files are missing or have an unknown form.
     """
     paths = [path for path in sorted(folder.glob("*.npz")) if get_report_path(path).exists() and path.stat().st_mtime >= since]
     if not paths:

@@ -25,7 +25,8 @@ class UncertainStretch:
 def find_uncertain_stretches(take: SolvedTake, max_sd_m: float) -> list[UncertainStretch]:
     """Return the uncertain stretches of a take by their time.
 
-    max_sd_m  fills with a larger predicted standard deviation per axis are uncertain
+    Args:
+        max_sd_m: Fills with a larger predicted standard deviation per axis are uncertain.
     """
     stretches = [*_find_uncertain_fills(take, max_sd_m), *_find_uncertain_poses(take), *_find_empty_stretches(take)]
     return sorted(stretches, key=lambda each: (each.first_s, each.last_s))

@@ -126,10 +126,7 @@ def _stop(_number: int, _frame: FrameType | None) -> None:
 
 
 def run_command_line(arguments: list[str] | None = None) -> None:
-    """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage, 141 broken pipe.
-
-    arguments  without the program's name; None for those of the process
-    """
+    """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage, 141 broken pipe."""
     arguments = sys.argv[1:] if arguments is None else arguments
     os.environ[DEBUG_VARIABLE] = "1" if DEBUG_FLAG in arguments else os.environ.get(DEBUG_VARIABLE, "")
     arguments = join_axis_arguments(each for each in arguments if each != DEBUG_FLAG)

@@ -36,9 +36,10 @@ def build_options_argument(
 ) -> Any:
     """Return the annotation of the parameter of a command that holds options, which `parse_options` reads.
 
-    stages         the names of the stages in `CleanOptions` whose options the command has
-    without        the names of options that it does not have
-    default_texts  by name of an option, the default that help shows instead of the usual text
+    Args:
+        stages: The names of the stages in `CleanOptions` whose options the command has.
+        without: The names of options that it does not have.
+        default_texts: By name of an option, the default that help shows instead of the usual text.
     """
     groups: list[tuple[str, Any, Any]] = []
     left_out, texts = set(without), default_texts or {}

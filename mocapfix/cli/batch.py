@@ -194,10 +194,11 @@ MINUTES_IN_HOUR = 60
 class StageCounts:
     """The jobs of one stage.
 
-    job_count      all jobs
-    earlier_count  jobs that an earlier batch did
-    start_s        time at which the stage began
-    running        the jobs that were handed to a worker and run or wait there, the earliest first
+    Attributes:
+        job_count: All jobs.
+        earlier_count: Jobs that an earlier batch did.
+        start_s: Time at which the stage began.
+        running: The jobs that were handed to a worker and run or wait there, the earliest first.
     """
 
     stage: str = ""
@@ -239,8 +240,9 @@ def format_duration(duration_s: float) -> str:
 class PlainProgress(BatchProgress):
     """Progress as lines: failures and messages at once, the counts at most every ten seconds and at the end of a stage.
 
-    shown_failures  the sentences that were printed, by name of the job. A take that fails for the same reason in two stages, when
-                    it is surveyed and when it is cleaned, is printed once
+    Attributes:
+        shown_failures: The sentences that were printed, by name of the job. A take that fails for the same reason in two stages,
+            when it is surveyed and when it is cleaned, is printed once.
     """
 
     def __init__(self, console: Console = stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:

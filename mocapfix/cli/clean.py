@@ -104,9 +104,10 @@ def clean_takes(
 ) -> int:
     """Clean takes one after the other and print a summary of each; a take that fails does not stop the others.
 
-    output_folder  where the output files go; None for TAKE.mocapfix/ beside each take
-
     Returns the exit status.
+
+    Args:
+        output_folder: Where the output files go; None for TAKE.mocapfix/ beside each take.
     """
     from mocapfix.io.capture import read_capture
     from mocapfix.model.stage_timer import StageTimer
@@ -179,12 +180,7 @@ def import_while_solving(progress: Callable[[str], None]) -> Callable[[str], Non
 
 
 def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:
-    """Print in a few lines what a cleaning did.
-
-    report          the JSON report
-    outputs         the paths of the files that were written, by format
-    subject_prefix  the one with which the take was cleaned
-    """
+    """Print in a few lines what a cleaning did."""
     from mocapfix.report.terms import format_fault_counts
 
     fill, take, changes = report["fill"], report["take"], report["changes"]
@@ -238,7 +234,8 @@ def describe_left_empty(fill: "FillSection") -> list[str]:
 def describe_laboratory(evidence: Mapping[str, str], options: CleanOptions) -> str:
     """Return the sentence that suggests the purpose of laboratories for takes that look like theirs; "" if it is not needed.
 
-    evidence  by the name of a take, what suggests a laboratory; "" if nothing does
+    Args:
+        evidence: By the name of a take, what suggests a laboratory; "" if nothing does.
     """
     found = [(take, reason) for take, reason in evidence.items() if reason]
     if not found or "purpose" in options.purpose.given:

@@ -44,8 +44,9 @@ stderr_console = _Terminal(stderr=True, highlight=False)
 def show_progress(name: str, *, needs_kernels: bool = False) -> Generator[Callable[[str], None]]:
     """Yield a function that shows on a terminal which stage a take is in.
 
-    needs_kernels  whether to compile the kernels, unless this has been done. This is done after the stage "read": a file that
-                   cannot be read is refused at once.
+    Args:
+        needs_kernels: Whether to compile the kernels, unless this has been done. This is done after the stage "read": a file that
+            cannot be read is refused at once.
     """
     with stderr_console.status(escape(name)) as status:
         are_compiled = not needs_kernels

@@ -47,10 +47,7 @@ SHINS = {"left": "LeftLeg", "right": "RightLeg"}
 
 
 def reduce_held_uncertainty(subject: Subject, motion: Motion, contacts: BodyContacts) -> Motion:
-    """Return the motion with the standard deviations of feet, and of the markers on feet and shins, while these are held.
-
-    subject  the body with all its markers, to which the motion's `marker_sd` belongs
-    """
+    """Return the motion with the standard deviations of feet, and of the markers on feet and shins, while these are held."""
     joint_sd, marker_sd = motion.joint_sd.copy(), motion.marker_sd.copy()
     skeleton = subject.skeleton
     for side, joints in FOOT_JOINTS.items():
@@ -122,8 +119,9 @@ def hold_feet(
 
     No marker limits it, unlike `hold_measured_feet`, which holds the feet of a take.
 
-    joint_position  (T, J, 3) m: of the motion
-    is_root_fixed   only the legs move; otherwise the root may move a little too
+    Args:
+        joint_position: Metres: of the motion.
+        is_root_fixed: Only the legs move; otherwise the root may move a little too.
     """
     displacement = compute_held_displacements(skeleton, joint_position, contacts, is_locked=is_locked)
     return displace_feet(skeleton, motion, joint_position, displacement, is_root_fixed=is_root_fixed)
@@ -161,8 +159,9 @@ def build_leg_markers(
 ) -> LegMarkers:
     """Return the markers of thighs and shins of a body, by the smooth part of their distance from where it places them.
 
-    markers       (T, K, 3) m: measured, NaN if missing or faulty
-    body_markers  (T, K, 3) m: where the body places them
+    Args:
+        markers: Metres: measured, NaN if missing or faulty.
+        body_markers: Metres: where the body places them.
     """
     joints = [subject.skeleton.names.index(joint) for thigh_and_shin in LEG_SEGMENTS for joint in thigh_and_shin]
     columns = np.flatnonzero(np.isin(subject.joints, joints))
@@ -186,7 +185,8 @@ def displace_feet(
 ) -> Motion:
     """Return the motion with the joints of the feet displaced, in metres; each frame by itself.
 
-    markers  near which thighs and shins stay; without them these keep their rotations
+    Args:
+        markers: Near which thighs and shins stay; without them these keep their rotations.
     """
     feet = np.array([skeleton.names.index(joint) for joint in CONTACT_JOINTS])
     frames = np.flatnonzero((np.linalg.norm(displacement, axis=-1) > MIN_DISPLACEMENT_M).any(1))
@@ -240,10 +240,7 @@ def limit_root_displacement(displacement: Float[np.ndarray, "N 3"]) -> Float[np.
 
 
 def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0) -> Poses:
-    """Return poses whose legs place joints and markers where these shall be.
-
-    root_share  factor of the standard deviations of the root
-    """
+    """Return poses whose legs place joints and markers where these shall be."""
     frame_count, joint_count = motion.local_rotations.shape[:2]
     is_free = np.isin(np.arange(joint_count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
     weight = np.full((frame_count, joint_count), LEG_ROTATION_SD_RAD**-2)
@@ -301,9 +298,10 @@ def hold_measured_feet(
 ) -> HeldBody:
     """Return the body with its standing feet held.
 
-    body       without held feet
-    markers    (T, K, 3) m, in the body's order, NaN if missing or faulty
-    is_locked  hold feet at one place; the markers of feet and shins are then not where the body has them
+    Args:
+        body: Without held feet.
+        markers: Metres, in the body's order, NaN if missing or faulty.
+        is_locked: Hold feet at one place; the markers of feet and shins are then not where the body has them.
     """
     subject, names = body.extended_subject, body.subject.skeleton.names
     displacement = compute_held_displacements(subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)
@@ -385,10 +383,11 @@ def are_feet_solved(body: BodyFit) -> bool:
 def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.ndarray, "T K 3"], take: Take) -> BodyContacts:
     """Return the contacts with the events of gait, and both as force plates show them where a foot stands on one.
 
-    markers  (T, K, 3) m, in the body's order, NaN if missing or faulty
-    take     whose file may have force plates
-
     A body without both feet has no events but those of the file.
+
+    Args:
+        markers: Metres, in the body's order, NaN if missing or faulty.
+        take: Whose file may have force plates.
     """
     recorded, plates = (), []
     if isinstance(take.layout, C3dLayout) and take.path is not None:

@@ -65,9 +65,6 @@ def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[n
 
     A level that is higher than the lowest one counts if a foot stands on it while the other does not stand lower: a foot that is
     held still in the air, beside a foot on the floor, is on no level.
-
-    toe_position, is_standing  of both feet
-    rate                       frames per second
     """
     if not is_standing.any():
         return NO_FLOOR

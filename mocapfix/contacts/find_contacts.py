@@ -62,10 +62,9 @@ def find_certain_occlusions(
 
     At the beginning and the end of a take it must have stood if the other foot stands there, and both do for a while beside.
 
-    is_standing     when it stands, found without the speed in unknown frames
-    position        (T, 3) m: of the joint; what it is in unknown frames is not used
-    other_standing  when the other foot stands
-    is_other_known  when markers show the other foot
+    Args:
+        is_standing: When it stands, found without the speed in unknown frames.
+        position: Metres: of the joint; what it is in unknown frames is not used.
     """
     is_certain = np.zeros(len(is_known), bool)
     window = max(1, round(PLACE_WINDOW_S * rate))
@@ -118,7 +117,8 @@ def detect_standing(
 ) -> Bool[np.ndarray, " T"]:
     """Return whether a joint stands in each frame, from its speed in m/s.
 
-    is_ignored  frames whose speed is no evidence: the state there follows from the frames around them
+    Args:
+        is_ignored: Frames whose speed is no evidence: the state there follows from the frames around them.
     """
     frames = len(speed)
     if frames < 2:
@@ -149,9 +149,9 @@ MAX_OTHER_HEIGHT_M = 0.13  # height above the floor up to which a knee or a wris
 def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.ndarray, "T J 3"], rate: float) -> BodyContacts:
     """Find the contacts of feet, knees and hands.
 
-    skeleton        the 31-joint skeleton
-    motion          its motion, of which `joint_sd` is used: where a foot lacks its markers, its contact is inferred
-    joint_position  (T, J, 3) m, Y up; NaN for joints that the markers do not show
+    Args:
+        motion: Its motion, of which `joint_sd` is used: where a foot lacks its markers, its contact is inferred.
+        joint_position: Metres, Y up; NaN for joints that the markers do not show.
     """
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     if not len(joint_position) or not np.isfinite(joint_position[:, feet]).all():

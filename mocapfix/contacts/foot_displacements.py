@@ -33,7 +33,8 @@ def restore_foot_length(
 
     They move in the horizontal plane only, so that none of them sinks into the floor; those of a steep foot along the foot.
 
-    held_share  of the ankle and of the toes: 1 where they are held, 0 where not; the one that is held moves less
+    Args:
+        held_share: Of the ankle and of the toes: 1 where they are held, 0 where not; the one that is held moves less.
     """
     ankle_share, toe_share = (np.maximum(share, MIN_HELD_SHARE)[:, None] for share in held_share)
     between = toe - ankle
@@ -69,8 +70,9 @@ def compute_foot_displacements(
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet, in every frame.
 
-    position   (T, C, 3) m: the joints of `contacts`, which are CONTACT_JOINTS
-    is_locked  hold each contact at one place; otherwise remove its fast motion
+    Args:
+        position: Metres: the joints of `contacts`, which are CONTACT_JOINTS.
+        is_locked: Hold each contact at one place; otherwise remove its fast motion.
     """
     is_held = contacts.is_contact.copy()
     if is_locked:
@@ -152,8 +154,9 @@ def smooth_displacement(
     It minimises the integral of CONTACT_WEIGHT |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
     The last weight is larger where x would accelerate too much, as between two contacts at different places that almost touch.
 
-    displacement  (T, D): the first three columns are the displacement in metres
-    is_limited    where the acceleration is limited; not where the given displacement removes an error of a hidden foot
+    Args:
+        displacement: The first three columns are the displacement in metres.
+        is_limited: Where the acceleration is limited; not where the given displacement removes an error of a hidden foot.
     """
     variance = np.where(is_contact, rate / CONTACT_WEIGHT, rate)
     power = np.full(len(displacement), RETURN_TIME_S**-4)

@@ -134,7 +134,8 @@ def _is_within(event: GaitEvent, contact: PlateContact) -> bool:
 def _find_single_foot(on_plate: Mapping[str, Bool[np.ndarray, "T 2"]], start_frame: float, stop_frame: float) -> str | None:
     """Return the side of the foot that loads a plate between two frames, alone and with heel and toes; None without one.
 
-    on_plate  by side, whether heel and toes are above the plate while the foot is near the floor
+    Args:
+        on_plate: By side, whether heel and toes are above the plate while the foot is near the floor.
     """
     span = slice(int(np.ceil(start_frame)), int(stop_frame) + 1)
     third = (stop_frame - start_frame) / 3

@@ -141,7 +141,8 @@ def select_consistent_set(marker_set: MarkerSet, without_set: Detected, with_set
 def compare_detections(without_set: Detected, with_set: Detected, columns: Int[np.ndarray, " K"]) -> SetTrial:
     """Return what the detection with a learned set contradicts in the take as detected without it.
 
-    columns  the take's columns of the K markers of the set, -1 for one that it does not have
+    Args:
+        columns: The take's columns of the K markers of the set, -1 for one that it does not have.
     """
     before, after = without_set.take.markers, with_set.take.markers
     is_relabelled = ((before != after) & ~(np.isnan(before) & np.isnan(after))).any(-1) & without_set.take.visible

@@ -181,7 +181,8 @@ def compute_length_cost(
 ) -> Float[np.ndarray, " T"]:
     """Return the cost of the exchanged state of a pair less that of the straight one, by the lengths of segments.
 
-    judged  pairs of points whose sides are corrected already; the one at the steadiest distance is used
+    Args:
+        judged: Pairs of points whose sides are corrected already; the one at the steadiest distance is used.
     """
     cost, least_deviation_m = np.zeros(len(markers)), MAX_SEGMENT_DEVIATION_M
     for other in judged:
@@ -243,7 +244,8 @@ def find_exchanged_frames(
 ) -> Bool[np.ndarray, " T"]:
     """Return the frames in which the samples of two points are exchanged.
 
-    length_cost  cost of the exchanged state less that of the straight one, by what other points show
+    Args:
+        length_cost: Cost of the exchanged state less that of the straight one, by what other points show.
     """
     is_exchanged = np.zeros(len(left), bool)
     frames = np.flatnonzero(~np.isnan(left[:, 0]) & ~np.isnan(right[:, 0]))

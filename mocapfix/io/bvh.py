@@ -389,7 +389,8 @@ def write_bvh_tree(
 ) -> None:
     """Write a motion as `write_bvh` does, in which several joints may have position channels.
 
-    positions  joint to its positions (T, 3) in metres in its parent's axes; the root, joint 0, must have them
+    Args:
+        positions: Joint to its positions (T, 3) in metres in its parent's axes; the root, joint 0, must have them.
     """
     joints = list(_iterate_depth_first(skeleton))
     angles = np.degrees(compute_euler_angles(local_rotations[:, [joint for joint, _ in joints]], rotation_order))

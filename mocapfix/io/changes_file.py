@@ -134,9 +134,8 @@ def list_marked_faults(corrections: Sequence[Correction]) -> list[Fault]:
 def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correction:
     """Return a correction with the indices of its markers and frames.
 
-    place  where the entry is, for the message of an error
-
-    Raises SceneError if the take does not have the markers or the frames.
+    Raises:
+        SceneError: If the take does not have the markers or the frames.
     """
     markers, first, last = _locate_entry(entry, take, _index_labels(take), place)
     labelled = markers[:1] if entry.kind == "assign" else markers
@@ -185,7 +184,7 @@ class ReviewedChange:
 
     @property
     def decision(self) -> Decision:
-        """ "reject" or "keep"."""
+        """The value of the entry: "reject" or "keep"."""
         return self.entry.decision
 
     def matches(self, fault: Fault) -> bool:
@@ -269,7 +268,8 @@ NO_REVIEW = Review()
 def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], review: Review = NO_REVIEW) -> None:
     """Write the changes of a take, with what the reviewer noted on them and the corrections.
 
-    Raises WriteError if the folder cannot be written; an existing file stays as it is then.
+    Raises:
+        WriteError: If the folder cannot be written; an existing file stays as it is then.
     """
     entries: list[Mapping[str, Any]] = [
         {**entry, **_describe_remarks(review.reviewed_ids, review.notes, entry["id"])} for entry in serialize_changes(changes)

@@ -228,9 +228,10 @@ LOCK_TEXT_ENCODING = "utf-8"
 def hold_process_lock(path: Path, describe_refusal: Callable[[str], str]) -> Generator[None]:
     """Hold the lock at `path`, a file that stays there.
 
-    describe_refusal  returns the sentence of the error if another process holds it, given its computer, process and start
-
     Raises WriteError then, and if the file cannot be written.
+
+    Args:
+        describe_refusal: Returns the sentence of the error if another process holds it, given its computer, process and start.
     """
     from filelock import Timeout  # slow to import
 

@@ -142,8 +142,9 @@ ELEMENT_ALIGNMENT = 4
 class GltfBuffer:
     """The first buffer of a document, the binary chunk of the GLB, with a view and an accessor for each array added to it.
 
-    document  the document, whose lists are extended
-    data      the binary chunk so far
+    Attributes:
+        document: The document, whose lists are extended.
+        data: The binary chunk so far.
     """
 
     def __init__(self, document: dict[str, Any], data: bytes = b"") -> None:

@@ -1,53 +1,6 @@
 """Write all results as NumPy arrays (.npz) for other programs: `np.load("walk.npz")`, without pickle.
 
-Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joints, F frames of the take and M markers:
-
-    format          "mocapfix 1"
-    units           a sentence that states the units
-    rate, first_frame   frames per second of the body; the file's number of its first frame
-    names (J,)      joints, parents before children;  parents (J,), -1 for the root
-    offsets (J, 3)  position of each joint in its parent's axes
-    ends (J, 3)     end of a last bone in its joint's axes, NaN for other joints
-    root (T, 3)     position of the root in the world
-    rotations (T, J, 4)  axes of each joint in its parent's (of the root in the world) as quaternions x, y, z, w, without flips
-    joints (T, J, 3)     positions of the joints in the world;  joint_sd (T, J) their predicted standard deviation per axis
-    solved_joints (J,)   whether the markers show the joint; of the others, joints and joint_sd are NaN and the rotations at rest
-    status (T,)     an index into status_texts (S,), which describe the confidence in the pose of each frame
-    labels (M,)     marker names as in the file
-    markers (F, M, 3)    cleaned markers, NaN where missing
-    marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
-    marker_rate     frames per second of the markers, always that of the take
-    contact_joints (C,)  joints that can be in contact;  contacts (F, C) whether each is, in the frames of the take, as markers
-    contacts_known (F, C)  False where the joint is not seen and its contact is inferred
-    floor_heights (L,)  heights of the floor's levels at the origin;  floor_slope (2,) its rise in metres per metre along x and z
-    event_times (E,)  seconds after the first frame;  event_sides, event_kinds (E,) "left" or "right", "foot strike" or "foot off"
-    event_sources (E,)  "markers", "joints" or "force plate"
-    label_confidence (F, M)  of a take that mocapfix labelled: the probability that the label of a sample is right, NaN for
-                    samples that were not in the file
-
-A take whose file has labels has no label_confidence. A take without a body has no contacts, floor, events, names, parents,
-offsets, ends, root, rotations, joints, joint_sd, solved_joints, status and status_texts.
-
-The motion of a character, `np.load("walk.character.npz")`, with T frames and J bones, parents before children:
-
-    format              "mocapfix character 1"
-    units               a sentence that states the units
-    character           the character's name
-    rate                frames per second
-    names (J,)          bones;  parents (J,), -1 for roots
-    scales (J,)         metres in a unit of the character's file along each bone's own axes;  root_scale that of roots
-    rest_positions (J, 3)   head of each bone in its parent's axes (of a root in the world), in the rest pose
-    rest_rotations (J, 4)   axes of each bone to its parent's (of a root to the world's), in the rest pose
-    tails (J, 3)        tail of each bone in its own axes, NaN where it has none
-    pelvis              name of the pelvis bone
-    pelvis_position (T, 3)  its head in its parent's axes (of a root in the world); all other bones keep their rest_positions
-    rotations (T, J, 4) axes of each bone to its parent's, without sign flips: in the rest pose these are rest_rotations
-    is_moved (J,)       whether the bone belongs to a segment of the body or moves; the others keep the rest pose
-    segments (S,)       segments of the body;  segment_bones (S,) the names of their bones from the pelvis outwards, separated by
-                        line feeds
-
-The pose in the world follows from the root downwards: a bone's axes are those of its parent times its own rotation, its head is
-its parent's head plus the parent's axes times its position.
+docs/formats.md lists the arrays of a take, docs/characters.md those of a character.
 """
 
 from collections.abc import Collection

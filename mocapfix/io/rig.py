@@ -79,7 +79,8 @@ class Rig:
 def load_rig(name: str | Path) -> Rig:
     """Load a shipped rig by name, or one from a YAML file.
 
-    Raises SceneError if there is no rig of the name, or if the file is not valid, with the key that is wrong.
+    Raises:
+        SceneError: If there is no rig of the name, or if the file is not valid, with the key that is wrong.
     """
     shipped_folder = find_shipped_folder("scenes") / "rigs"
     path = Path(name) if str(name).endswith((".yaml", ".yml")) else shipped_folder / f"{name}.yaml"
@@ -123,7 +124,8 @@ def load_bone_directions(pose_name: str) -> dict[str, BoneDirection]:
 def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Motion]:
     """Return the rig's skeleton with the bone lengths of a skeleton, and the motion on it, after a T-pose if the rig wants one.
 
-    Raises WriteError if the skeleton lacks a joint, or if a joint rotates that the rig omits.
+    Raises:
+        WriteError: If the skeleton lacks a joint, or if a joint rotates that the rig omits.
     """
     parents = np.array(rig.parents)
     joints = _find_joints(rig, skeleton, [joint.joint for joint in rig.joints])

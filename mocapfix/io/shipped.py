@@ -63,10 +63,7 @@ def is_existing_file(path: str | Path) -> bool:
 
 
 def _count_values(data: object, counts: dict[int, float]) -> float:
-    """Return how many values a document has with its aliases written out, infinitely many if it contains itself.
-
-    counts  those of the lists and mappings that were counted, by id
-    """
+    """Return how many values a document has with its aliases written out, infinitely many if it contains itself."""
     if not isinstance(data, dict | list):
         return 1
     if id(data) not in counts:

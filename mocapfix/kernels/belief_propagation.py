@@ -133,7 +133,8 @@ def transform_point(pose, p):
 def compute_point_variance(pose, p, min_information, work):
     """Return the mean variance per axis (m^2) of the point p (3,); infinite for a pose without weight.
 
-    min_information  1/rad^2, added to the information on the rotation about every axis
+    Args:
+        min_information: 1/rad^2, added to the information on the rotation about every axis.
     """
     if pose[WEIGHT_INDEX] <= 0:
         return math.inf
@@ -157,10 +158,11 @@ def compute_point_variance(pose, p, min_information, work):
 def propagate_rotation_information(known, joint, work):
     """Return the Fisher parameter that a neighbour's rotation gives through a joint.
 
-    known  information (1/rad^2, nine numbers) on the neighbour's rotation
-    joint  information on the joint's rotation about its mean
-
     Covariances add; the Fisher parameter is half the trace of the information minus the information. All in the parent's axes.
+
+    Args:
+        known: Information (1/rad^2, nine numbers) on the neighbour's rotation.
+        joint: Information on the joint's rotation about its mean.
     """
     store_matrix((
         known[0] + joint[0], known[1] + joint[1], known[2] + joint[2],
@@ -187,9 +189,10 @@ def fit_segment_pose_robustly(measured, offsets, weight, inlier_weight, row, pos
     The distance is that from the pose on which the markers agree best, among the fit to all markers and the fits to all but
     one.
 
-    measured, offsets, weight  (N, 3), (N, 3), (N,) the segment's markers, which its `row` of statistics already includes
-    inlier_weight              (N,) the fraction of each one's weight in the row, 0 where missing; updated, as is the row
-    spare                      a row of statistics and a pose, overwritten
+    Args:
+        measured, offsets, weight: (N, 3), (N, 3), (N,) the segment's markers, which its `row` of statistics already includes.
+        inlier_weight: (N,) the fraction of each one's weight in the row, 0 where missing; updated, as is the row.
+        spare: A row of statistics and a pose, overwritten.
     """
     fit_segment_pose(row, pose, work)
     best, worst_square = _compute_disagreement(measured, offsets, inlier_weight, pose)
@@ -270,7 +273,8 @@ class PropagationWorkspace(NamedTuple):
 @compile_kernel(nogil=True)
 def propagate_segment_frames(segments, joint_segments, markers, position, variances, inlier_weight, first, stop):
     """Write the joints' positions (T, J, 3), their variances per axis (T, J), and the fraction of each marker's weight that
-    counted (T, K), in the frames first..stop - 1."""
+    counted (T, K), in the frames first..stop - 1.
+    """
     count, origin = len(segments.parent), np.zeros(3)
     registration = RegistrationWorkspace(
         np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3))

@@ -17,7 +17,7 @@ from mocapfix.kernels.workspace import allocate_workspace, load_pose
 def propagate_covariance(tree, equations, factors, covariance, rotation_variance):
     """Write each body's twist covariance (J, 6, 6) and each joint's rotation variance (J,), from the sweep's factors.
 
-    twist_i = (I - S gain') twist_parent + S turn',  where turn' has the covariance `joint_inverse`. The shared unknowns are
+    twist_i = (I - S gain') twist_parent + S turn', where turn' has the covariance `joint_inverse`. The shared unknowns are
     taken as known, and rows are ignored.
     rotation_variance is the mean over a joint's three axes, 0 for a joint that is not free.
     """
@@ -127,11 +127,12 @@ def compute_uncertainty_frames(
 ):
     """Write the uncertainty of the poses of frames first..stop - 1; the first term must be the markers' PointTerm.
 
-    rows               number of rows that the terms write, None for none
-    marker_sd          (T, K) metres per axis, out
-    joint_sd           (T, J) metres per axis, out
-    rotation_variance  (T, J) rad^2 per axis, of the joints' rotations ([:, 0]: the root's), out
-    root_variance      (T,) m^2 per axis, of the root's position, out
+    Args:
+        rows: Number of rows that the terms write, None for none.
+        marker_sd: (T, K) metres per axis, out.
+        joint_sd: (T, J) metres per axis, out.
+        rotation_variance: (T, J) rad^2 per axis, of the joints' rotations ([:, 0]: the root's), out.
+        root_variance: (T,) m^2 per axis, of the root's position, out.
     """
     joints, points = local.shape[1], terms[0]
     work, covariance = allocate_workspace(joints, shared.shape[1], rows), np.empty((joints, 6, 6))

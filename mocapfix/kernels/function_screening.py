@@ -44,9 +44,10 @@ def _find_median(values, count):
 def measure_pair_sds(coordinates, one, other, min_count):
     """Return a robust standard deviation (N,), in metres, of the distance of each pair of points; infinite if it is rarely known.
 
-    coordinates  (3, P, T) metres
-    one, other   (N,) the points of each pair
-    min_count    number of frames in which both must be visible
+    Args:
+        coordinates: (3, P, T) metres.
+        one, other: (N,) the points of each pair.
+        min_count: Number of frames in which both must be visible.
     """
     frames = coordinates.shape[2]
     sd_m, distance, known = np.empty(len(one)), np.empty(frames), np.empty(frames)
@@ -79,10 +80,11 @@ def screen_pairs(own, others, max_misfit_m, min_ratio):
     The line is that between two others on which the point has the same ratio in all frames. Entry [a, b] with a < b is of the
     pair of the others a and b; the rest of the array is infinite.
 
-    own           (F, 3) metres
-    others        (K, F, 3)
-    max_misfit_m  larger distances become infinite
-    min_ratio     to either of the two, below which the point is a copy of the other
+    Args:
+        own: (F, 3) metres.
+        others: (K, F, 3).
+        max_misfit_m: Larger distances become infinite.
+        min_ratio: To either of the two, below which the point is a copy of the other.
     """
     count, frames = others.shape[:2]
     result, known = np.full((count, count), np.inf), np.empty(frames)
@@ -220,13 +222,14 @@ def screen_mean(own, near, limit_m, rounds):
 def screen_places(own, near, corner_weights, is_spanning, min_sine, limit_m, rounds):
     """Return the median distance (N,) in metres of a point from its place in each of N frames.
 
-    own             (F, 3) metres
-    near            (F, n, 3) the points that the frames are built of
-    corner_weights  (N, 3, n) their weights in the corners of the frames
-    is_spanning     fit vectors that span the places in all frames with the same corners, instead of those of one frame
-    min_sine        of the angle of three corners that span a frame
-    limit_m         misfit from which a frame loses weight
-    rounds          of reweighting
+    Args:
+        own: (F, 3) metres.
+        near: (F, n, 3) the points that the frames are built of.
+        corner_weights: (N, 3, n) their weights in the corners of the frames.
+        is_spanning: Fit vectors that span the places in all frames with the same corners, instead of those of one frame.
+        min_sine: Of the angle of three corners that span a frame.
+        limit_m: Misfit from which a frame loses weight.
+        rounds: Of reweighting.
     """
     frames, count = near.shape[:2]
     result, target, basis = np.empty(len(corner_weights)), np.empty((frames, 3)), np.empty((frames, 3, MAX_VECTORS))

@@ -186,9 +186,9 @@ class HybrikObservations(NamedTuple):
 def solve_hybrik_frames(skeleton, variant, observations, root, local, reach_error, first, stop):
     """Solve `local` (T, J, 3, 3), whose roots are given, in place, in the frames first..stop - 1.
 
-    variant      HYBRIK_NAIVE, HYBRIK_ADAPTIVE or HYBRIK_X
-    root         (T, 3) metres
-    reach_error  (T,) metres, out: of the conflict joints the largest distance out of reach; negative: too near
+    Args:
+        variant: HYBRIK_NAIVE, HYBRIK_ADAPTIVE or HYBRIK_X.
+        reach_error: (T,) metres, out: of the conflict joints the largest distance out of reach; negative: too near.
     """
     joints = len(skeleton.parents)
     position, rotation = np.empty((joints, 3)), np.empty((joints, 3, 3))
@@ -326,11 +326,12 @@ def compute_bone_direction_frames(lines, positions, root_rotation, directions, f
     line removed. The second depends on the next joint's own rotation and on the twist of the bone before: a knee bends in one
     plane only, so a shin that points sideways means a twisted thigh.
 
-    positions      (T, J, 3) metres
-    root_rotation  (T, 3, 3)
-
     A direction is 0 where one of its joints or the root's rotation is NaN, or its length is 0. The second is also 0 where the
     previous line's is.
+
+    Args:
+        positions: (T, J, 3) metres.
+        root_rotation: (T, 3, 3).
     """
     for t in range(first, stop):
         to_root = transpose_matrix(load_matrix(root_rotation, t))
@@ -364,9 +365,10 @@ def _compute_direction(to_root, positions, start, end):
 def evaluate_layer_frames(weights, biases, inputs, outputs, first, stop):
     """Write the outputs (T, M) of L fully connected layers for inputs (T, N) in the frames first..stop - 1.
 
-    weights, biases  L matrices, inputs by outputs, and L vectors; between layers, rectified linear units
-
     A library for matrix products has threads of its own, which compete with ours and take several times as long.
+
+    Args:
+        weights, biases: L matrices, inputs by outputs, and L vectors; between layers, rectified linear units.
     """
     widest, last = 0, len(weights) - 1
     for k in range(last):

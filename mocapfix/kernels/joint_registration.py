@@ -34,12 +34,13 @@ class RootPoints(NamedTuple):
 def register_root_frames(root_points, points, variance, refine, position, rotation, place_counts, first, stop):
     """Write the root's position, rotation and the number of distinct known places, in the frames first..stop - 1.
 
-    points        (T, Q, 3) metres, NaN where unknown; the first is the root
-    variance      (T or 1, Q) m^2 per axis
-    refine        whether the root's own position is fitted even where it is measured
-    position      (T, 3) metres, out
-    rotation      (T, 3, 3) out
-    place_counts  (T,) out
+    Args:
+        points: (T, Q, 3) metres, NaN where unknown; the first is the root.
+        variance: (T or 1, Q) m^2 per axis.
+        refine: Whether the root's own position is fitted even where it is measured.
+        position: (T, 3) metres, out.
+        rotation: (T, 3, 3) out.
+        place_counts: (T,) out.
     """
     count = len(root_points.point_index)
     measured, weight, is_counted = np.empty((count, 3)), np.empty(count), np.empty(count, np.int64)
@@ -84,11 +85,11 @@ class LimbWorkspace(NamedTuple):
 def register_limb_frames(parents, offsets, shared_rotations, joints, marker_offsets, markers, root, local, first, stop):
     """Fit the joints to their markers down the tree, in the frames first..stop - 1; `local` (T, J, 3, 3) is changed in place.
 
-    shared_rotations  (J, J) bool: row j marks the joints that share the rotation of joint j
-    joints            (K,) each marker's joint
-    marker_offsets    (K, 3) metres, in the joints' axes
-    markers           (T, K, 3) metres, NaN where missing
-    root              (T, 3) metres
+    Args:
+        shared_rotations: (J, J) bool: row j marks the joints that share the rotation of joint j.
+        joints: (K,) each marker's joint.
+        marker_offsets: (K, 3) metres, in the joints' axes.
+        markers: (T, K, 3) metres, NaN where missing.
     """
     count = len(parents)
     position, rotation, weight = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(len(joints))

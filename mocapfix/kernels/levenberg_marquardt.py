@@ -105,9 +105,10 @@ def solve_frame(tree, terms, t, scales2, damping_ratio, max_iterations, work):
     Every trial pose is linearised at once: most are accepted, and then the next step needs the linearisation. A step whose
     predicted decrease is negligible is accepted without another linearisation. If no term constrains the pose, it stays.
 
-    scales2         squared robust scales, wide to narrow: the solve runs through them, so that distant starts are not rejected
-    damping_ratio   initial damping over the largest curvature: small for a good start
-    max_iterations  at each scale
+    Args:
+        scales2: Squared robust scales, wide to narrow: the solve runs through them, so that distant starts are not rejected.
+        damping_ratio: Initial damping over the largest curvature: small for a good start.
+        max_iterations: At each scale.
     """
     pose, trial_pose, equations = work.pose, work.trial_pose, work.equations
     total, status = 0, ITERATION_LIMIT
@@ -169,9 +170,10 @@ def solve_frames(
 ):
     """Apply `solve_frame` to the chains first..stop - 1 of a solve order, in place.
 
-    rows        number of rows that the terms write, None for none
-    root        (T, 3), local (T, J, 3, 3), shared (T, P): in and out
-    status      (T,) out, as are iterations (T,)
+    Args:
+        rows: Number of rows that the terms write, None for none.
+        root: (T, 3), local (T, J, 3, 3), shared (T, P): in and out.
+        status: (T,) out, as are iterations (T,).
     """
     work = allocate_workspace(local.shape[1], shared.shape[1], rows)
     for i in range(solve_order.chain_starts[first], solve_order.chain_starts[stop]):

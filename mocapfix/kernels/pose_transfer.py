@@ -75,11 +75,12 @@ class TransferredPoses(NamedTuple):
 def transfer_pose_frames(tree, start_root, start_local, target, sd, scale, out, features, first, stop):
     """Bring start poses to joint positions and write the network's inputs, in the frames first..stop - 1.
 
-    start_root, start_local  (T, 3) metres and (T, J, 3, 3)
-    target                   (T, J, 3) metres, NaN where not given
-    sd                       (T, J) metres per axis
-    scale                    metres: the length by which positions are divided
-    features                 (T, FEATURES_PER_JOINT J), single precision, out
+    Args:
+        start_root, start_local: (T, 3) metres and (T, J, 3, 3).
+        target: (T, J, 3) metres, NaN where not given.
+        sd: (T, J) metres per axis.
+        scale: Metres: the length by which positions are divided.
+        features: (T, FEATURES_PER_JOINT J), single precision, out.
     """
     joints = len(tree.parents)
     no_shared, start_rotation, start_position = np.empty(0), np.empty((joints, 3, 3)), np.empty((joints, 3))
@@ -186,11 +187,11 @@ def transfer_pose_frames(tree, start_root, start_local, target, sd, scale, out, 
 def _write_features(tree, t, j, target, weight, scale, inherited, out, features):
     """Write the inputs of one joint: all are in the body's own axes, so that they do not depend on its place and heading.
 
-    0-2    given position from the root, in the root's axes; 0 if not given
-    3-8    first two columns of the local rotation, less those of the identity; of the root 0
-    9-11   given position from that of the closed form, in the parent's axes; 0 if not given
-    12-14  sine and axis of the swing, in the joint's axes
-    15-16  whether the position is given; if so, the decimal logarithm of its standard deviation in millimetres
+    - `0-2`: given position from the root, in the root's axes; 0 if not given
+    - `3-8`: first two columns of the local rotation, less those of the identity; of the root 0
+    - `9-11`: given position from that of the closed form, in the parent's axes; 0 if not given
+    - `12-14`: sine and axis of the swing, in the joint's axes
+    - `15-16`: whether the position is given; if so, the decimal logarithm of its standard deviation in millimetres
     """
     p, base = max(tree.parents[j], 0), FEATURES_PER_JOINT * j
     is_given = weight[j] > 0.0
@@ -224,9 +225,10 @@ def _write_features(tree, t, j, target, weight, scale, inherited, out, features)
 def correct_pose_frames(tree, start_local, transferred, corrections, root, local, first, stop):
     """Write poses, the closed form corrected by the network, in the frames first..stop - 1.
 
-    corrections  (T, 3 J + 3) rotation vectors of the joints in their own axes, in radians, whose part across a measured bone is
-                 scaled by the authority; then the shift of the root, in its axes and in its unit
-    root, local  (T, 3) metres and (T, J, 3, 3), out
+    Args:
+        corrections: (T, 3 J + 3) rotation vectors of the joints in their own axes, in radians, whose part across a measured bone
+            is scaled by the authority; then the shift of the root, in its axes and in its unit.
+        root, local: (T, 3) metres and (T, J, 3, 3), out.
     """
     joints = len(tree.parents)
     rotation = np.empty((joints, 3, 3))
@@ -275,9 +277,10 @@ START_VELOCITY_VARIANCE = 1e2  # m^2/s^2, of a velocity before the first measure
 def smooth_position_joints(positions, sd, walk_density, interval_s, smoothed, smoothed_sd, first, stop):
     """Write smoothed positions (T, J, 3) and standard deviations (T, J) of the joints first..stop - 1.
 
-    positions     (T, J, 3) metres, NaN where not given
-    sd            (T, J) metres per axis
-    walk_density  (J,) m^2/s^3: variance per second that a velocity gains
+    Args:
+        positions: (T, J, 3) metres, NaN where not given.
+        sd: (T, J) metres per axis.
+        walk_density: (J,) m^2/s^3: variance per second that a velocity gains.
     """
     frames = len(positions)
     mean, predicted_mean = np.empty((frames, 3, 2)), np.empty((frames, 3, 2))

@@ -103,8 +103,9 @@ def compute_marker_errors(points, t, scale2, lever_arm, pose, lever, error, mark
 def compute_prior_errors(pose_prior, rotating, tree, pose, error, jacobian):
     """Write the rotation vectors (F, 3) from joints' prior targets to the joints, and their derivatives to world rotations.
 
-    rotating  (F,) indices of the joints that rotate
-    jacobian  (F, 3, 3) out
+    Args:
+        rotating: (F,) indices of the joints that rotate.
+        jacobian: (F, 3, 3) out.
     """
     for f in range(len(rotating)):
         j = rotating[f]
@@ -133,7 +134,8 @@ def eliminate_pose(
 
     The first term must be the markers' PointTerm, the third the PosePriorTerm.
 
-    only_errors  write of the responses only the last rows, the remaining errors: most of the time is spent on the others
+    Args:
+        only_errors: Write of the responses only the last rows, the remaining errors: most of the time is spent on the others.
     """
     points, equations, step, rotation = terms[0], work.equations, work.step, work.pose.rotation
     lever_arm = equations.lever_arm

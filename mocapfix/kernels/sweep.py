@@ -70,7 +70,8 @@ def allocate_factors(joints, unknowns):
 def factorise_tree(tree, equations, damping, factors):
     """Eliminate every joint's rotation, the root's twist and the shared unknowns, in this order, into `factors`.
 
-    damping  Marquardt damping, added to the diagonal of every unknown
+    Args:
+        damping: Marquardt damping, added to the diagonal of every unknown.
     """
     parents, free, lever_arm, h_joint = tree.parents, tree.free, equations.lever_arm, equations.h_joint
     h, gain, inverse, cross, unknowns = (
@@ -220,9 +221,10 @@ def eliminate_root(damping, lower, cross, root_gain, h_shared):
 def solve_tree(tree, equations, factors, g, g_joint, step):
     """Minimise 1/2 x'Hx + gradient'x with the factors from `factorise_tree`, into `step`.
 
-    g            (J, 6) gradient on each body's twist; overwritten
-    g_joint      (J, 3) gradient on each joint's own rotation
-    step.shared  (P,) in: gradient on the shared unknowns; out: their step
+    Args:
+        g: (J, 6) gradient on each body's twist; overwritten.
+        g_joint: (J, 3) gradient on each joint's own rotation.
+        step.shared: (P,) in: gradient on the shared unknowns; out: their step.
     """
     lever_arm, gain, inverse, shift = equations.lever_arm, factors.gain, factors.joint_inverse, equations.shared_shift
     twist, turn, shared, shapes, joint_gain = (

@@ -39,9 +39,10 @@ MIN_WEIGHT = 1e-300  # of a frame, by which a mean is divided
 def build_camera(rotation: Float[np.ndarray, "3 3"], scale_px_m: float, origin_px: Float[np.ndarray, "2"]) -> Camera:
     """Return a scaled orthographic camera.
 
-    rotation    world to camera: x right, y down, z ahead
-    scale_px_m  pixels per metre
-    origin_px   the image of the world's origin
+    Args:
+        rotation: World to camera: x right, y down, z ahead.
+        scale_px_m: Pixels per metre.
+        origin_px: The image of the world's origin.
     """
     return Camera(rotation, (0.0, 0.0, 0.0), scale_px_m, origin_px, perspective=False)
 
@@ -60,7 +61,8 @@ def fit_camera_scale(
 ) -> float:
     """Return pixels per metre: Eq. 22 in closed form, one for all frames, each frame's offset free; NaN without points.
 
-    flat  metres: the points projected to the camera's image plane
+    Args:
+        flat: Metres: the points projected to the camera's image plane.
     """
     a, b = subtract_weighted_mean(flat, weight), subtract_weighted_mean(position_px, weight)
     extent = (weight[..., None] * a * a).sum()
@@ -76,10 +78,7 @@ def subtract_weighted_mean(
 
 
 def solve_camera_scale(estimate_scale: Callable[[float], float], initial_scale: float) -> float:
-    """Return the fixed point estimate_scale(scale) = scale, by the secant method on logarithms.
-
-    estimate_scale  the scale of Eq. 22 for the poses that are solved with a scale
-    """
+    """Return the fixed point estimate_scale(scale) = scale, by the secant method on logarithms."""
     log_scale = np.log(initial_scale)
     error = np.log(estimate_scale(initial_scale)) - log_scale
     step = np.clip(error, -MAX_SCALE_STEP, MAX_SCALE_STEP)
@@ -178,13 +177,15 @@ def solve_film(
 ) -> tuple[Motion, Camera]:
     """Return the motion, with the floor at height zero and the first frame's root above the origin, and the camera.
 
-    rotation     world to camera, see `build_camera_rotation`
-    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
-
     The error of the camera's scale is that of the skeleton's size: an image does not distinguish a tall person far away from a
     short one.
 
-    Raises TakeError if the keypoints are too few, or not those of an upright person, to determine the scale.
+    Args:
+        rotation: World to camera, see `build_camera_rotation`.
+        prior_scale: Factor on the prior's standard deviations (2 = weaker prior).
+
+    Raises:
+        TakeError: If the keypoints are too few, or not those of an upright person, to determine the scale.
     """
     is_found = keypoints.confidence >= MIN_KEYPOINT_CONFIDENCE
     weight = np.where(is_found, (keypoints.confidence / keypoints.detector.sd_m) ** 2, 0.0)
@@ -253,7 +254,8 @@ def solve_headings(
 ) -> tuple[PoseSolution, Float[np.ndarray, "TH V 3"], Float[np.ndarray, "T H"]]:
     """Return the solutions of each frame from each heading, frame after frame, their keypoints in metres, and their costs.
 
-    local  where to start; None for the reference pose, in all headings
+    Args:
+        local: Where to start; None for the reference pose, in all headings.
     """
     count = len(problem.position_px)
     repeated = problem.select_frames(np.repeat(np.arange(count), HEADING_COUNT))

@@ -124,7 +124,8 @@ class KeypointFilm:
 def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
     """Write a rerun recording (.rrd).
 
-    Raises WriteError if `target` cannot be written.
+    Raises:
+        WriteError: If `target` cannot be written.
     """
     found, frames = film.confidence > 0, np.arange(len(film.joint_position_world))
     time = [rr.TimeColumn("time", duration=frames / film.rate_hz), rr.TimeColumn("frame", sequence=frames)]
@@ -160,7 +161,8 @@ def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
 def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport) -> None:
     """Write a page with some frames as seen by the camera, keypoints over the body, and the same frames from the side.
 
-    Raises WriteError if `target` cannot be written.
+    Raises:
+        WriteError: If `target` cannot be written.
     """
     frame_count = len(film.joint_position_world)
     frames = np.unique(np.linspace(0, frame_count - 1, KEYPOINT_FIGURE_COUNT + 2)[1:-1].round().astype(int))
@@ -271,7 +273,8 @@ class KeypointResult:
     def write(self, folder: Path, overwrite: bool = False) -> dict[str, Path]:
         """Write the motion as BVH, a page, a report and a recording. Return the files by kind.
 
-        Raises WriteError if one exists already (and overwrite is False), or cannot be written.
+        Raises:
+            WriteError: If one exists already (and overwrite is False), or cannot be written.
         """
         from mocapfix.io.bvh import write_bvh
 
@@ -295,7 +298,10 @@ class KeypointResult:
 def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> KeypointResult:
     """Return motion and camera of the film of a scene file.
 
-    Raises SceneError for an invalid scene, ReadError for invalid keypoints, TakeError for keypoints that do not determine a body.
+    Raises:
+        SceneError: For an invalid scene.
+        ReadError: For invalid keypoints.
+        TakeError: For keypoints that do not determine a body.
     """
     settings, timer = read_keypoint_scene(path), StageTimer(report_progress=progress)
     with timer("read"):

@@ -68,8 +68,9 @@ def inject_animation_faults(
 ) -> tuple[Motion, list[InjectedAnimationFault]]:
     """Return a motion with as many faults of a kind as fit into it, and the faults. Absent values are NaN.
 
-    kind           one of ANIMATION_FAULT_INJECTORS
-    duration_name  one of FAULT_DURATION_RANGES_S
+    Args:
+        kind: One of ANIMATION_FAULT_INJECTORS.
+        duration_name: One of FAULT_DURATION_RANGES_S.
     """
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     faults: list[InjectedAnimationFault] = []
@@ -240,11 +241,12 @@ def measure_animation_repair(
 ) -> RepairReport:
     """Measure detection and repair of injected faults.
 
-    data    folder that contains test.npz of recorded motion; None for composed motion
-    trials  number of motions
-    kinds   of injected faults
-
     Raises SceneError without trials, and ReadError if there is no motion in the folder.
+
+    Args:
+        data: Folder that contains test.npz of recorded motion; None for composed motion.
+        trials: Number of motions.
+        kinds: Of injected faults.
     """
     if trials < 1:
         raise SceneError(f"At least one trial is needed, not {trials}.")

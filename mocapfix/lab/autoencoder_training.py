@@ -43,9 +43,10 @@ class TrainedNetwork:
 class ResidualModel(nn.Module):
     """The distribution of poses around the decoded pose of their code, and of codes around the encoder's.
 
-    log_feature_sd       (F,) logarithms of each feature's independent standard deviation
-    residual_directions  (R, F) directions of correlated residuals, each as long as its standard deviation
-    log_code_sd          (P,) logarithms of the code's standard deviations
+    Attributes:
+        log_feature_sd: (F,) logarithms of each feature's independent standard deviation.
+        residual_directions: (R, F) directions of correlated residuals, each as long as its standard deviation.
+        log_code_sd: (P,) logarithms of the code's standard deviations.
     """
 
     def __init__(self, output_count: int, direction_count: int, code_size: int):
@@ -78,10 +79,12 @@ def train_network(
 ) -> TrainedNetwork:
     """Return a network trained on poses.
 
-    sampling_weights  the relative frequency at which each pose is drawn
-    checkpoint        a file that is written after each epoch; training continues from it if it has the same settings and poses
+    Args:
+        sampling_weights: The relative frequency at which each pose is drawn.
+        checkpoint: A file that is written after each epoch; training continues from it if it has the same settings and poses.
 
-    Raises ReadError if the checkpoint is not one.
+    Raises:
+        ReadError: If the checkpoint is not one.
     """
     architecture = NetworkArchitecture(**{field.name: getattr(settings, field.name) for field in fields(NetworkArchitecture)})
 
@@ -136,8 +139,9 @@ def compute_evidence_loss(
     codes together are normally distributed, as the solver assumes. The standard deviations of code and residuals are learned with
     the network, so that joints that cannot be predicted have little weight.
 
-    inputs   (N, F) features of the poses, which may be corrupted
-    outputs  (N, G) features of the true poses
+    Args:
+        inputs: (N, F) features of the poses, which may be corrupted.
+        outputs: (N, G) features of the true poses.
     """
     code = network.encoder(inputs)
     sampled = code + residual_model.log_code_sd.exp() * torch.randn(code.shape, generator=generator)

@@ -133,7 +133,8 @@ CLEAN_TIME_ENTRY = "clean, {name}: time relative to the solver"
 def measure_baseline(progress: ProgressCallback, run_count: int = 1) -> Entries:
     """Measure every quantity of the baseline.
 
-    run_count  whole cleans of each scene
+    Args:
+        run_count: Whole cleans of each scene.
     """
     return (
         build_clean_entries(measure_clean_speed(run_count, progress))

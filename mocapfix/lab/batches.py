@@ -178,7 +178,8 @@ def measure_chaos(
 ) -> ChaosResult:
     """Run a batch of short takes while its processes are killed at random moments, and compare it with a quiet run.
 
-    worker_kills  beside which the scheduler is killed once and the client twice
+    Args:
+        worker_kills: Beside which the scheduler is killed once and the client twice.
     """
     generator = random.Random(seed)
     originals, takes, quiet, disturbed = (folder / name for name in ("originals", "takes", "quiet", "disturbed"))

@@ -90,7 +90,8 @@ def compute_between_take_covariance(
 ) -> Float[np.ndarray, "3 3"]:
     """Return the covariance of the takes' mean rotation vectors, weighted by their lengths and without the locked axes.
 
-    rotations  from the mean pose of all takes
+    Args:
+        rotations: From the mean pose of all takes.
     """
     vectors = Rotation.from_matrix(rotations).as_rotvec() @ (np.eye(3) - locked_axes.T @ locked_axes)
     count = np.bincount(take_index)
@@ -103,7 +104,8 @@ def compute_pose_covariance(
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "n 3"]]:
     """Return the covariance of the rotation vectors of rotations from the mean pose, and the locked axes.
 
-    is_forearm  whether the joint twists about its own axis x, though the data have that rotation at the wrist
+    Args:
+        is_forearm: Whether the joint twists about its own axis x, though the data have that rotation at the wrist.
     """
     vectors = Rotation.from_matrix(rotations).as_rotvec()
     variance, axes = np.linalg.eigh(vectors.T @ vectors / len(vectors))
@@ -158,9 +160,10 @@ def fit_shape_components(
 ) -> tuple[Float[np.ndarray, "P J 3"], float]:
     """Return the shape components, each one standard deviation in metres, and the share of the variance that they explain.
 
-    body_offsets    offsets of the joints of N bodies
-    mean_offsets    offsets of the average body
-    mirrored_index  (J,) the joint on the other side
+    Args:
+        body_offsets: Offsets of the joints of N bodies.
+        mean_offsets: Offsets of the average body.
+        mirrored_index: (J,) the joint on the other side.
     """
     sizes = np.einsum("nja,ja->n", body_offsets, mean_offsets) / (mean_offsets**2).sum()
     differences = body_offsets / sizes[:, None, None] - mean_offsets

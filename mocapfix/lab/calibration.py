@@ -68,10 +68,10 @@ def measure_calibration(
 ) -> list[CalibrationRow]:
     """Return a row for each person and the mean row, with mean errors in mm.
 
-    bones_mm, offsets_mm, joints_mm, marked_mm  of bone lengths, marker offsets, all joints of the solved poses, and joints that
-                                                carry markers
-    average_...                                 the same for the average body, scaled to the size of the person
-    true_...                                    joint errors on the true body
+    - `bones_mm`, `offsets_mm`, `joints_mm`, `marked_mm`: of bone lengths, marker offsets, all joints of the solved poses, and
+      joints that carry markers
+    - `average_...`: the same for the average body, scaled to the size of the person
+    - `true_...`: joint errors on the true body
     """
     body, marker_set = load_cmu31_body(), load_marker_set("cmu41")
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
@@ -145,10 +145,12 @@ def build_session_people(
 ) -> list[SessionPerson]:
     """Return people with `take_count` takes each.
 
-    motion_files  shards of recordings; empty for composed motion
-    people        names of the recorded subjects, whose own motion is preferred
+    Args:
+        motion_files: Shards of recordings; empty for composed motion.
+        people: Names of the recorded subjects, whose own motion is preferred.
 
-    Raises ReadError if the recordings do not suffice for a single take.
+    Raises:
+        ReadError: If the recordings do not suffice for a single take.
     """
     if not motion_files:
         return [_compose_person(name, number, take_count, duration_s) for number, name in enumerate(people)]
@@ -263,9 +265,10 @@ def measure_sessions(
 ) -> tuple[list[SessionErrors], list[MoveOutcome]]:
     """Return the errors of takes cleaned alone and with the session's subject, and the detection of moved markers.
 
-    motion_folder  holds the shards of recorded motion; None for composed motion
-
     The outcomes with marker "" are sessions without a moved marker. Raises ReadError if there is no motion.
+
+    Args:
+        motion_folder: Holds the shards of recorded motion; None for composed motion.
     """
     from mocapfix import pipeline
     from mocapfix.subject.person_calibration import calibrate_person

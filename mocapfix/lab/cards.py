@@ -110,7 +110,8 @@ def format_sources(source_frames: Counter[RecordingSource]) -> str:
 def build_acknowledgement(source_frames: Counter[RecordingSource], *, is_conformed: bool = True) -> str:
     """Return the acknowledgements that the sources ask for.
 
-    is_conformed  whether retargeted motion was brought into CMU's conventions
+    Args:
+        is_conformed: Whether retargeted motion was brought into CMU's conventions.
     """
     is_lab = any(each.name.startswith(MOVEMENT_RESEARCH_LAB) for each in source_frames)
     laboratory = MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT.format(conventions=CONFORMED_POSES if is_conformed else "")

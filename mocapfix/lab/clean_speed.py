@@ -223,8 +223,9 @@ def measure_clean_speed(
 ) -> dict[str, CleanCost]:
     """Return the cost of cleaning each scene of CLEAN_SCENES: the medians of several runs.
 
-    run_count  cleans of each scene, one round of all scenes after another
-    warm_up    clean short takes first, so that no kernel is compiled while a clean is measured
+    Args:
+        run_count: Cleans of each scene, one round of all scenes after another.
+        warm_up: Clean short takes first, so that no kernel is compiled while a clean is measured.
     """
     names, task = tuple(names), build_common_task()
     runs: dict[str, list[CleanCost]] = {name: [] for name in names}
@@ -275,7 +276,8 @@ def run_clean_process(path: Path, output: Path | None = None) -> ProcessUsage:
 def summarise_run(usage: ProcessUsage, motion_s: float, solver_load: float) -> CleanCost:
     """Return the costs of one clean.
 
-    solver_load  processor seconds that the solver takes for a second of motion
+    Args:
+        solver_load: Processor seconds that the solver takes for a second of motion.
     """
     return {
         "seconds": usage.duration_s,

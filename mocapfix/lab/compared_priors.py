@@ -212,7 +212,8 @@ def load_compared_priors(weights_folder: Path | None = None) -> ComparedPriors:
 
     MNN-IK's network is used as in the paper, by its naturalness.
 
-    Raises SceneError if the default prior is missing, with which the others are compared.
+    Raises:
+        SceneError: If the default prior is missing, with which the others are compared.
     """
     priors: ComparedPriors = {NO_PRIOR: None}
     for name in COMPARED_PRIOR_NAMES[1:]:

@@ -158,9 +158,11 @@ def measure_contacts(
 ) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
     """Return the errors of each take, damage and way to hold feet, and the agreement of contacts with the truth.
 
-    motion_folder  holds test.npz with recorded motion; None for composed motion
+    Args:
+        motion_folder: Holds test.npz with recorded motion; None for composed motion.
 
-    Raises ReadError if there is no such motion.
+    Raises:
+        ReadError: If there is no such motion.
     """
     errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
     for number, (name, sound) in enumerate(iterate_sound_takes(motion_folder, take_count)):
@@ -308,7 +310,8 @@ def measure_plate_events(
 ) -> tuple[list[PlateEventError], list[PlateAgreement]]:
     """Return the errors of events and the agreement of frames, for every C3D file in a folder that has usable loads.
 
-    captures  a folder, or a file; files that cannot be cleaned with a body are left out
+    Args:
+        captures: A folder, or a file; files that cannot be cleaned with a body are left out.
     """
     errors, agreements = list[PlateEventError](), list[PlateAgreement]()
     for path in sorted(captures.glob("*.c3d")) if captures.is_dir() else [captures]:

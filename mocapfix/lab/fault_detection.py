@@ -69,10 +69,11 @@ class FaultPlace(NamedTuple):
 class DamagedTake:
     """A take with injected faults.
 
-    markers           (T, M + E, 3) metres: the content of the file, E trajectories more than the M markers; labels of all of them
-    true_markers      (T, M, 3) metres: the true positions
-    injected_faults   the faults to be found
-    secondary_faults  further faults that these imply, such as a gap before an exchange of labels
+    Attributes:
+        markers: (T, M + E, 3) metres: the content of the file, E trajectories more than the M markers; labels of all of them.
+        true_markers: (T, M, 3) metres: the true positions.
+        injected_faults: The faults to be found.
+        secondary_faults: Further faults that these imply, such as a gap before an exchange of labels.
     """
 
     def __init__(self, sound_truth: SyntheticTake, rng: np.random.Generator) -> None:
@@ -101,8 +102,9 @@ class DamagedTake:
     ) -> FaultPlace | None:
         """Return a place inside the take without faults, of log-uniform duration, or None if none was found.
 
-        marker_count  number of neighbouring markers
-        min_motion_m  minimum range of the first marker's motion along one axis
+        Args:
+            marker_count: Number of neighbouring markers.
+            min_motion_m: Minimum range of the first marker's motion along one axis.
         """
         for _ in range(MAX_PLACE_TRIES):
             marker = int(self.rng.integers(self.marker_count))
@@ -163,7 +165,8 @@ MIN_MOTION_M = 0.01  # a marker that moves less along every axis is at rest
 
 def inject_label_exchange(damaged_take: DamagedTake, place: FaultPlace) -> None:
     """Exchange labels cyclically; half of the time the markers are hidden before, a fifth of the time the exchange is
-    permanent."""
+    permanent.
+    """
     cycle = list(place.markers)
     if damaged_take.rng.random() < PERMANENT_EXCHANGE_PROBABILITY:
         permanent = place._replace(last=damaged_take.frame_count - 1)
@@ -377,9 +380,12 @@ def measure_fault_detection(
     The scores are recall, overlap, false_alarms_per_minute, predicted_mm and true_mm. "all" has those of all kinds together, and
     the false alarms in the same takes without faults.
 
-    motion_folder  holds test.npz of motion; None for composed takes
+    Args:
+        motion_folder: Holds test.npz of motion; None for composed takes.
 
-    Raises SceneError if `take_count` is less than one, ReadError if there is no such motion.
+    Raises:
+        SceneError: If `take_count` is less than one.
+        ReadError: If there is no such motion.
     """
     sound_takes = list(iterate_sound_takes(motion_folder, take_count))
     scores: dict[str, list[FaultScore]] = {}

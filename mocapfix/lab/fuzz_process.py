@@ -110,7 +110,8 @@ def run_cases(
 ) -> FuzzTally:
     """Run the cases of all seeds in child processes, one child at a time.
 
-    findings_folder  where the input and the text of each finding are written; None for nowhere
+    Args:
+        findings_folder: Where the input and the text of each finding are written; None for nowhere.
     """
     tally, started, next_seed = FuzzTally(), time.perf_counter(), seeds.start
     while next_seed < seeds.stop:
@@ -204,7 +205,8 @@ def try_case(
 ) -> tuple[str, float, FuzzFinding | None]:
     """Run one case in this process; return its outcome, its processor seconds and its finding, if it broke a rule.
 
-    is_limited  limit the memory of this process while it runs
+    Args:
+        is_limited: Limit the memory of this process while it runs.
     """
     started = time.process_time()
     allowed = _limit_memory(FILE_ALLOWANCE * case.size_bytes + HEAP_ALLOWANCE_BYTES) if is_limited else None
@@ -255,8 +257,9 @@ def measure_kills(
 ) -> Mapping[str, int]:
     """Kill `count` runs that overwrite the outputs in a folder; return how many were killed, and what was found.
 
-    broken_outputs   outputs that were neither the old nor the new file, changed_inputs  runs after which the input differed
-    left_behind      temporary files and folders that were there after the run that follows the last one
+    - `broken_outputs`: outputs that were neither the old nor the new file
+    - `changed_inputs`: runs after which the input differed
+    - `left_behind`: temporary files and folders that were there after the run that follows the last one
     """
     from mocapfix import pipeline
 
@@ -294,7 +297,8 @@ def measure_kills(
 def is_whole(suffix: str, path: Path, stable: Mapping[str, bytes]) -> bool:
     """Return whether an output is complete.
 
-    stable  the bytes of those outputs that are the same in every run; the others contain the times of the run
+    Args:
+        stable: The bytes of those outputs that are the same in every run; the others contain the times of the run.
     """
     try:
         if suffix in stable:

@@ -101,7 +101,8 @@ class ReaderCase:
 def build_reader_case(seed: int, seed_files: tuple[SeedFile, ...] = ()) -> ReaderCase:
     """Return the case of a seed: one of the valid files with one to four mutations.
 
-    seed_files  the valid files; by default those of `list_seed_files`
+    Args:
+        seed_files: The valid files; by default those of `list_seed_files`.
     """
     rng = np.random.default_rng(seed)
     files = seed_files or list_seed_files()

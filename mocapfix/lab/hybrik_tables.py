@@ -42,10 +42,10 @@ class NoisyJoints(NamedTuple):
 def measure_joint_noise(poses: Float[np.ndarray, "N J 3 3"], progress: ProgressCallback) -> dict[str, dict[str, Any]]:
     """Return the errors by quantity, by noise in mm, and by variant.
 
-    jitter_mm       distance from the true joints
-    from_given_mm   distance from the given joints
-    given_mm        distance of the given joints from the true ones
-    wrong_bones_mm  distance from the true joints, with wrong bones
+    - `jitter_mm`: distance from the true joints
+    - `from_given_mm`: distance from the given joints
+    - `given_mm`: distance of the given joints from the true ones
+    - `wrong_bones_mm`: distance from the true joints, with wrong bones
     """
     subject = build_cmu41_subject()
     results: dict[str, dict[str, Any]] = {"jitter_mm": {}, "from_given_mm": {}, "given_mm": {}, "wrong_bones_mm": {}}

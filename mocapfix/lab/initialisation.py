@@ -94,7 +94,8 @@ def compose_initialisation_takes(seeds: Iterable[int]) -> Iterator[Initialisatio
 def perform_test_recordings(motion_folder: Path) -> Iterator[InitialisationTake]:
     """Yield the undamaged recordings of the test subjects in the CMU marker set, calibrated on all recordings of each subject.
 
-    Raises ReadError if the folder has no test.npz of motion.
+    Raises:
+        ReadError: If the folder has no test.npz of motion.
     """
     recordings = groupby(read_performed_motions(motion_folder / "test.npz"), lambda each: each.name.split("_")[0])
     for number, (_, performances) in enumerate(recordings):
@@ -334,13 +335,13 @@ def measure_initialisation(
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the results by set of takes and by start, see `summarise_outcomes`.
 
-    methods         names of starts, of INIT_METHODS
-    motion_folder   holds test.npz, motion of subjects that no model was trained on, and skeletons.json
-    capture_folder  holds C3D files, whose truth is not known
-    seeds           of the composed takes
-    repeats         how often each take is timed
+    Args:
+        methods: Names of starts, of INIT_METHODS.
+        motion_folder: Holds test.npz, motion of subjects that no model was trained on, and skeletons.json.
+        capture_folder: Holds C3D files, whose truth is not known.
 
-    Raises ReadError if a folder does not hold the required files.
+    Raises:
+        ReadError: If a folder does not hold the required files.
     """
     starts: dict[str, StartMethod] = {name: partial(start_from_markers, method=name) for name in methods}
     results: dict[str, dict[str, dict[str, Any]]] = {}
@@ -406,12 +407,13 @@ def compare_starts(
 def summarise_outcomes(outcomes: list[TakeOutcome]) -> dict[str, Any]:
     """Return the sums and means over all takes.
 
-    frames, wrong, wrong_from_start, wrong_first_solve, unconverged  numbers of frames, see TakeOutcome and StartOutcome
-    iterations, iterations_first_solve                               mean per frame
-    start_markers_mm   mean distance of the start from the visible markers
-    start_joints_mm    mean distance of observed joints from the true ones; None if these are not known
-    start_seconds      duration of the start; seconds: of start and solve
-    wrong_in           number of wrong frames by take, if any
+    - `frames`, `wrong`, `wrong_from_start`, `wrong_first_solve`, `unconverged`: numbers of frames, see TakeOutcome and
+      StartOutcome
+    - `iterations`, `iterations_first_solve`: mean per frame
+    - `start_markers_mm`: mean distance of the start from the visible markers
+    - `start_joints_mm`: mean distance of observed joints from the true ones; None if these are not known
+    - `start_seconds`: duration of the start; seconds: of start and solve
+    - `wrong_in`: number of wrong frames by take, if any
     """
     starts = [each.outcome for each in outcomes]
     return {
@@ -451,11 +453,13 @@ POSES_TAKE_RATE_HZ = 120.0  # of a take that consists of independent poses
 def measure_hybrik(motion_folder: Path | None, capture_folder: Path | None, progress: ProgressCallback) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON.
 
-    motion_folder   CMU motion whose test subjects give the poses and, in its test.npz, takes for the starts; None for the shipped
-                    poses
-    capture_folder  C3D files, also for the starts
+    Args:
+        motion_folder: CMU motion whose test subjects give the poses and, in its test.npz, takes for the starts; None for the
+            shipped poses.
+        capture_folder: C3D files, also for the starts.
 
-    Raises ReadError if a folder does not hold the required files.
+    Raises:
+        ReadError: If a folder does not hold the required files.
     """
     progress("reading")
     poses = sample_subject_poses(motion_folder, MAX_HYBRIK_POSES) if motion_folder else load_unseen_poses()
@@ -473,9 +477,9 @@ def measure_hybrik(motion_folder: Path | None, capture_folder: Path | None, prog
 def measure_hybrik_speeds(poses: Float[np.ndarray, "N J 3 3"], subject: Subject) -> dict[str, Any]:
     """Return the frames per second on all cores for repeated poses in memory.
 
-    fps               variant X from joint positions, with regressed twists
-    fps_by_way        the closed form of each variant only, with given twists
-    from_markers_fps  variant X from markers, whose joint positions are estimated first
+    - `fps`: variant X from joint positions, with regressed twists
+    - `fps_by_way`: the closed form of each variant only, with given twists
+    - `from_markers_fps`: variant X from markers, whose joint positions are estimated first
     """
     rotations = np.tile(poses, (-(-SPEED_FRAME_COUNT // len(poses)), 1, 1, 1))
     frame_count = len(rotations)

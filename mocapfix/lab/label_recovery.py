@@ -238,7 +238,8 @@ def measure_label_recovery(
 ) -> list[LabelScore]:
     """Measure how well labels are found again in composed takes, or in the C3D files of a folder with a known marker set.
 
-    Raises ReadError if the folder holds no such file.
+    Raises:
+        ReadError: If the folder holds no such file.
     """
     takes = list(iterate_captures(captures) if captures else compose_takes())
     if not takes:

@@ -101,12 +101,12 @@ class PlugInCase(NamedTuple):
 def measure_learned_ik(folder: Path, progress: ProgressCallback, network: IkNetwork | None = None) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON. Raises ReadError if the folder has no test.npz with motion.
 
-    one_step_mm        by the number of frames between start and target; copied_mm: of the start; smplify_mm: of SMPLify
-    one_step_passes_mm the same by the number of passes
-    sequential_mm      whole takes followed from a true first frame
-    plug_in_mm         see `measure_plug_in`
-    fps_single         frames per second, one after the other; fps_batch: in batches of TIMED_BATCH_FRAMES
-    over_smplify       how many times as fast as SMPLify single frames are
+    - `one_step_mm`: by the number of frames between start and target; copied_mm: of the start; smplify_mm: of SMPLify
+    - `one_step_passes_mm`: the same by the number of passes
+    - `sequential_mm`: whole takes followed from a true first frame
+    - `plug_in_mm`: see `measure_plug_in`
+    - `fps_single`: frames per second, one after the other; fps_batch: in batches of TIMED_BATCH_FRAMES
+    - `over_smplify`: how many times as fast as SMPLify single frames are
     """
     progress("reading")
     sequences = read_test_sequences(folder)

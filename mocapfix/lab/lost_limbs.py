@@ -49,11 +49,13 @@ def measure_lost_limbs(
 
     The entry `ways` has the same by each method of filling the gap alone.
 
-    motion_folder  holds test.npz and skeletons.json: motion of subjects that the model was not trained on
-    model          the trained prior of the solve; None for the take and temporal smoothness only
-    gap_count      number of gaps of each limb and duration, uniformly distributed over all frames
+    Args:
+        motion_folder: Holds test.npz and skeletons.json: motion of subjects that the model was not trained on.
+        model: The trained prior of the solve; None for the take and temporal smoothness only.
+        gap_count: Number of gaps of each limb and duration, uniformly distributed over all frames.
 
-    Raises ReadError if there is no such motion.
+    Raises:
+        ReadError: If there is no such motion.
     """
     performances, rng = list(read_performed_motions(motion_folder / "test.npz")), np.random.default_rng(seed)
     table: dict[str, dict[str, Any]] = {}

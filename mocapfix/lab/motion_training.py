@@ -229,7 +229,9 @@ def train_motion_prior(
 
     Interrupted training continues from `target` with the suffix .checkpoint when it is started again.
 
-    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
+    Raises:
+        ReadError: If the folders hold no motion of the required subjects.
+        WriteError: If the files cannot be written.
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
@@ -277,7 +279,8 @@ def fit_motion_network(
 ) -> MotionNetwork:
     """Return a trained network. An interrupted training continues from its checkpoint, with the same result.
 
-    Raises ReadError if the checkpoint is not one.
+    Raises:
+        ReadError: If the checkpoint is not one.
     """
     weights = compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight)
     first = draw_training_windows(stretches, weights, NORMALISATION_WINDOWS, np.random.default_rng(settings.seed))

@@ -45,17 +45,14 @@ OCCLUDED_LIMBS = (
 
 
 class MotionStretches(NamedTuple):
-    """Motion without jumps, joined: quaternions (N, J, 4), root positions (N, 3) m; S stretches from starts to ends, exclusive.
-
-    subjects  (S,) the subject of each stretch;  sources  where each comes from
-    """
+    """Motion without jumps, joined: quaternions (N, J, 4), root positions (N, 3) m; S stretches from start to end, exclusive."""
 
     quaternions: np.ndarray
     position: np.ndarray
     starts: np.ndarray
     ends: np.ndarray
-    subjects: np.ndarray
-    sources: tuple[RecordingSource, ...]
+    subjects: np.ndarray  # (S,) the subject of each stretch
+    sources: tuple[RecordingSource, ...]  # where each comes from
 
     def count_frames(self) -> Counter[str]:
         """Return the number of frames of each subject."""
@@ -75,8 +72,6 @@ class MotionStretches(NamedTuple):
 class TrainingWindows(NamedTuple):
     """B gaps with T moments: quaternions (B, T, J, 4), root positions (B, T, 3) m, known joints (B, T, J), moments inside the
     take (B, T), times (B, T) s.
-
-    is_body_gap  (B,) whether the whole body is missing;  gap_s  (B,) duration
     """
 
     quaternions: np.ndarray
@@ -84,8 +79,8 @@ class TrainingWindows(NamedTuple):
     is_known: np.ndarray
     is_inside: np.ndarray
     times_s: np.ndarray
-    is_body_gap: np.ndarray
-    gap_s: np.ndarray
+    is_body_gap: np.ndarray  # (B,) whether the whole body is missing
+    gap_s: np.ndarray  # (B,) duration
 
 
 def gather_motion_stretches(
@@ -146,8 +141,9 @@ def compute_stretch_weights(
 ) -> Float[np.ndarray, " S"]:
     """Return the probability with which a window is drawn from each stretch.
 
-    balance            0 draws from all frames equally often, 1 from all subjects
-    retargeted_weight  how often retargeted motion is drawn relative to other motion
+    Args:
+        balance: 0 draws from all frames equally often, 1 from all subjects.
+        retargeted_weight: How often retargeted motion is drawn relative to other motion.
     """
     frames = (stretches.ends - stretches.starts).astype(float)
     _, number = np.unique(stretches.subjects, return_inverse=True)

@@ -65,7 +65,9 @@ def train_pose_prior(
 
     Interrupted training of an autoencoder continues from `target` with the suffix .checkpoint when it is started again.
 
-    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
+    Raises:
+        ReadError: If the folders hold no motion of the required subjects.
+        WriteError: If the files cannot be written.
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
@@ -235,8 +237,8 @@ def fit_gaussian_model(
 
     The residual standard deviation of the model is the noise; it is yet to be measured on held-out poses.
 
-    weights         relative weights of the poses
-    max_components  None for all components above the noise
+    Args:
+        max_components: None for all components above the noise.
     """
     rows = pose_vectors.reshape(len(pose_vectors), -1)
     values, axes = np.linalg.eigh(np.cov(rows.T, bias=True, aweights=weights, dtype=float))
@@ -266,7 +268,8 @@ def fit_mixture_model(
     same pose, and a component for such frames alone would have infinite likelihood. The mixture is fitted to MAX_MIXTURE_POSES
     poses, drawn by their weights if there are more or if the weights differ.
 
-    Raises SceneError if expectation maximisation does not converge.
+    Raises:
+        SceneError: If expectation maximisation does not converge.
     """
     rows = draw_poses(pose_vectors, weights, settings.seed).reshape(-1, pose_vectors[0].size)
     mean, axes = rows.mean(0, dtype=float), compute_principal_axes(rows, settings.variance_share)

@@ -45,9 +45,9 @@ def measure_all_joints(
 ) -> dict[str, dict[str, float]]:
     """Return the effect of each prior on poses whose joint positions are all given.
 
-    bias_mm    mean distance of exactly given joints from where they are without a prior
-    noisy_mm   mean distance of joints from the truth if the given positions have noise of ALL_JOINTS_SD_M
-    twist_deg  mean error of the bones' twist if the positions are given exactly
+    - `bias_mm`: mean distance of exactly given joints from where they are without a prior
+    - `noisy_mm`: mean distance of joints from the truth if the given positions have noise of ALL_JOINTS_SD_M
+    - `twist_deg`: mean error of the bones' twist if the positions are given exactly
     """
     shape = rotations.shape[:2]
     noise = np.random.default_rng(0).normal(0, ALL_JOINTS_SD_M, (*shape, 3))
@@ -117,7 +117,8 @@ def measure_given_joints(
     progress: ProgressCallback,
 ) -> GivenJointResults:
     """Return the errors of poses by number of given joints and prior; each pose is solved `sets_per_pose` times with other
-    joints."""
+    joints.
+    """
     results: GivenJointResults = {}
     for count in GIVEN_JOINT_COUNTS:
         is_given = draw_given_joints(sets_per_pose * len(rotations), rotations.shape[1], count)
@@ -179,8 +180,8 @@ def measure_prior_speed(
 ) -> dict[str, float]:
     """Return the frames per second on all cores, each frame solved independently.
 
-    fps                 from a start close to the pose, as a smooth motion gives it
-    fps_from_mean_pose  from the mean pose
+    - `fps`: from a start close to the pose, as a smooth motion gives it
+    - `fps_from_mean_pose`: from the mean pose
     """
     progress("frames per second")
     is_given = draw_given_joints(len(rotations), rotations.shape[1], SPEED_JOINT_COUNT)
@@ -215,11 +216,13 @@ JOINT_SETS_PER_POSE = 3  # different sets of given joints for each pose
 def measure_pose_priors(motion_folder: Path | None, max_poses: int, progress: ProgressCallback) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON.
 
-    motion_folder       motion whose test subjects give the poses; None for the shipped poses. Lost limbs need the motion in its
-                        test.npz
-    max_poses           maximum number of poses
+    Args:
+        motion_folder: Motion whose test subjects give the poses; None for the shipped poses. Lost limbs need the motion in its
+            test.npz.
+        max_poses: Maximum number of poses.
 
-    Raises SceneError or ReadError if motion or weights are missing or invalid.
+    Raises:
+        SceneError, ReadError: If motion or weights are missing or invalid.
     """
     if max_poses < 1:
         raise SceneError(f"The number of poses must be at least 1, not {max_poses}.")

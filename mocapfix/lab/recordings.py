@@ -149,7 +149,8 @@ SMPL_REST_DIRECTIONS = {
 def read_amass_recordings(path: Path) -> Iterator[Recording]:
     """Yield the motion of an AMASS file, and nothing if the file has no poses (a shard, or the shape of a subject).
 
-    Raises ReadError if the file is invalid.
+    Raises:
+        ReadError: If the file is invalid.
     """
     try:
         with np.load(path) as file:
@@ -186,7 +187,8 @@ def map_smpl_rotations(local: Float[np.ndarray, "T 22 3 3"]) -> Float[np.ndarray
 
 def compute_smpl_rest_rotations(skeleton: Skeleton) -> Float[np.ndarray, "J 3 3"]:
     """Return the world rotation of each joint in SMPL's rest pose; joints without a bone of their own rotate with their
-    parent."""
+    parent.
+    """
     rotations = np.tile(np.eye(3), (len(skeleton.names), 1, 1))
     for j, name in enumerate(skeleton.names):
         side = next((side for side in ("Left", "Right") if name.startswith(side)), "")
@@ -202,7 +204,8 @@ def compute_smpl_rest_rotations(skeleton: Skeleton) -> Float[np.ndarray, "J 3 3"
 def read_recordings(folders: Sequence[Path]) -> Iterator[Recording]:
     """Yield all motion in folders and their subfolders, always in the same order, with clavicles that do not move.
 
-    Raises ReadError if a folder holds no motion, or if a file is invalid.
+    Raises:
+        ReadError: If a folder holds no motion, or if a file is invalid.
     """
     for folder in folders:
         is_empty = True

@@ -165,9 +165,11 @@ def compute_training_fingerprint(settings: SubjectSettings, motion: np.ndarray) 
 def write_checkpoint(checkpoint: Path, fingerprint: str, finished: int, states: Mapping[str, Stateful]) -> None:
     """Write a checkpoint, replacing the file atomically.
 
-    finished  number of epochs or steps that are done
+    Args:
+        finished: Number of epochs or steps that are done.
 
-    Raises WriteError if it cannot be written.
+    Raises:
+        WriteError: If it cannot be written.
     """
     state_dicts = {name: each.state_dict() for name, each in states.items()}
     with replace_atomically(checkpoint) as temporary:
@@ -177,7 +179,8 @@ def write_checkpoint(checkpoint: Path, fingerprint: str, finished: int, states: 
 def resume_training(checkpoint: Path, fingerprint: str, states: Mapping[str, Stateful]) -> int:
     """Return how many epochs or steps are done. If the checkpoint has the same fingerprint, its states are restored; else 0.
 
-    Raises ReadError if a file of this name is not a checkpoint.
+    Raises:
+        ReadError: If a file of this name is not a checkpoint.
     """
     if not checkpoint.is_file():
         return 0

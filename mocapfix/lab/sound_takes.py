@@ -45,7 +45,9 @@ class PerformedMotion(NamedTuple):
 def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator[tuple[str, SyntheticTake]]:
     """Yield the names of takes and the takes: `take_count` composed ones, or as many as the motion folder's recordings allow.
 
-    Raises SceneError if `take_count` is less than one, ReadError if the folder has no test.npz or its recordings are too short.
+    Raises:
+        SceneError: If `take_count` is less than one.
+        ReadError: If the folder has no test.npz or its recordings are too short.
     """
     if take_count < 1:
         raise SceneError(f"The number of takes must be at least 1, not {take_count}.")
@@ -85,7 +87,8 @@ def remove_damage(truth: SyntheticTake) -> SyntheticTake:
 
 def choose_performances(performances: list[PerformedMotion], take_count: int) -> list[PerformedMotion]:
     """Return at most `take_count` recordings that are long enough: first the longest of every subject, then the second
-    longest."""
+    longest.
+    """
     ranked: list[tuple[int, PerformedMotion]] = []
     for _, group in groupby(performances, lambda performance: performance.name.split("_")[0]):
         by_duration = sorted(group, key=lambda performance: -_compute_duration_s(performance))
@@ -113,7 +116,8 @@ def perform_take(performance: PerformedMotion, rng: np.random.Generator) -> Synt
 
 def resample_performance(performance: PerformedMotion) -> Motion:
     """Return the first SOUND_TAKE_DURATION_S of the motion at SOUND_TAKE_RATE_HZ, by smooth splines of rotations and
-    positions."""
+    positions.
+    """
     frame_count = min(performance.motion.frame_count, round(SOUND_TAKE_DURATION_S * performance.rate_hz))
     old_times_s = np.arange(frame_count) / performance.rate_hz
     new_times_s = np.arange(round(old_times_s[-1] * SOUND_TAKE_RATE_HZ) + 1) / SOUND_TAKE_RATE_HZ
@@ -167,7 +171,8 @@ def sample_subject_poses(
 ) -> Float[np.ndarray, "N J 3 3"]:
     """Return at most `max_poses` poses of some subjects, evenly spaced over their frames without jumps in a folder of motion.
 
-    Raises ReadError if the folder holds no motion of these subjects.
+    Raises:
+        ReadError: If the folder holds no motion of these subjects.
     """
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
     parts = [

@@ -83,9 +83,10 @@ def compose_extreme_take(
 
     The seed determines the person, whose bones are asymmetric, the skin and the gaps.
 
-    with_gaps           lose markers as `compose_take` does, without spikes
-    with_soft_tissue    let the markers lag behind the bones in proportion to the acceleration, besides sliding with the skin
-    with_slender_limbs  place the markers of upper arms, forearms, thighs and shins nearer to the bone
+    Args:
+        with_gaps: Lose markers as `compose_take` does, without spikes.
+        with_soft_tissue: Let the markers lag behind the bones in proportion to the acceleration, besides sliding with the skin.
+        with_slender_limbs: Place the markers of upper arms, forearms, thighs and shins nearer to the bone.
     """
     rng = np.random.default_rng(seed)
     subject = draw_subject(rng, asymmetric=True)
@@ -164,9 +165,11 @@ def measure_stress(
     """Return the rows of all takes as `takes`, the mean joint error of ordinary motion by kind as `ordinary_mm`, the totals that
     the limits hold for as `all`, and as `skipped` why recordings are not used, or None.
 
-    motion_folders  each holds test.npz and skeletons.json: motion of subjects that no model was trained on
+    Args:
+        motion_folders: Each holds test.npz and skeletons.json: motion of subjects that no model was trained on.
 
-    Raises ReadError if a folder holds no such motion.
+    Raises:
+        ReadError: If a folder holds no such motion.
     """
     takes = [*iterate_composed_takes(motions, rates_hz), *iterate_performed_takes(motion_folders)]
     rows: list[dict[str, Any]] = []
@@ -204,7 +207,8 @@ def iterate_composed_takes(motions: Iterable[str], rates_hz: Iterable[float]) ->
 def iterate_performed_takes(motion_folders: Iterable[Path]) -> Iterator[StressTake]:
     """Yield performed takes of each folder: those of median speed as ordinary motion, and the fastest.
 
-    Raises ReadError if a folder holds no motion.
+    Raises:
+        ReadError: If a folder holds no motion.
     """
     subject = build_full_marker_subject()
     for folder in motion_folders:
@@ -240,11 +244,11 @@ def cut_around(performance: PerformedMotion, frame: int) -> PerformedMotion:
 def score_stress_take(truth: SyntheticTake, result: CleaningResult) -> dict[str, Any]:
     """Return the measures of one cleaned take; frames are counted from 0.
 
-    lost_in_sight      frames by part of the body, as in the report
-    joint_error_mm     mean over all frames and joints
-    limb_error_mm      largest error of a joint of a limb whose markers are all seen, with `limb` and `frame`
-    changed_share      share of the seen samples that were changed
-    poor_frames        frames in which the markers lie far from the body
+    - `lost_in_sight`: frames by part of the body, as in the report
+    - `joint_error_mm`: mean over all frames and joints
+    - `limb_error_mm`: largest error of a joint of a limb whose markers are all seen, with `limb` and `frame`
+    - `changed_share`: share of the seen samples that were changed
+    - `poor_frames`: frames in which the markers lie far from the body
     """
     report, motion, joints, sample_sd = result.report, result.motion, result.joint_position_world, result.take.sample_sd
     if "solve" not in report or report["solve"] is None or motion is None or joints is None:
@@ -270,7 +274,8 @@ def score_stress_take(truth: SyntheticTake, result: CleaningResult) -> dict[str,
 def find_worst_limb(truth: SyntheticTake, error_m: np.ndarray) -> tuple[float, str, int]:
     """Return the largest joint error of a limb whose markers are all seen, in metres, with the limb and the frame.
 
-    error_m  error (T, J) of each joint
+    Args:
+        error_m: Error (T, J) of each joint.
     """
     worst = (0.0, "", -1)
     for limb, names in LIMBS_WITH_JOINTS.items():

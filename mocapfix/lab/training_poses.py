@@ -53,7 +53,8 @@ def gather_training_poses(
 ) -> TrainingPoses:
     """Return all poses in folders except those of `test_subjects`.
 
-    Raises ReadError if the folders hold no motion of the training subjects or none of the held-out subjects.
+    Raises:
+        ReadError: If the folders hold no motion of the training subjects or none of the held-out subjects.
     """
     joint_names = load_cmu31_body().skeleton.names
     is_observed, frame_counts, dropped_frames = ~find_weakly_observed_joints(joint_names), Counter[str](), 0
@@ -103,7 +104,8 @@ def compute_sampling_weights(
 ) -> Float[np.ndarray, " N"]:
     """Return the relative sampling frequency of each pose: 1 for a balance of 0, the inverse of the subject's poses for 1.
 
-    is_retargeted      by the number of a subject; the frequency of these poses is multiplied by `retargeted_weight`
+    Args:
+        is_retargeted: By the number of a subject; the frequency of these poses is multiplied by `retargeted_weight`.
     """
     weights = np.bincount(subject_index)[subject_index] ** -float(balance)
     return weights if is_retargeted is None else np.where(is_retargeted[subject_index], retargeted_weight * weights, weights)
@@ -177,7 +179,8 @@ class PoseDistribution(NamedTuple):
 def conform_training_poses(poses: TrainingPoses, joint_names: tuple[str, ...], subject_balance: float) -> TrainingPoses:
     """Return training and held-out poses, those that are retargeted in the conventions of the others.
 
-    subject_balance  of the poses whose conventions are learned, see `compute_sampling_weights`
+    Args:
+        subject_balance: Of the poses whose conventions are learned, see `compute_sampling_weights`.
     """
     training_count, held_out_count = len(poses.subject_index) // 2, len(poses.held_out_index) // 2  # without mirror images
     subject_index = np.concatenate([poses.subject_index[:training_count], poses.held_out_index[:held_out_count]])
@@ -202,7 +205,8 @@ def conform_retargeted_poses(
 ) -> Float[np.ndarray, "N J 3"]:
     """Return the poses, those that are retargeted in the conventions of the others.
 
-    reference_weights  weights of the poses that have the conventions; 0 for those that shall not be learned from
+    Args:
+        reference_weights: Weights of the poses that have the conventions; 0 for those that shall not be learned from.
     """
     is_reference = (reference_weights > 0) & ~is_retargeted
     if not is_retargeted.any() or not is_reference.any():

@@ -74,7 +74,9 @@ def train_twist_regressor(
 ) -> TwistScores:
     """Train a network, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 
-    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
+    Raises:
+        ReadError: If the folders hold no motion of the required subjects.
+        WriteError: If the files cannot be written.
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")

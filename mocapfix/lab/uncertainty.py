@@ -58,11 +58,13 @@ def measure_uncertainty(
 ) -> dict[str, dict[str, Any]]:
     """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`, and of joints as `by_joint`.
 
-    seeds             of the composed takes, or of the damage of the performed takes, one take for each
-    motion_folder     holds test.npz of motion, of which takes are made; None for composed takes
-    is_subject_known  whether the subject is calibrated from another take of the same person, not from the take itself
+    Args:
+        seeds: Of the composed takes, or of the damage of the performed takes, one take for each.
+        motion_folder: Holds test.npz of motion, of which takes are made; None for composed takes.
+        is_subject_known: Whether the subject is calibrated from another take of the same person, not from the take itself.
 
-    Raises ReadError if there is no such motion.
+    Raises:
+        ReadError: If there is no such motion.
     """
     joints: list[ErrorGroups] = []
     joint_groups: list[ErrorGroups] = []

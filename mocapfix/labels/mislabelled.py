@@ -223,7 +223,8 @@ def _build_mislabelled_fault(
 ) -> Fault | None:
     """Build the fault of a cycle; None if undoing it brings the markers no nearer to the body.
 
-    misplacement  distances (N, K) in metres of the markers from the body, before and after the exchanges are undone
+    Args:
+        misplacement: Distances (N, K) in metres of the markers from the body, before and after the exchanges are undone.
     """
     own_steps = [step for step in steps if step.is_exchanged[list(cycle)].any()]
     gain = sum(step.gain for step in own_steps)

@@ -24,7 +24,8 @@ MIN_UNASSIGNED_MARKERS = 3  # the number of unassigned markers visible in one fr
 def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...]:
     """Split a take as `split_subjects`, with the marker set and the name that the options give.
 
-    Raises TakeError where the options give one subject for a take of several, or subjects of whom it shows none.
+    Raises:
+        TakeError: Where the options give one subject for a take of several, or subjects of whom it shows none.
     """
     takes = split_subjects(take, load_requested_subject(options).marker_set, options.subject_prefix)
     if isinstance(options.subject, tuple) and not any(choose_subject(each, options).subject for each in takes):

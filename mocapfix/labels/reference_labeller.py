@@ -382,10 +382,7 @@ MAX_TRIED_FRAMES = 50  # frames with the most fragments among which the one with
 
 
 def join_trajectories(points: UnlabelledPoints, label_like: LikeLabeller) -> tuple[PointLabels, tuple[str, ...]]:
-    """Return the marker of each point, and the names of the markers: M01 and so on; none where too few are visible together.
-
-    label_like  labels points by the markers of a labelled take, see `label_points_like`
-    """
+    """Return the marker of each point, and the names of the markers: M01 and so on; none where too few are visible together."""
     fragments = select_marker_fragments(points)
     if len(fragments) < MIN_JOINED_MARKERS:
         return label_nothing(points), ()

@@ -280,8 +280,9 @@ def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) ->
     does, fragments of the same markers are joined and numbered, and a take whose points cannot be joined, or are joined already,
     is returned as it is. Labels without a meaning are replaced only by those of a set or a subject that the user names.
 
-    Raises TakeError if the points of a take without any label cannot be joined, or no person with the markers of a set that the
-    user names is found.
+    Raises:
+        TakeError: If the points of a take without any label cannot be joined, or no person with the markers of a set that the
+            user names is found.
     """
     take = replace(take, subject_prefixes=find_subject_prefixes(take.labels, request.marker_set))
     points = collect_unlabelled_points(take)
@@ -365,10 +366,7 @@ def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPo
 
 
 def join_and_number(take: Take, points: FilePoints, tracklets: UnlabelledPoints, reason: str) -> Take | None:
-    """Return the take with the fragments of each marker joined, where no set is known; None if there is little to join.
-
-    reason  why no set is known
-    """
+    """Return the take with the fragments of each marker joined, where no set is known; None if there is little to join."""
     largest = int((tracklets.tracklet_indices >= 0).sum(axis=1).max(initial=0))
     if take.labels and points.positions.shape[1] <= largest and not are_points_unordered(points.positions):
         return None

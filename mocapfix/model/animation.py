@@ -24,27 +24,29 @@ class Animation:
 
     The fields are in the file's units, axes and degrees. The methods return metres in a right-handed frame with Y up.
 
-    names     J joint names, the root first
-    parents   (J,) index of each joint's parent, -1 for the root
-    offsets   (J, 3) position of each joint in its parent's axes, as the file gives it. Where position channels replace it,
-              `bone_offsets` has the one that the figure has
-    end_sites  J arrays (E, 3): the end sites of a joint in its axes; most joints have none
-    channels  names of each joint's channels, in order: Xposition, Zrotation, ...; the first rotation is the outermost.
-              Length, in ASF only, lengthens the bones to the joint's children
-    values    (T, C) values of all joints' channels, joint by joint; NaN where the file has no value
-    rate      frames per second
-    path      file that the animation was read from
-    first_frame  the file's number of frame 0, 1 if the file does not number its frames; messages use the file's numbers
-    value_byte_offsets  (T, C) position of each value in the file, in bytes; None if no file holds these values
-    wrong_rate_bytes  first byte and byte after the frame time in the file, if it is not that of `rate`: a copy has it corrected
-    unit_m    length of a file unit in metres
-    rotation_y_up_file  (3, 3) from the file's axes to axes with Y up
-    rest_rotations  (J, 3, 3) or (1, 3, 3) axes of each joint's rotations in the rest pose: the file's axes in BVH, the bone's
-              axes in ASF. The joints themselves have the file's axes in the rest pose
-    is_position_added  (J,) or (1,) bool: position channels are added to the joint's offset; otherwise they replace it
-    skeleton_path  file that holds the tree, if it is a separate one (the ASF of an AMC)
-    uses_radians  the file's angles are in radians; `values` are in degrees in any case
-    notes     sentences about assumptions made in reading the file
+    Attributes:
+        names: J joint names, the root first.
+        parents: Index of each joint's parent, -1 for the root.
+        offsets: Position of each joint in its parent's axes, as the file gives it. Where position channels replace it,
+            `bone_offsets` has the one that the figure has.
+        end_sites: J arrays (E, 3): the end sites of a joint in its axes; most joints have none.
+        channels: Names of each joint's channels, in order: Xposition, Zrotation, ...; the first rotation is the outermost.
+            Length, in ASF only, lengthens the bones to the joint's children.
+        values: Values of all joints' channels, joint by joint; NaN where the file has no value.
+        rate: Frames per second.
+        path: File that the animation was read from.
+        first_frame: The file's number of frame 0, 1 if the file does not number its frames; messages use the file's numbers.
+        value_byte_offsets: (T, C) position of each value in the file, in bytes; None if no file holds these values.
+        wrong_rate_bytes: First byte and byte after the frame time in the file, if it is not that of `rate`: a copy has it
+            corrected.
+        unit_m: Length of a file unit in metres.
+        rotation_y_up_file: (3, 3) from the file's axes to axes with Y up.
+        rest_rotations: (J, 3, 3) or (1, 3, 3) axes of each joint's rotations in the rest pose: the file's axes in BVH, the bone's
+            axes in ASF. The joints themselves have the file's axes in the rest pose.
+        is_position_added: (J,) or (1,) bool: position channels are added to the joint's offset; otherwise they replace it.
+        skeleton_path: File that holds the tree, if it is a separate one (the ASF of an AMC).
+        uses_radians: The file's angles are in radians; `values` are in degrees in any case.
+        notes: Sentences about assumptions made in reading the file.
     """
 
     names: tuple[str, ...]

@@ -36,19 +36,21 @@ MAX_MISSING_LIMBS = len(LIMB_JOINT_NAMES) - MIN_WHOLE_BODY_LIMBS  # the number o
 class MarkerSet:
     """K markers on the average body.
 
-    name             the name by which --marker-set and subject files refer to the set
-    title            the name in texts
-    skeleton         the name of the skeleton
-    labels           K names
-    joints           (K,) the index of the joint to which each marker is attached
-    marker_offsets   (K, 3) m: the position of each marker in the axes of its joint
-    marker_spread    (K,) m: standard deviation per axis, over people, of the marker about its offset
-    aliases          for each marker, its other names
-    optional_labels  those of the labels that a complete set may lack
-    other_names      other names of the set
-    point_sd         m: standard deviation per axis of a point of the set in one frame; 0 for markers, whose errors options state
-    props            labels of the markers on each prop, by its name; they are not on the body
-    is_laboratory    whether the set is one of laboratories that measure gait or sports, rather than of animation
+    Attributes:
+        name: The name by which --marker-set and subject files refer to the set.
+        title: The name in texts.
+        skeleton: The name of the skeleton.
+        labels: K names.
+        joints: The index of the joint to which each marker is attached.
+        marker_offsets: Metres: the position of each marker in the axes of its joint.
+        marker_spread: Metres: standard deviation per axis, over people, of the marker about its offset.
+        aliases: For each marker, its other names.
+        optional_labels: Those of the labels that a complete set may lack.
+        other_names: Other names of the set.
+        point_sd: Metres: standard deviation per axis of a point of the set in one frame; 0 for markers, whose errors options
+            state.
+        props: Labels of the markers on each prop, by its name; they are not on the body.
+        is_laboratory: Whether the set is one of laboratories that measure gait or sports, rather than of animation.
     """
 
     name: str
@@ -147,7 +149,8 @@ class MarkerSet:
     def describe_missing_body(self, found_labels: Collection[str], max_listed: int = MAX_LISTED_MISSING) -> str:
         """Return why the markers `found_labels` show neither a whole body nor a part, as part of a sentence; "" if they do.
 
-        max_listed  the number of missing markers that it lists; none if it is 0
+        Args:
+            max_listed: The number of missing markers that it lists; none if it is 0.
         """
         return "" if self.find_shown_sections(found_labels) else self.describe_incomplete_body(found_labels, max_listed)
 

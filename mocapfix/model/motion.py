@@ -44,13 +44,14 @@ _FRAME_STATUS_DESCRIPTIONS = {
 class Motion:
     """Root positions and local joint rotations over T frames.
 
-    root_position    (T, 3) m: the root joint in the world, Y up
-    local_rotations  (T, J, 3, 3): joint axes to parent axes (for the root: to world axes)
-    status           (T,) a FrameStatus for each frame
-    iterations       (T,) Levenberg-Marquardt iterations of each frame
-    marker_sd        (T, K) m: predicted standard deviation per axis of the subject's K markers as the body places them; empty
-                     if it was not computed
-    joint_sd         (T, J) m: the same for the joint positions
+    Attributes:
+        root_position: Metres: the root joint in the world, Y up.
+        local_rotations: Joint axes to parent axes (for the root: to world axes).
+        status: A FrameStatus for each frame.
+        iterations: Levenberg-Marquardt iterations of each frame.
+        marker_sd: (T, K) m: predicted standard deviation per axis of the subject's K markers as the body places them; empty if it
+            was not computed.
+        joint_sd: (T, J) m: the same for the joint positions.
     """
 
     root_position: Float[np.ndarray, "T 3"]
@@ -72,18 +73,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class PoseEvidence:
-    """What is known of T solved frames besides their poses, with the weights of the solve. Windows are written into the arrays.
+    """What is known of T solved frames besides their poses, with the weights of the solve. Windows write into the arrays."""
 
-    marker_sd          (T, K) m: standard deviation per axis of each marker as the frame's own solution places it
-    rotation_variance  (T, J) rad^2: of each joint in the frame's own solution
-    gap_variance       (T, J) rad^2: of the interpolated rotations of joints that lack a marker
-    root_weight        (T,) 1/m^2: of the root's smooth trajectory
-    """
-
-    marker_sd: Float[np.ndarray, "T K"]
-    rotation_variance: Float[np.ndarray, "T J"]
-    gap_variance: Float[np.ndarray, "T J"]
-    root_weight: Float[np.ndarray, " T"]
+    marker_sd: Float[np.ndarray, "T K"]  # m: standard deviation per axis of each marker as the frame's own solution places it
+    rotation_variance: Float[np.ndarray, "T J"]  # rad^2: of each joint in the frame's own solution
+    gap_variance: Float[np.ndarray, "T J"]  # rad^2: of the interpolated rotations of joints that lack a marker
+    root_weight: Float[np.ndarray, " T"]  # 1/m^2: of the root's smooth trajectory
 
     def copy(self, marker_count: int) -> "PoseEvidence":
         """Return a copy for a number of markers; markers that were not solved for have a deviation of 0."""

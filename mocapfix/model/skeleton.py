@@ -32,18 +32,12 @@ MIN_WHOLE_BODY_LIMBS = 3  # the number of limbs with markers, besides pelvis and
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A tree of joints, parents before children.
+    """A tree of joints, parents before children."""
 
-    names    J joint names; the first is the root
-    parents  (J,) index of each joint's parent, -1 for the root
-    offsets  (J, 3) m: the joint in its parent's axes
-    ends     (J, 3) m: the end site of a leaf joint in the joint's axes, NaN for the others
-    """
-
-    names: tuple[str, ...]
-    parents: Int[np.ndarray, " J"]
-    offsets: Float[np.ndarray, "J 3"]
-    ends: Float[np.ndarray, "J 3"]
+    names: tuple[str, ...]  # J joint names; the first is the root
+    parents: Int[np.ndarray, " J"]  # index of each joint's parent, -1 for the root
+    offsets: Float[np.ndarray, "J 3"]  # m: the joint in its parent's axes
+    ends: Float[np.ndarray, "J 3"]  # m: the end site of a leaf joint in the joint's axes, NaN for the others
 
     @property
     def total_length_m(self) -> float:
@@ -68,13 +62,14 @@ class Skeleton:
 class BodyModel:
     """An average skeleton with what calibration and the solver assume of every body.
 
-    bone_groups       G named groups of joints whose offsets share one scale (left and right together)
-    shape_components  (P, J, 3) m: the variation of people's offsets at one size, one standard deviation per component
-    free_joints       (J,) joints that markers can turn. The hip stubs are redundant with the thighs, and toes, fingers and
-                      thumbs carry no markers, so they keep their rest pose.
-    shown_segments    (J,) joints whose own segment is determined by markers; all joints for a whole body
-
     Of a part of a body (see `restrict_body`), only the joints within the part are free. The others keep the mean pose.
+
+    Attributes:
+        bone_groups: G named groups of joints whose offsets share one scale (left and right together).
+        shape_components: Metres: the variation of people's offsets at one size, one standard deviation per component.
+        free_joints: Joints that markers can turn. The hip stubs are redundant with the thighs, and toes, fingers and thumbs carry
+            no markers, so they keep their rest pose.
+        shown_segments: Joints whose own segment is determined by markers; all joints for a whole body.
     """
 
     skeleton: Skeleton

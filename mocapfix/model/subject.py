@@ -13,17 +13,18 @@ from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body, restri
 class Subject:
     """The result of a calibration, which can be reused for other takes of the same person.
 
-    skeleton        this person's skeleton, lengths in metres
-    marker_set      the name of the marker set
-    labels          K marker labels as the marker set names them
-    joints          (K,) index of the joint to which each marker is attached
-    marker_offsets  (K, 3) m: the position of each marker relative to its joint, in the joint's own axes
-    marker_spread   (K,) m: the typical distance per axis of the marker from its offset over the calibration frames
-    frame_count     number of frames used for calibration; 0 for a nominal body
-    joint_sd        (J,) m: standard deviation per axis of the joint position due to the calibration error, after the poses have
-                    adapted; 0 for a nominal body, whose error is unknown
-    marker_sd       (K,) m: the same for the marker as the body places it
-    notes           sentences for the reports of the takes that are cleaned with the subject
+    Attributes:
+        skeleton: This person's skeleton, lengths in metres.
+        marker_set: The name of the marker set.
+        labels: K marker labels as the marker set names them.
+        joints: Index of the joint to which each marker is attached.
+        marker_offsets: Metres: the position of each marker relative to its joint, in the joint's own axes.
+        marker_spread: Metres: the typical distance per axis of the marker from its offset over the calibration frames.
+        frame_count: Number of frames used for calibration; 0 for a nominal body.
+        joint_sd: Metres: standard deviation per axis of the joint position due to the calibration error, after the poses have
+            adapted; 0 for a nominal body, whose error is unknown.
+        marker_sd: Metres: the same for the marker as the body places it.
+        notes: Sentences for the reports of the takes that are cleaned with the subject.
     """
 
     skeleton: Skeleton

@@ -123,11 +123,7 @@ def build_gait_entry(events: Sequence[GaitEvent]) -> GaitEntry:
 
 
 def describe_contacts(contacts: BodyContacts, requested_mode: str, floor_height_m: float, terms: PointTerms) -> list[str]:
-    """Return notes on a floor that is not where it is assumed, is tilted or has levels, and on feet that are not seen.
-
-    requested_mode  what to do with standing feet: the option --feet
-    floor_height_m  height that motion files assume: the option --floor
-    """
+    """Return notes on a floor that is not where it is assumed, is tilted or has levels, and on feet that are not seen."""
     if not contacts.has_feet:
         held = "" if requested_mode == FEET_OFF else f", and --feet {requested_mode} has no effect"
         return [f"The {terms.points} do not show both feet, so no contacts with the floor are detected{held}."]
@@ -237,10 +233,7 @@ def _round_or_none(value: float, digits: int) -> float | None:
 def build_inspection_report(
     take: Take, marker_set: str | None, fault_take: Take, faults: Faults, notes: list[str]
 ) -> InspectionReport:
-    """Return the report of a take that was inspected only.
-
-    fault_take  the take whose markers the faults index
-    """
+    """Return the report of a take that was inspected only."""
     return {"take": build_take_section(take, marker_set), "faults": build_fault_entries(fault_take, faults), "notes": notes}
 
 
@@ -266,14 +259,7 @@ def build_solve_section(
     *,
     lost_parts: Sequence[LostPart] = (),
 ) -> SolveSection:
-    """Return the section on the solve.
-
-    residual_m   distance of each inlier marker from the body in metres, NaN for other samples
-    prior_name   pose prior for occluded limbs, "none" without one
-    prior_scale  factor of the prior's standard deviations
-    start_name   method that initialises each pose
-    lost_parts   the parts of the body that were lost in sight
-    """
+    """Return the section on the solve."""
     compared = np.flatnonzero(~np.isnan(residual_m).all(0))
     repeated = {label for label, count in Counter(take.labels).items() if count > 1}
     names = [f"{label} #{m + 1}" if label in repeated else label for m, label in enumerate(take.labels)]
@@ -314,8 +300,9 @@ def build_fill_section(
 ) -> FillSection:
     """Return the numbers of filled, replaced, relabelled and empty samples.
 
-    input_take, relabelled_take, cleaned_take  the take as read, with corrected labels, and cleaned
-    fragment_donors  markers whose samples are fragments of other markers; they are not counted
+    Args:
+        input_take, relabelled_take, cleaned_take: The take as read, with corrected labels, and cleaned.
+        fragment_donors: Markers whose samples are fragments of other markers; they are not counted.
     """
     counts = np.ones(len(input_take.labels), bool)
     counts[list(fragment_donors)] = False

@@ -45,7 +45,8 @@ PAGE_COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "b
 def write_page(target: Path, template: str, **values: object) -> None:
     """Render a template to a file. Values are escaped unless they are Markup.
 
-    Raises WriteError if `target` cannot be written.
+    Raises:
+        WriteError: If `target` cannot be written.
     """
     text = _load_environment().get_template(template).render(colours=PAGE_COLOURS, **values)
     with replace_atomically(target) as part:
@@ -78,7 +79,8 @@ class BarRow:
 def write_html_report(target: Path, report: Report, comparison: CleaningComparison) -> None:
     """Write the HTML report of a take.
 
-    Raises WriteError if `target` cannot be written.
+    Raises:
+        WriteError: If `target` cannot be written.
     """
     take, solve, subject = comparison.input_take, report["solve"], report["subject"]
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}

@@ -48,8 +48,8 @@ def build_body_notes(
 ) -> list[str]:
     """Return the notes on where the body fits poorly or is unknown.
 
-    residual_m  distance of each inlier marker from the body in metres, NaN for other samples
-    lost_parts  the parts of the body that were lost in sight
+    Args:
+        residual_m: Distance of each inlier marker from the body in metres, NaN for other samples.
     """
     columns, epochs = body.marker_columns, detected.epochs
     marker_set_take = detected.select_columns(columns, detected.inlier_take.visible)
@@ -81,8 +81,9 @@ def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[
 def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], fragment_donors: Collection[int] = ()) -> list[str]:
     """Return a note on the visible markers that are not in the marker set.
 
-    columns          markers of the solved subject
-    fragment_donors  markers whose samples are fragments of other markers; they are not listed
+    Args:
+        columns: Markers of the solved subject.
+        fragment_donors: Markers whose samples are fragments of other markers; they are not listed.
     """
     is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])
     unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
@@ -101,9 +102,10 @@ def describe_stray_markers(
 ) -> list[str]:
     """Return notes on markers far from the body: in most frames, or in intervals.
 
-    residual_m      distance of each inlier marker from the body in metres, NaN for other samples
-    faults          the detected faults: an exchange of labels that was too uncertain to be corrected is mentioned
-    described_mask  samples that another note describes
+    Args:
+        residual_m: Distance of each inlier marker from the body in metres, NaN for other samples.
+        faults: The detected faults: an exchange of labels that was too uncertain to be corrected is mentioned.
+        described_mask: Samples that another note describes.
     """
     suspected = [fault for fault in faults if fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE]
     suspected_mask = build_fault_mask(suspected, residual_m.shape)
@@ -158,8 +160,9 @@ def describe_lost_part(
 ) -> str:
     """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
 
-    columns      the epoch column of each of the subject's markers, -1 where it has none
-    inlier_mask  the samples of the take that are not taken for faults
+    Args:
+        columns: The epoch column of each of the subject's markers, -1 where it has none.
+        inlier_mask: The samples of the take that are not taken for faults.
     """
     ranges = [
         format_frame_range(take.get_frame_number(first), take.get_frame_number(last)) for first, last in find_runs(part.frames)
@@ -185,7 +188,8 @@ def merge_lost_samples(
 ) -> Bool[np.ndarray, "T M"]:
     """Return the mask of the take's samples that show where lost parts of the body are.
 
-    columns  the epoch column of each of the subject's markers, -1 where it has none
+    Args:
+        columns: The epoch column of each of the subject's markers, -1 where it has none.
     """
     mask = np.zeros(epochs.take.visible.shape, bool)
     for part in parts:

@@ -81,10 +81,7 @@ def _log_floor(writer: "_RecordingWriter", path: str, lines: Float[np.ndarray, "
 
 
 def build_floor_grids(contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> list[Float[np.ndarray, "N 2 3"]]:
-    """Return the lines (N, 2, 3) in metres of a grid on each level of the floor, under the joints that are in contact with it.
-
-    position  (T, C, 3) m: of the joints
-    """
+    """Return the lines (N, 2, 3) in metres of a grid on each level of the floor, under the joints that are in contact with it."""
     floor = contacts.floor
     points = position[contacts.is_contact & np.isfinite(position).all(-1)]
     if not len(points) or not floor.level_heights_m:
@@ -168,7 +165,8 @@ RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 
 def write_recording(target: Path, comparison: CleaningComparison) -> None:
     """Write a rerun recording (.rrd) of a take before and after cleaning, with its blueprint.
 
-    Raises WriteError if `target` cannot be written.
+    Raises:
+        WriteError: If `target` cannot be written.
     """
     with replace_atomically(target) as part:
         recording = rr.RecordingStream("mocapfix")

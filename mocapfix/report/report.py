@@ -9,35 +9,27 @@ from mocapfix.model.take import ComputedEvidence
 
 
 class FloorEntry(TypedDict):
-    """The floor on which the feet stand.
+    """The floor on which the feet stand."""
 
-    height_m         of its lowest level above the file's height 0, at the origin
-    tilt_deg         angle with the horizontal; 0 if the places of the feet show none
-    level_heights_m  heights of all levels at the origin, rising: more than one on steps, stairs and boxes
-    """
-
-    height_m: float
-    tilt_deg: float
-    level_heights_m: list[float]
+    height_m: float  # of its lowest level above the file's height 0, at the origin
+    tilt_deg: float  # angle with the horizontal; 0 if the places of the feet show none
+    level_heights_m: list[float]  # heights of all levels at the origin, rising: more than one on steps, stairs and boxes
 
 
 class JointContactEntry(TypedDict):
-    """The contacts of one joint: their number, time, and share of the take.
-
-    inferred    number of contacts in which the joint is not seen for some time
-    inferred_s  how long, in all contacts together
-    """
+    """The contacts of one joint: their number, time, and share of the take."""
 
     contacts: int
     seconds: float
     share: float
-    inferred: int
-    inferred_s: float
+    inferred: int  # number of contacts in which the joint is not seen for some time
+    inferred_s: float  # how long, in all contacts together
 
 
 class HeldFeetEntry(TypedDict):
     """What was done to standing feet: the option --feet, the farthest that a heel or a ball of a foot was moved, and for how long
-    a foot was not held, since that would have moved what visible markers show."""
+    a foot was not held, since that would have moved what visible markers show.
+    """
 
     mode: str
     largest_displacement_mm: float
@@ -45,18 +37,13 @@ class HeldFeetEntry(TypedDict):
 
 
 class GaitEventEntry(TypedDict):
-    """An event of gait.
-
-    time_s  seconds after the first frame
-    frame   the same in the file's own frame numbers, with a fraction
-    source  "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
-    """
+    """An event of gait."""
 
     side: str
     event: str
-    time_s: float
-    frame: float
-    source: str
+    time_s: float  # seconds after the first frame
+    frame: float  # the same in the file's own frame numbers, with a fraction
+    source: str  # "markers", "joints" of an animation, "file" if the file has it already, or "force plate"
 
 
 class EventDisagreementEntry(GaitEventEntry):
@@ -67,24 +54,20 @@ class EventDisagreementEntry(GaitEventEntry):
 
 
 class GaitEntry(TypedDict):
-    """Steps: a foot strikes within 0.2 to 1.2 s of a strike of the other foot.
+    """Steps: a foot strikes within 0.2 to 1.2 s of a strike of the other foot."""
 
-    strikes                number of foot strikes by side
-    steps                  number of steps
-    cadence_steps_per_min  by the median duration of a step; None for fewer than four steps
-    """
-
-    strikes: dict[str, int]
-    steps: int
-    cadence_steps_per_min: float | None
+    strikes: dict[str, int]  # number of foot strikes by side
+    steps: int  # number of steps
+    cadence_steps_per_min: float | None  # by the median duration of a step; None for fewer than four steps
 
 
 class ContactSection(TypedDict):
     """Contacts of the body with the floor.
 
-    floor   None if no foot stands
-    joints  the joints that can be in contact: LeftFoot stands for the heel, LeftToeBase for the ball of the foot, LeftLeg for
-            the knee, LeftHand for the wrist; without entries if the feet are not seen
+    Attributes:
+        floor: None if no foot stands.
+        joints: The joints that can be in contact: LeftFoot stands for the heel, LeftToeBase for the ball of the foot, LeftLeg for
+            the knee, LeftHand for the wrist; without entries if the feet are not seen.
     """
 
     floor: FloorEntry | None
@@ -109,17 +92,12 @@ class ResidualSummary(ErrorSummary):
 
 
 class ComputedPointEntry(TypedDict):
-    """A position in the file that a program computed from markers.
-
-    recognised_by  "name" (also if the file lists it as computed), or "function" of markers
-    computed_from  labels of the markers from which it follows; without entries if that is not known
-    updated        number of its samples that were filled or computed again
-    """
+    """A position in the file that a program computed from markers."""
 
     label: str
-    recognised_by: ComputedEvidence
-    computed_from: list[str]
-    updated: int
+    recognised_by: ComputedEvidence  # "name" (also if the file lists it as computed), or "function" of markers
+    computed_from: list[str]  # labels of the markers from which it follows; without entries if that is not known
+    updated: int  # number of its samples that were filled or computed again
 
 
 class UpAxisEntry(TypedDict):
@@ -131,25 +109,23 @@ class UpAxisEntry(TypedDict):
 
 
 class RigidGroupEntry(TypedDict):
-    """A group of markers outside the solved body that keep their distances, such as a prop.
-
-    spread_mm  largest variation of a distance between two of them, as a standard deviation
-    """
+    """A group of markers outside the solved body that keep their distances, such as a prop."""
 
     name: str
     markers: list[str]
-    spread_mm: float
+    spread_mm: float  # largest variation of a distance between two of them, as a standard deviation
 
 
 class TakeSection(TypedDict):
     """The input file.
 
-    person           subject whose markers these are, in a take of several subjects
-    marker_set       None if no marker set matches
-    up_axis          the axis of the file that points up
-    computed_points  the positions in the file that a program computed from markers, if there are any
-    animation        True if the points are the joints of an animation
-    laboratory       what suggests that the take is that of a laboratory
+    Attributes:
+        person: Subject whose markers these are, in a take of several subjects.
+        marker_set: None if no marker set matches.
+        up_axis: The axis of the file that points up.
+        computed_points: The positions in the file that a program computed from markers, if there are any.
+        animation: True if the points are the joints of an animation.
+        laboratory: What suggests that the take is that of a laboratory.
     """
 
     file: str
@@ -168,34 +144,25 @@ class TakeSection(TypedDict):
 
 
 class FaultEntry(TypedDict):
-    """A fault; frame numbers are the file's own, inclusive.
-
-    severity_m    None for a gap without a second edge and for rotations
-    severity_deg  for rotations of a joint
-    """
+    """A fault; frame numbers are the file's own, inclusive."""
 
     kind: FaultKind
     marker: str
     first: int
     last: int
-    severity_m: float | None
-    severity_deg: NotRequired[float | None]
+    severity_m: float | None  # None for a gap without a second edge and for rotations
+    severity_deg: NotRequired[float | None]  # for rotations of a joint
     confidence: float
     reason: str
 
 
 class SubjectSection(TypedDict):
-    """The calibrated subject.
-
-    frames    number of frames used for the calibration
-    bones_m   length from the parent by solved joint
-    spread_m  standard deviation of the marker on its segment by label
-    """
+    """The calibrated subject."""
 
     marker_set: str
-    frames: int
-    bones_m: dict[str, float]
-    spread_m: dict[str, float]
+    frames: int  # number of frames used for the calibration
+    bones_m: dict[str, float]  # length from the parent by solved joint
+    spread_m: dict[str, float]  # standard deviation of the marker on its segment by label
 
 
 class PriorEntry(TypedDict):
@@ -208,14 +175,15 @@ class PriorEntry(TypedDict):
 class SolveSection(TypedDict):
     """The solve.
 
-    solved_joints       the joints that the markers show; the others stay at rest
-    joint_deviation_mm  predicted standard deviation per axis by joint; without numbers for joints that are not solved
-    start               method that initialises each pose
-    prior               pose prior for occluded limbs; None without one
-    lost_in_sight       number of frames in which a part of the body lies more than 60 mm from at least three of its markers that
-                        are seen and keep possible distances from one another, by part; without entries if there are none. A
-                        frame counts for one part of a limb: with the arm, not also with its forearm
-    status              number of frames by final status
+    Attributes:
+        solved_joints: The joints that the markers show; the others stay at rest.
+        joint_deviation_mm: Predicted standard deviation per axis by joint; without numbers for joints that are not solved.
+        start: Method that initialises each pose.
+        prior: Pose prior for occluded limbs; None without one.
+        lost_in_sight: Number of frames in which a part of the body lies more than 60 mm from at least three of its markers that
+            are seen and keep possible distances from one another, by part; without entries if there are none. A frame counts for
+            one part of a limb: with the arm, not also with its forearm.
+        status: Number of frames by final status.
     """
 
     marker_residual_mm: ResidualSummary
@@ -246,24 +214,15 @@ class LeftEmptyEntry(TypedDict):
 
 
 class FillSection(TypedDict):
-    """Numbers of samples.
+    """Numbers of samples."""
 
-    missing_before  missing in the input
-    filled          estimated where the correctly labelled input has no sample
-    replaced        faulty and replaced by an estimate
-    relabelled      measured, but under another label in the input
-    left_empty      missing in the output
-    unfilled        the empty intervals
-    left_by_marker  the same by marker, those with the most samples first
-    """
-
-    missing_before: int
-    filled: int
-    replaced: int
-    relabelled: int
-    left_empty: int
-    unfilled: list[UnfilledEntry]
-    left_by_marker: list[LeftEmptyEntry]
+    missing_before: int  # missing in the input
+    filled: int  # estimated where the correctly labelled input has no sample
+    replaced: int  # faulty and replaced by an estimate
+    relabelled: int  # measured, but under another label in the input
+    left_empty: int  # missing in the output
+    unfilled: list[UnfilledEntry]  # the empty intervals
+    left_by_marker: list[LeftEmptyEntry]  # the same by marker, those with the most samples first
 
 
 class InspectionReport(TypedDict):
@@ -275,28 +234,19 @@ class InspectionReport(TypedDict):
 
 
 class Report(TypedDict):
-    """Report of a cleaned take.
-
-    subject       None without a body
-    solve         None without a body
-    contacts      contacts with the floor, of a take or an animation with a body
-    rigid_groups  props; without a body also segments that are rigid, if there are any
-    arguments     the input and the options of `mocapfix clean`, files relative to the folder of the report
-    seconds       time by stage, and "total"
-    notes         sentences on what else needs attention
-    """
+    """Report of a cleaned take."""
 
     take: TakeSection
     faults: list[FaultEntry]
     changes: list[ChangeEntry]
-    subject: SubjectSection | None
-    solve: SolveSection | None
+    subject: SubjectSection | None  # None without a body
+    solve: SolveSection | None  # None without a body
     fill: FillSection
-    contacts: NotRequired[ContactSection]
-    rigid_groups: NotRequired[list[RigidGroupEntry]]
-    arguments: NotRequired[list[str]]
-    seconds: dict[str, float]
-    notes: list[str]
+    contacts: NotRequired[ContactSection]  # contacts with the floor, of a take or an animation with a body
+    rigid_groups: NotRequired[list[RigidGroupEntry]]  # props; without a body also segments that are rigid, if there are any
+    arguments: NotRequired[list[str]]  # the input and the options of `mocapfix clean`, files relative to the folder of the report
+    seconds: dict[str, float]  # time by stage, and "total"
+    notes: list[str]  # sentences on what else needs attention
 
 
 class MultiSubjectReport(TypedDict):

@@ -20,24 +20,15 @@ from mocapfix.report.terms import MARKER_TERMS, PointTerms
 
 
 class SampleOutcome(IntEnum):
-    """Outcome of the cleaning for one sample.
+    """Outcome of the cleaning for one sample."""
 
-    MEASURED    measured and unchanged
-    FILLED      missing before, estimated now
-    REPLACED    faulty before, estimated now
-    RELABELLED  measured, but under another label before
-    REASSIGNED  moved to another label; nothing took its place
-    SUSPECT     judged faulty, but unchanged
-    EMPTY       missing
-    """
-
-    MEASURED = 0
-    FILLED = 1
-    REPLACED = 2
-    RELABELLED = 3
-    REASSIGNED = 4
-    SUSPECT = 5
-    EMPTY = 6
+    MEASURED = 0  # measured and unchanged
+    FILLED = 1  # missing before, estimated now
+    REPLACED = 2  # faulty before, estimated now
+    RELABELLED = 3  # measured, but under another label before
+    REASSIGNED = 4  # moved to another label; nothing took its place
+    SUSPECT = 5  # judged faulty, but unchanged
+    EMPTY = 6  # missing
 
     @property
     def label(self) -> str:
@@ -56,9 +47,10 @@ BLUE = "#3f7fc4"
 def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take, faults: Faults) -> Int[np.ndarray, "T M"]:
     """Return the SampleOutcome of every sample.
 
-    input_take       the take as read
-    relabelled_take  the same with corrected labels; `faults` index its markers
-    cleaned_take     the same with filled and replaced samples
+    Args:
+        input_take: The take as read.
+        relabelled_take: The same with corrected labels; `faults` index its markers.
+        cleaned_take: The same with filled and replaced samples.
     """
     sample_sd = cleaned_take.sample_sd
     estimated = np.zeros(cleaned_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
@@ -98,11 +90,7 @@ def find_estimated_samples(outcome: Integer[np.ndarray, "*shape"]) -> Bool[np.nd
 def classify_input_samples(
     visible: Bool[np.ndarray, "*shape"], outcome: Integer[np.ndarray, "*shape"]
 ) -> Int[np.ndarray, "*shape"]:
-    """Return the state of every input sample: MEASURED, SUSPECT (faulty), RELABELLED (of another marker) or EMPTY.
-
-    visible  whether the input has the sample
-    outcome  what became of it
-    """
+    """Return the state of every input sample: MEASURED, SUSPECT (faulty), RELABELLED (of another marker) or EMPTY."""
     other_marker = np.isin(outcome, (SampleOutcome.RELABELLED, SampleOutcome.REASSIGNED, SampleOutcome.FILLED))
     states = [SampleOutcome.EMPTY, SampleOutcome.RELABELLED, SampleOutcome.SUSPECT]
     return np.select([~visible, other_marker, outcome != SampleOutcome.MEASURED], states, SampleOutcome.MEASURED)

@@ -133,7 +133,8 @@ def _fit_view(
 ) -> FigureView:
     """Return the view that contains all markers and joints.
 
-    left_direction  level unit vector to the body's left, which is the right side of the picture
+    Args:
+        left_direction: Level unit vector to the body's left, which is the right side of the picture.
     """
     up = np.array([0.0, 1.0, 0.0])
     front = np.cross(left_direction, up)

@@ -54,7 +54,8 @@ class RunStatus:
 class CleaningRun:
     """A running `mocapfix clean`, which replaces the outputs when it has written all of them.
 
-    report  called with each new status, in a thread
+    Attributes:
+        report: Called with each new status, in a thread.
     """
 
     def __init__(self, command: Sequence[str], folder: os.PathLike[str], report: Callable[[RunStatus], None]) -> None:
@@ -104,9 +105,8 @@ def build_clean_command(
 ) -> list[str]:
     """Return the command that cleans a take again in its folder, with the changes files of all its subjects.
 
-    formats, rigs  that are written as well as those of the cleaning before
-
-    Raises SceneError if there is no such format or rig.
+    Raises:
+        SceneError: If there is no such format or rig.
     """
     for names, known in ((formats, EXTRA_FORMAT_NAMES), (rigs, RIG_NAMES)):
         if unknown := [name for name in names if name not in known]:
@@ -135,7 +135,8 @@ MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs 
 class OpenTake:
     """A take under review. Its methods may be called from several threads.
 
-    subjects  the takes that are cleaned together with it, itself among them
+    Attributes:
+        subjects: The takes that are cleaned together with it, itself among them.
     """
 
     def __init__(self, take: CleanedTake, subjects: Sequence[CleanedTake]) -> None:
@@ -353,7 +354,8 @@ MAX_OPEN_VIEWS = 2  # takes whose samples are kept in memory
 class ReviewSession:
     """The cleaned takes below a folder.
 
-    Raises ReadError if there are none.
+    Raises:
+        ReadError: If there are none.
     """
 
     def __init__(self, folder: Path) -> None:

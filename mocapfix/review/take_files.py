@@ -196,8 +196,9 @@ class EditConflictError(MocapfixError):
 class DecisionStore:
     """A changes file that is read once, and written at each edit.
 
-    file, revision    its content, and the hash of its bytes, when it was last read or written
-    check_correction  raises SceneError for a correction that the take does not allow
+    Attributes:
+        file, revision: Its content, and the hash of its bytes, when it was last read or written.
+        check_correction: Raises SceneError for a correction that the take does not allow.
     """
 
     def __init__(self, path: Path, check_correction: Callable[[CorrectionModel], object] = lambda _: None) -> None:
@@ -269,7 +270,9 @@ class DecisionStore:
     def _save(self, revision: str, file: ChangesFileModel) -> None:
         """Write the file.
 
-        Raises EditConflictError if it is not the one that the editor knows, WriteError if it cannot be written.
+        Raises:
+            EditConflictError: If it is not the one that the editor knows.
+            WriteError: If it cannot be written.
         """
         if revision != self.revision or hash_changes(self.path) != self.revision:
             self.refresh()
@@ -342,9 +345,12 @@ class TakeView:
 def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> TakeView:
     """Return what the page shows of a cleaned take.
 
-    changes  those in its changes file: their predicted errors stand in for uncertainties that are too large for the cleaned file
+    Args:
+        changes: Those in its changes file: their predicted errors stand in for uncertainties that are too large for the cleaned
+            file.
 
-    Raises ReadError if its files are damaged or do not belong together.
+    Raises:
+        ReadError: If its files are damaged or do not belong together.
     """
     options = replace(take.options.read, accept_contradictions=True)  # the take was cleaned
     captured = _read_file(take.input_path, options) if take.input_path else None

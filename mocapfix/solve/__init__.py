@@ -1,13 +1,13 @@
 """Poses: a first pose in closed form, the optimiser, smoothing, and what the markers do not show.
 
-initial_motion    first poses: hybrik, segment_registration, learned_ik
-motion_solver     solve all frames of a take, and how certain they are
-window_solver     the frames of one window: markers, prior and time
-pose_problem      the terms of a body: its markers, prior and limits; the frames that changed
-minimise          the one way of minimising; terms, model_terms
-smoothing         poses over time
-occluded_joints   joints without markers; lost_in_sight, measured_segments
-pose_prior        trained_priors, prior_conditioner; mean_pose; motion_prior
-single_pose       a pose under given constraints
-kinematics        positions of joints and markers; parallel
+- `initial_motion`: first poses: hybrik, segment_registration, learned_ik
+- `motion_solver`: solve all frames of a take, and how certain they are
+- `window_solver`: the frames of one window: markers, prior and time
+- `pose_problem`: the terms of a body: its markers, prior and limits; the frames that changed
+- `minimise`: the one way of minimising; terms, model_terms
+- `smoothing`: poses over time
+- `occluded_joints`: joints without markers; lost_in_sight, measured_segments
+- `pose_prior`: trained_priors, prior_conditioner; mean_pose; motion_prior
+- `single_pose`: a pose under given constraints
+- `kinematics`: positions of joints and markers; parallel
 """

@@ -94,8 +94,9 @@ def build_bones(
 ) -> tuple[HybrikSkeleton, RootPoints]:
     """Return the bones for HybrIK, and the points that determine the root. Markers follow the joints in the subject's order.
 
-    prior    the mean pose; a joint that it locks about all axes is stiff, and what it carries moves with its parent
-    is_held  joints that keep the mean pose
+    Args:
+        prior: The mean pose; a joint that it locks about all axes is stiff, and what it carries moves with its parent.
+        is_held: Joints that keep the mean pose.
     """
     joint_count, parents = len(skeleton.names), skeleton.parents
     points = [list_bone_points(j, skeleton, prior, marked_subject) for j in range(joint_count)]
@@ -199,8 +200,9 @@ class TwistRegressor:
         The information is 1 / sd_rad^2, or less if the positions are compatible with many twists, whose mean vector is short; it
         is 0 for joints without a bone.
 
-        positions       joints in the world in metres, NaN where unknown
-        root_rotations  root axes to world axes
+        Args:
+            positions: Joints in the world in metres, NaN where unknown.
+            root_rotations: Root axes to world axes.
         """
         outputs = self.evaluate(compute_span_directions(positions, root_rotations))
         joints = np.flatnonzero(np.isfinite(self.sd_rad))
@@ -353,17 +355,18 @@ def solve_hybrik(
     and head as trees of their own, brings them to their positions and bends the joint before to reach them (HybrIK-X, 3.2.3); it
     also fits the position of the hips.
 
-    Parameters
-    ----------
-    positions    (T, J, 3) m, Y up, from any source; NaN where unknown
-    joint_sd     standard deviation of the joint positions in metres per axis, one for all or (T, J)
-    twists       (T or 1, J, 2) cosine and sine of the angle about each bone, scaled by its information in 1/rad^2; by default
-                 they are predicted from the joint positions
-    markers      (T, K, 3) m in the subject's order, NaN if not visible; those off a bone's axis determine its twist
-    held_joints  (J,) bool: joints that keep the mean pose; by default the hip stubs for "x" and none for the other variants
-
     The `status` of the returned motion marks frames that were guessed and frames whose hands or head the bones do not reach.
-    Raises ConstraintError for an array of the wrong shape or with invalid values.
+
+    Args:
+        positions: (T, J, 3) m, Y up, from any source; NaN where unknown.
+        joint_sd: Standard deviation of the joint positions in metres per axis, one for all or (T, J).
+        twists: (T or 1, J, 2) cosine and sine of the angle about each bone, scaled by its information in 1/rad^2; by default they
+            are predicted from the joint positions.
+        markers: (T, K, 3) m in the subject's order, NaN if not visible; those off a bone's axis determine its twist.
+        held_joints: (J,) bool: joints that keep the mean pose; by default the hip stubs for "x" and none for the other variants.
+
+    Raises:
+        ConstraintError: For an array of the wrong shape or with invalid values.
     """
     skeleton = get_cmu_skeleton(subject)
     joint_positions = check_array("positions", positions, (None, len(skeleton.names), 3))
@@ -419,9 +422,10 @@ def register_root(
 
     Frames with too few points take the rotation of the nearest frame and an interpolated position.
 
-    points        in metres, NaN where unknown; the first is the root
-    variance      (T or 1, Q) m^2 per axis
-    fit_position  whether the root position is fitted as well; otherwise it is kept where it is known
+    Args:
+        points: In metres, NaN where unknown; the first is the root.
+        variance: (T or 1, Q) m^2 per axis.
+        fit_position: Whether the root position is fitted as well; otherwise it is kept where it is known.
     """
     frame_count = len(points)
     position, rotation = np.empty((frame_count, 3)), np.empty((frame_count, 3, 3))
@@ -451,7 +455,8 @@ def get_cmu_skeleton(subject: Subject) -> Skeleton:
 def check_array(name: str, values: ArrayLike | float, shape: tuple[int | None, ...], allow_nan: bool = True) -> np.ndarray:
     """Return an argument as a contiguous array of floats.
 
-    Raises ConstraintError if its shape differs from `shape` (None: any length), or if it has infinite or forbidden NaN values.
+    Raises:
+        ConstraintError: If its shape differs from `shape` (None: any length), or if it has infinite or forbidden NaN values.
     """
     try:
         array = np.asarray(values).astype(float, order="C", casting="same_kind", copy=False)
@@ -471,7 +476,8 @@ def compute_point_variances(
 ) -> Float[np.ndarray, "N Q"]:
     """Return the variances (T or 1, Q) in m^2 per axis: of joints from their standard deviation, 0 for all other points.
 
-    Raises ConstraintError if the standard deviation of a known joint is below MIN_JOINT_SD_M.
+    Raises:
+        ConstraintError: If the standard deviation of a known joint is below MIN_JOINT_SD_M.
     """
     shape = positions.shape[:2] if np.ndim(joint_sd) else ()
     sd = check_array("joint_sd", joint_sd, shape)

@@ -2,11 +2,11 @@
 
 The methods (`INIT_METHODS`) are:
 
-learned       those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_ik`)
-hybrik-...    joint positions from the frame's markers, and from these its pose in closed form (`hybrik`)
-registration  the subject's segments registered to the visible markers, down the tree (`segment_registration`)
-previous      only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
-              saves some iterations, but frames cannot be solved in parallel, and a wrong solution affects the next frame.
+- `learned`: those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_ik`)
+- `hybrik-...`: joint positions from the frame's markers, and from these its pose in closed form (`hybrik`)
+- `registration`: the subject's segments registered to the visible markers, down the tree (`segment_registration`)
+- `previous`: only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
+  saves some iterations, but frames cannot be solved in parallel, and a wrong solution affects the next frame.
 """
 
 from dataclasses import dataclass, replace
@@ -53,7 +53,8 @@ def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> J
     markers therefore takes the mean pose, with a correspondingly large standard deviation. Coincident joints get the same
     position.
 
-    take  the markers in the subject's order, NaN if not visible or an outlier
+    Args:
+        take: The markers in the subject's order, NaN if not visible or an outlier.
     """
     prior = mean_pose.load_mean_pose_prior("mean-pose", subject.skeleton)
     rigid = build_rigid_skeleton(subject.skeleton, body.free_joints, prior)
@@ -175,9 +176,10 @@ def initialise_motion(
 ) -> Motion:
     """Return the initial pose of every frame; NaN where the frame starts from the solution of the frame before.
 
-    take    the markers in the subject's order, NaN if not visible or an outlier
-    prior   its mean pose is that of the joints that the body does not turn
-    method  one of INIT_METHODS
+    Args:
+        take: The markers in the subject's order, NaN if not visible or an outlier.
+        prior: Its mean pose is that of the joints that the body does not turn.
+        method: One of INIT_METHODS.
     """
     if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
         return initialise_in_blocks(take, subject, body, prior, method)
@@ -310,8 +312,9 @@ MIN_SEGMENT_TRUST = 0.25  # robust weight from which a marker shows the rotation
 def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subject, rate_hz: float) -> Motion:
     """Return poses whose joints without a visible marker have the rotations that the network infers; the others are unchanged.
 
-    motion    closed-form poses of all frames
-    estimate  the joint positions that they are made of
+    Args:
+        motion: Closed-form poses of all frames.
+        estimate: The joint positions that they are made of.
     """
     model = PoseRegressor(load_shipped_ik_network(), subject.skeleton, LEARNED_START_PASSES)
     joint_sd = np.nan_to_num(estimate.sd, nan=1.0)

@@ -204,8 +204,9 @@ def smooth_positions(
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J"]]:
     """Return joint positions smoothed over time, NaN where they are uncertain, and their standard deviations, in metres.
 
-    positions  of the 31 joints in metres, NaN where unknown; short gaps are filled
-    joint_sd   metres per axis
+    Args:
+        positions: Of the 31 joints in metres, NaN where unknown; short gaps are filled.
+        joint_sd: Metres per axis.
     """
     smoothed, smoothed_sd = np.empty(positions.shape), np.empty(positions.shape[:2])
     inputs = (np.ascontiguousarray(each, float) for each in (positions, joint_sd))
@@ -233,8 +234,9 @@ class PoseRegressor:
     def refine_poses(self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]) -> Poses:
         """Return poses, each from its own start pose.
 
-        positions  of the joints in metres, NaN where unknown
-        joint_sd   their standard deviations in metres per axis
+        Args:
+            positions: Of the joints in metres, NaN where unknown.
+            joint_sd: Their standard deviations in metres per axis.
         """
         tree, poses = build_transfer_tree(self.skeleton), start
         for _ in range(self.passes):

@@ -72,7 +72,8 @@ def load_mean_pose_prior(name: str, skeleton: Skeleton) -> MeanPosePrior:
 def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePrior:
     """Return the prior in a file, for joints of these names. The file is read once.
 
-    Raises SceneError if a joint of the file is missing or incomplete.
+    Raises:
+        SceneError: If a joint of the file is missing or incomplete.
     """
     data, joint_count = read_yaml(path), len(joint_names)
     mean_rotations = np.tile(np.eye(3), (joint_count, 1, 1))
@@ -96,7 +97,8 @@ def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePr
 def build_symmetric_matrix(entries: list[float]) -> Float[np.ndarray, "3 3"]:
     """Return the symmetric matrix of its entries xx, yy, zz, xy, xz, yz.
 
-    Raises TypeError or ValueError unless these are six numbers.
+    Raises:
+        TypeError, ValueError: Unless these are six numbers.
     """
     xx, yy, zz, xy, xz, yz = (float(v) for v in entries)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

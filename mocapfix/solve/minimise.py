@@ -275,9 +275,9 @@ def compute_shared_responses(
 ) -> SharedResponses:
     """Return the responses of frames at their solved poses, root in metres and local rotations.
 
-    terms                 those of the pose problem
-    squared_robust_scale  in units of the markers' standard deviation
-    only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
+    Args:
+        squared_robust_scale: In units of the markers' standard deviation.
+        only_errors: Compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient.
     """
     frames, joints = local.shape[:2]
     _, _, pose_prior, _ = terms

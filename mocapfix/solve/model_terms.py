@@ -80,9 +80,10 @@ def linearise_model_term(
 ) -> LatentCodeTerm:
     """Return a pose model as a term of the kernels, linearised at codes of `prior_scale` times `scaled_codes` (D, P).
 
-    prior_scale  factor of the model's standard deviations
-    stiffness    weight of the penalty that keeps the codes near the linearisation
-    batch_rows   row of each frame among the D linearisations
+    Args:
+        prior_scale: Factor of the model's standard deviations.
+        stiffness: Weight of the penalty that keeps the codes near the linearisation.
+        batch_rows: Row of each frame among the D linearisations.
     """
     is_common = (scaled_codes == scaled_codes[0]).all()  # at the start all codes are equal
     distinct, repeats = (scaled_codes[:1], len(scaled_codes)) if is_common else (scaled_codes, 1)

@@ -140,7 +140,8 @@ def compute_quaternion_matrices(quaternions: Float32[np.ndarray, "*batch 4"]) ->
 def compute_token_times(gap_s: Float[np.ndarray, " B"]) -> Float[np.ndarray, "B T"]:
     """Return the moments that the network is given, in seconds from the last known frame before a gap.
 
-    gap_s  from the last known frame before the gap to the first one after it
+    Args:
+        gap_s: From the last known frame before the gap to the first one after it.
     """
     inner = gap_s[:, None] * np.arange(1, INNER_COUNT + 1) / (INNER_COUNT + 1)
     before = np.broadcast_to(-CONTEXT_DISTANCES_S[::-1], (len(gap_s), len(CONTEXT_DISTANCES_S)))
@@ -227,7 +228,8 @@ def compute_window_features(
 ) -> Float32[np.ndarray, "B T F"]:
     """Return the features of gaps without heading.
 
-    is_inside  moments that are not beyond the ends of the take
+    Args:
+        is_inside: Moments that are not beyond the ends of the take.
     """
     batch, token_count, joint_count = is_known.shape
     tree, matrices = build_motion_tree(), compute_quaternion_matrices(windows.quaternions)
@@ -256,16 +258,12 @@ MIN_PREDICTED_GAP_S, MAX_PREDICTED_GAP_S = 0.15, 2.3
 
 
 class PredictedGap(NamedTuple):
-    """The motion in a gap of n frames, for the joints of `build_motion_tree`; known ones have their own rotations.
+    """The motion in a gap of n frames, for the joints of `build_motion_tree`; known ones have their own rotations."""
 
-    local_rotations  (n, J, 3, 3);  rotation_sd_rad  (n, J) per axis
-    root_position    (n, 3) m;      root_sd_m        (n,) per axis
-    """
-
-    local_rotations: np.ndarray
-    rotation_sd_rad: np.ndarray
-    root_position: np.ndarray
-    root_sd_m: np.ndarray
+    local_rotations: np.ndarray  # (n, J, 3, 3)
+    rotation_sd_rad: np.ndarray  # (n, J) per axis
+    root_position: np.ndarray  # (n, 3) m
+    root_sd_m: np.ndarray  # (n,) per axis
 
 
 @dataclass(frozen=True)
@@ -309,9 +307,10 @@ class MotionPrior:
     ) -> PredictedGap | None:
         """Return the motion in frames first..last, inclusive; None if the network was not trained on such a gap.
 
-        root_position    in metres, on a body of average size
-        local_rotations  of the 31 joints; missing ones are finite
-        is_known         which of the joints of `build_motion_tree` are known
+        Args:
+            root_position: In metres, on a body of average size.
+            local_rotations: Of the 31 joints; missing ones are finite.
+            is_known: Which of the joints of `build_motion_tree` are known.
         """
         gap_s = np.array([(last - first + 2) / rate_hz])
         if first == 0 or last == len(root_position) - 1 or not MIN_PREDICTED_GAP_S <= gap_s[0] <= MAX_PREDICTED_GAP_S:
@@ -426,16 +425,12 @@ CROPPED_CONTEXT_S = 1.1  # time on either side of a gap that a prediction is giv
 
 
 class GapPrediction(NamedTuple):
-    """The motion prior's prediction of L joints in n frames.
+    """The motion prior's prediction of L joints in n frames."""
 
-    rotations      (n, L, 3, 3) local;  variance       (n, L) rad^2 per axis, infinite for joints that it does not predict
-    root_position  (n, 3) m;            root_variance  (n,) m^2 per axis
-    """
-
-    rotations: np.ndarray
-    variance: np.ndarray
-    root_position: np.ndarray
-    root_variance: np.ndarray
+    rotations: np.ndarray  # (n, L, 3, 3) local
+    variance: np.ndarray  # (n, L) rad^2 per axis, infinite for joints that it does not predict
+    root_position: np.ndarray  # (n, 3) m
+    root_variance: np.ndarray  # (n,) m^2 per axis
 
     def select_joints(self, joints: Int[np.ndarray, " N"]) -> "GapPrediction":
         """Return the prediction of some of the joints."""
@@ -502,8 +497,8 @@ def compute_combined_variance(
 def predict_model_gap(prior: MotionPrior, context: GapContext, size_ratio: float = 1.0) -> GapPrediction | None:
     """Return the prediction of the 31 joints in a gap; None if it cannot be predicted.
 
-    context     with the 31 joints
-    size_ratio  size of the body relative to the average one
+    Args:
+        size_ratio: Size of the body relative to the average one.
     """
     tree, names = build_motion_tree(), load_cmu31_body().skeleton.names
     folded, is_known = context.local_rotations.copy(), context.is_known[:, tree.joints].copy()

@@ -58,7 +58,8 @@ CMU's training subjects: the solve must not trust a trajectory too much."""
 def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvidence, frames: Int[np.ndarray, " N"]) -> Motion:
     """Return the motion with the standard deviations of its joints and markers computed for some frames.
 
-    motion  its deviations in the other frames are kept, unless markers were added
+    Args:
+        motion: Its deviations in the other frames are kept, unless markers were added.
     """
     if not len(frames):
         return motion
@@ -98,10 +99,10 @@ def compute_pose_sd(
 
     That of a joint that the subject's markers do not show is NaN.
 
-    problem           as it was solved
-    actual_marker_sd  standard deviation of a measured marker about its place, see `estimate_actual_marker_sd`, in metres
-    tracking          the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
-    robust_scale_m    the last robust scale of the solve
+    Args:
+        actual_marker_sd: Standard deviation of a measured marker about its place, see `estimate_actual_marker_sd`, in metres.
+        tracking: The trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty.
+        robust_scale_m: The last robust scale of the solve.
     """
     actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
     uncertainty = actual.compute_uncertainty(pose, robust_scale_m, tracking)
@@ -115,8 +116,8 @@ def estimate_actual_marker_sd(
 ) -> float:
     """Return the standard deviation per axis, in metres, of a measured marker about its place on the solved body.
 
-    problem            as it was solved
-    nominal_marker_sd  standard deviation of the markers predicted with the weights of the solve, in metres
+    Args:
+        nominal_marker_sd: Standard deviation of the markers predicted with the weights of the solve, in metres.
     """
     absorbed_share = (nominal_marker_sd / problem.marker_sd) ** 2
     distance = kinematics.compute_marker_distances(subject, pose, problem.marker_positions)
@@ -152,8 +153,9 @@ def estimate_marker_sd(
 ) -> float:
     """Return the error of markers in metres per axis, from their distances to the body that was fitted to them.
 
-    absorbed_share  part of a marker's squared error that the pose absorbed: 0 none, 1 all
-    is_usable       samples that enter the estimate; without any, `default_sd` is returned
+    Args:
+        absorbed_share: Part of a marker's squared error that the pose absorbed: 0 none, 1 all.
+        is_usable: Samples that enter the estimate; without any, `default_sd` is returned.
     """
     if not is_usable.any():
         return default_sd
@@ -194,7 +196,8 @@ def _solve_inferred_joints(
 ) -> Float[np.ndarray, "N J 3 3"]:
     """Return the local rotations of some frames in which the unobserved joints track smooth trajectories through `pose`.
 
-    variance  of the rotations in `pose`, in rad^2
+    Args:
+        variance: Of the rotations in `pose`, in rad^2.
     """
     root_position, start = pose[0][frames], pose[1][frames]
     weight = np.full(start.shape[:2], FIXED_JOINT_WEIGHT)
@@ -231,10 +234,11 @@ def solve_motion(
 ) -> Motion:
     """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
 
-    take             the markers in the subject's order, NaN if not visible or an outlier
-    prior            the mean pose of independent joints, which makes every frame determinate
-    initial_motion   the start of each frame's first solve; NaN where it starts from the frame before
-    conditioner      a trained pose model; used only if a limb is occluded for so long that the take itself does not determine it
+    Args:
+        take: The markers in the subject's order, NaN if not visible or an outlier.
+        prior: The mean pose of independent joints, which makes every frame determinate.
+        initial_motion: The start of each frame's first solve; NaN where it starts from the frame before.
+        conditioner: A trained pose model; used only if a limb is occluded for so long that the take itself does not determine it.
     """
     problem = build_motion_problem(take, subject, body, prior, limits, options)
     start = replace(
@@ -263,10 +267,11 @@ def solve_changed_frames(
 ) -> tuple[Motion, PoseEvidence]:
     """Solve the frames that changes affect, from the poses in `start`; the others keep these.
 
-    start     the solution before, except for the poses of restarted frames; its poses are overwritten with the new solution
-    evidence  of the solution before; without it all frames are solved
-
     Unobserved joints follow interpolations, until `complete_motion` finds better poses for them.
+
+    Args:
+        start: The solution before, except for the poses of restarted frames; its poses are overwritten with the new solution.
+        evidence: Of the solution before; without it all frames are solved.
     """
     frame_count, joint_count = start.local_rotations.shape[:2]
     marker_count = len(problem.subject.joints)
@@ -302,7 +307,8 @@ def solve_changed_frames(
 def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " T"]:
     """Return the FrameStatus of every frame: that of the solve, unless too few markers are visible or they lie off the body.
 
-    markers  in metres in the subject's order, NaN if not visible or an outlier
+    Args:
+        markers: In metres in the subject's order, NaN if not visible or an outlier.
     """
     distance = kinematics.compute_marker_distances(subject, (motion.root_position, motion.local_rotations), markers)
     visible_count = (~np.isnan(distance)).sum(1)

@@ -54,11 +54,7 @@ def compute_joint_state_features(
     frames: Int[np.ndarray, " N"],
     rate: float,
 ) -> Float[np.ndarray, "N F"]:
-    """Return the features of the body's state in some frames, each in units of a difference that counts as one.
-
-    root_position  in metres
-    joints         indices of the joints whose rotations are features
-    """
+    """Return the features of the body's state in some frames, each in units of a difference that counts as one."""
     span, last = max(1, round(VELOCITY_HALF_SPAN_S * rate)), len(root_position) - 1
     before, after = np.maximum(frames - span, 0), np.minimum(frames + span, last)
     seconds = (after - before) / rate + (last == 0)
@@ -110,10 +106,11 @@ def infer_occluded_joints(
 ) -> None:
     """Overwrite the rotations of unobserved joints, and their variance in rad^2, with predictions.
 
-    root_position, local_rotations, variance  the solution of each frame on its own, in metres and rad^2
-    is_unobserved                             as from `pose_problem.find_unobserved_joints`
-    kernel                                    covariance of the rotations between frames
-    solved                                    equal to local_rotations, which are overwritten; copied from there by default
+    Args:
+        root_position, local_rotations, variance: The solution of each frame on its own, in metres and rad^2.
+        is_unobserved: As from `pose_problem.find_unobserved_joints`.
+        kernel: Covariance of the rotations between frames.
+        solved: Equal to local_rotations, which are overwritten; copied from there by default.
     """
     joints = np.flatnonzero(free_joints)[1:]
     has_body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
@@ -168,8 +165,9 @@ def combine_with_motion_prior(
 ) -> Float[np.ndarray, "n L"]:
     """Combine the estimates of occluded joints in a gap with the motion prior, in place, and return their variance in rad^2.
 
-    rotations  of all joints in the gap, those of the occluded ones are estimates
-    context    the solution of each frame around the gap
+    Args:
+        rotations: Of all joints in the gap, those of the occluded ones are estimates.
+        context: The solution of each frame around the gap.
     """
     cropped = context.crop()
     local_rotations = cropped.local_rotations.copy()

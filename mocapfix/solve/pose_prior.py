@@ -65,7 +65,8 @@ class PoseModel(ABC):
     def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "PoseModel":
         """Return the model of a file.
 
-        Raises KeyError, TypeError, ValueError or RuntimeError if header or tensors are incomplete, unknown or have wrong shapes.
+        Raises:
+            KeyError, TypeError, ValueError, RuntimeError: If header or tensors are incomplete, unknown or have wrong shapes.
         """
 
     def select_components(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> "PoseModel":
@@ -81,7 +82,8 @@ class PoseModel(ABC):
 def validate_tensors(tensors: Tensors, **shapes: tuple[int, ...]) -> Tensors:
     """Return the tensors as float64.
 
-    Raises ValueError unless the tensors have exactly these names and shapes and are finite.
+    Raises:
+        ValueError: Unless the tensors have exactly these names and shapes and are finite.
     """
     actual_shapes = {name: values.shape for name, values in tensors.items()}
     if actual_shapes != shapes or not all(np.isfinite(values).all() for values in tensors.values()):
@@ -192,7 +194,8 @@ class MixtureModel(PoseModel):
     @property
     def component_offsets(self) -> Float[np.ndarray, " C"]:
         """The cost of a component besides half the squared code: log of the determinant of its Cholesky factor minus log
-        weight."""
+        weight.
+        """
         log_determinant = np.log(np.diagonal(self.component_cholesky, axis1=1, axis2=2)).sum(1)
         return log_determinant - np.log(self.component_weights)
 

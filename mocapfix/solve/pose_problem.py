@@ -55,8 +55,9 @@ def find_gap_borders(
     borders, and neither has a gap in which the marker's joint is unobserved throughout: the pose does not change there, since
     the trajectory of an unobserved joint continues from its last pose.
 
-    is_inlier      samples that are visible and no outliers
-    is_unobserved  whether the joint of the marker is unobserved
+    Args:
+        is_inlier: Samples that are visible and no outliers.
+        is_unobserved: Whether the joint of the marker is unobserved.
     """
     mask = np.zeros_like(is_inlier)
     for k in range(is_inlier.shape[1]):
@@ -68,10 +69,7 @@ def find_gap_borders(
 
 
 def find_partly_observed_joints(is_used: Bool[np.ndarray, "T K"], subject: Subject) -> Bool[np.ndarray, "T J"]:
-    """Find the joints that lack a marker of their own or of a child which other frames show.
-
-    is_used  samples of the subject's markers that the solver uses
-    """
+    """Find the joints that lack a marker of their own or of a child which other frames show."""
     is_partly_observed = np.zeros((len(is_used), len(subject.skeleton.names)), bool)
     for k in np.flatnonzero(is_used.any(0)):
         joint = subject.joints[k]
@@ -84,10 +82,7 @@ def find_partly_observed_joints(is_used: Bool[np.ndarray, "T K"], subject: Subje
 def find_unobserved_joints(
     is_used: Bool[np.ndarray, "T K"], subject: Subject, free_joints: Bool[np.ndarray, " J"]
 ) -> Bool[np.ndarray, "T J"]:
-    """Find the free joints below the root without any used marker on them or on their descendants, if other frames have one.
-
-    is_used  samples of the subject's markers that the solver uses
-    """
+    """Find the free joints below the root without any used marker on them or on their descendants, if other frames have one."""
     is_observed = np.zeros((len(is_used), len(free_joints)), bool)
     for k, joint in enumerate(subject.joints):
         is_observed[:, joint] |= is_used[:, k]

@@ -61,7 +61,8 @@ class PriorConditioner:
     ) -> Float[np.ndarray, "N Q"]:
         """Return predicted quaternions of L occluded joints, multiplied by 2, as rows of Q = 4 L numbers.
 
-        reference  quaternions that determine the sign: of two for the same rotation, the nearer one is returned
+        Args:
+            reference: Quaternions that determine the sign: of two for the same rotation, the nearer one is returned.
         """
         model = self.load_pose_model()
         batches = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES)) if len(frames) else []

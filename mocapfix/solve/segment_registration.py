@@ -25,8 +25,9 @@ def register_poses(
     last such joint share the rotation. Without markers, the mean pose is kept; a frame with fewer than three markers on the
     trunk takes its root from its neighbours in time.
 
-    free     joints that may rotate
-    markers  metres, in the subject's order, NaN where missing or rejected
+    Args:
+        free: Joints that may rotate.
+        markers: Metres, in the subject's order, NaN where missing or rejected.
     """
     skeleton, frames = subject.skeleton, len(markers)
     root, local = register_trunk(subject, prior, markers)

@@ -327,13 +327,16 @@ def solve_pose(
         pose = solve_pose([PositionConstraint("LeftHand", (0.5, 1.4, 0.3)), PositionConstraint("Head", (0.0, 1.6, 0.0))])
         shoulder = pose.joint_positions[pose.skeleton.find_joint("LeftArm")]
 
-    prior        a trained model or its name, as the files priors/NAME.safetensors; "none" assumes only the rest pose
-    prior_scale  factor of the prior's standard deviations (2: weaker prior)
-    skeleton     by default the average body of the CMU subjects
-    start        root position (3,) m and local rotations (J, 3, 3); by default the best result of four starts from the prior's
-                 reference pose in different headings is returned
+    Args:
+        prior: A trained model or its name, as the files priors/NAME.safetensors; "none" assumes only the rest pose.
+        prior_scale: Factor of the prior's standard deviations (2: weaker prior).
+        skeleton: By default the average body of the CMU subjects.
+        start: Root position (3,) m and local rotations (J, 3, 3); by default the best result of four starts from the prior's
+            reference pose in different headings is returned.
 
-    Raises ConstraintError for missing or invalid constraints, an invalid scale or start; SceneError for an unknown prior.
+    Raises:
+        ConstraintError: For missing or invalid constraints, an invalid scale or start.
+        SceneError: For an unknown prior.
     """
     if not 0 < prior_scale < np.inf:
         raise ConstraintError(f"prior_scale must be greater than 0 and finite, not {prior_scale!r}.")

@@ -134,7 +134,8 @@ def smooth_root_path(
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
     """Return the smooth trajectory of the root in metres, and its variance in frames that do not determine the root.
 
-    variance  of each frame's own solution, in m^2 per axis
+    Args:
+        variance: Of each frame's own solution, in m^2 per axis.
     """
     power = estimate_acceleration_power(root_position, variance, rate, MAX_POWER_SAMPLE_SD / 10)
     return smooth_path(root_position, variance, power, rate), compute_gap_variance(variance > MAX_ROOT_SD_M**2, power, rate)
@@ -148,7 +149,8 @@ def track_across_gaps(
 ) -> tuple[TrackingTerm, Float[np.ndarray, "T J"]]:
     """Return a tracking term for uncertain joints that follows their smooth trajectories, and its variances in rad^2.
 
-    local_rotations, variance  of each frame's own solution, in rad^2
+    Args:
+        local_rotations, variance: Of each frame's own solution, in rad^2.
     """
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
     for j in np.flatnonzero(is_uncertain.any(0)):
@@ -171,8 +173,9 @@ def smooth_poses(
 ) -> TrackingTerm:
     """Return a tracking term that follows the smooth trajectories of all free joints and the root.
 
-    local_rotations  overwritten with the smooth rotations, which the term refers to
-    is_uncertain     joints that lack a marker
+    Args:
+        local_rotations: Overwritten with the smooth rotations, which the term refers to.
+        is_uncertain: Joints that lack a marker.
     """
     weight = np.zeros(local_rotations.shape[:2])
     for j in np.flatnonzero(free_joints).tolist():
@@ -218,8 +221,9 @@ def remove_pose_jitter(
 
     World rotations are smoothed: markers determine those of the segments, and how adjacent joints share them much less.
 
-    is_uncertain, is_unobserved  joints that lack some markers, and all: where markers appear or disappear, a jump of the pose is
-                                 no motion
+    Args:
+        is_uncertain, is_unobserved: Joints that lack some markers, and all: where markers appear or disappear, a jump of the pose
+            is no motion.
     """
     is_known = ~is_unobserved
     is_known[1:] &= is_uncertain[1:] == is_uncertain[:-1]
@@ -242,7 +246,8 @@ def remove_jitter(
     power was estimated. The power is raised there, so that a strike is not cut short. Jitter changes its side from frame to
     frame: the mean over ACCELERATION_STEP_S has little of it.
 
-    is_known  frames in which the markers determine the rotation; only those, with known neighbours, show a faster motion
+    Args:
+        is_known: Frames in which the markers determine the rotation; only those, with known neighbours, show a faster motion.
     """
     variance = np.full(len(joint_quaternions), jitter_sd_rad**2)
     power = estimate_rotation_power(joint_quaternions, variance, rate)

@@ -1,9 +1,9 @@
 """The terms of a cost: what poses can be asked to agree with, each half a sum of squares in standard deviations.
 
-points       markers and joints at their places (`PointTerm`), in images (`ReprojectionTerm`), at distances (`DistanceTerm`)
-segments     directions of bones (`DirectionTerm`) and orientations in the world (`OrientationTerm`)
-joints       smooth trajectories (`TrackingTerm`), the mean pose (`PosePriorTerm`), joint limits (`JointLimitTerm`)
-whole poses  a trained model with a latent code (`model_terms.PoseModelTerm`)
+- `points`: markers and joints at their places (`PointTerm`), in images (`ReprojectionTerm`), at distances (`DistanceTerm`)
+- `segments`: directions of bones (`DirectionTerm`) and orientations in the world (`OrientationTerm`)
+- `joints`: smooth trajectories (`TrackingTerm`), the mean pose (`PosePriorTerm`), joint limits (`JointLimitTerm`)
+- `whole poses`: a trained model with a latent code (`model_terms.PoseModelTerm`)
 
 Their classes are those of the kernels, which evaluate them; the functions here build those of a body.
 """

@@ -234,7 +234,8 @@ class AutoencoderModel(PoseModel):
 
     def serialise(self) -> tuple[Header, Tensors]:
         """Return header and tensors; the weights in half precision, for which standard deviations and code scale were
-        estimated."""
+        estimated.
+        """
         weights = {_name_file_weight(name): values.astype(np.float16) for name, values in self.weights.items()}
         tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_AUTOENCODER_TENSOR.items()}
         shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}
@@ -357,7 +358,8 @@ def get_model_class(kind: str) -> type[PoseModel]:
 def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:
     """Return a function that loads a trained prior once, when it is first needed; None for the name "none".
 
-    Raises SceneError where there is no such prior.
+    Raises:
+        SceneError: Where there is no such prior.
     """
     if name == "none":
         return None

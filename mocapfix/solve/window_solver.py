@@ -66,7 +66,8 @@ def compute_marker_equations(
 ) -> MarkerEquations:
     """Return the cost of the markers of a problem's frames about poses.
 
-    jacobian  rotation of each free joint, in its parent's axes, by its pose vector
+    Args:
+        jacobian: Rotation of each free joint, in its parent's axes, by its pose vector.
     """
     tree, attachment = problem.tree, problem.attachment
     joints = np.flatnonzero(tree.free)[1:]
@@ -153,9 +154,10 @@ def build_frame_prior_term(
 ) -> PosePriorTerm:
     """Return the prior term of every frame, from the poses of the frames' own solution.
 
-    weight         inverse square of the factor of the model's standard deviations
-    base           the mean pose; unobserved and fixed joints keep it, and all joints keep its information about locked axes
-    frames         sampled frames, the first and the last among them
+    Args:
+        weight: Inverse square of the factor of the model's standard deviations.
+        base: The mean pose; unobserved and fixed joints keep it, and all joints keep its information about locked axes.
+        frames: Sampled frames, the first and the last among them.
     """
     tree = problem.tree
     means, information = problem.pose_prior.rotations[0], problem.pose_prior.information[0]
@@ -337,9 +339,10 @@ def recover_lost_limbs(
 ) -> None:
     """Overwrite the poses of frames in which a limb was lost, where another start gives a better one.
 
-    pose          the solution with tracking; overwritten
-    own_pose      the solution of each frame on its own
-    is_uncertain  joints that lack a marker; only these keep following their smooth trajectories
+    Args:
+        pose: The solution with tracking; overwritten.
+        own_pose: The solution of each frame on its own.
+        is_uncertain: Joints that lack a marker; only these keep following their smooth trajectories.
     """
     predicted = predict_markers(subject, pose)
     cost = compute_marker_cost(problem, predicted)
@@ -419,7 +422,8 @@ class IndependentSolution(NamedTuple):
 def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
     """Return the solution of all frames of a window.
 
-    is_restarted  frames whose start may be far from the solution
+    Args:
+        is_restarted: Frames whose start may be far from the solution.
     """
     poses, iterations = solve_from_starts(window, start, is_restarted)
     if window.conditioner is not None:

@@ -72,12 +72,13 @@ def fit_smoothest_offset(
     """Return the corrected samples inside a span that continue the known samples most smoothly, and the correction's variance per
     axis.
 
-    known          samples beside the span, at `known_times_s`
-    models         of the span's samples, at `span_times_s`; the most likely one is used
-    used_samples   indices of the span's samples that are fitted: samples far from both edges contain no information
-
     The signal is a Gaussian process (Matern-5/2) about an unknown mean. Models are compared by their least squares and, as they
     differ in the number of unknowns, by Schwarz's criterion.
+
+    Args:
+        known: Samples beside the span, at `known_times_s`.
+        models: Of the span's samples, at `span_times_s`; the most likely one is used.
+        used_samples: Indices of the span's samples that are fitted: samples far from both edges contain no information.
     """
     times_s = np.r_[known_times_s, span_times_s[used_samples]]
     covariance = OFFSET_MEAN_VARIANCE_RATIO + compute_matern_52(times_s[:, None] - times_s, OFFSET_TIME_SCALE_S)

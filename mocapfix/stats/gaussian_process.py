@@ -66,7 +66,8 @@ class StateCovariance(NamedTuple):
 
 class HeldOutPrediction(NamedTuple):
     """The prediction of some training frames from the others: their indices, the errors (H, C), prediction minus value, and the
-    predicted variance (H,) relative to the signal power."""
+    predicted variance (H,) relative to the signal power.
+    """
 
     indices: np.ndarray
     error: np.ndarray
@@ -131,9 +132,9 @@ def fit_gaussian_process(
 ) -> GaussianProcess:
     """Return the process of C signals, given their `values` in N frames.
 
-    states          (N, F), each in units of a difference that counts as one
-    times_s         (N,) seconds
-    noise_variance  (N,) of the values beside the covariance's own noise, in their unit squared
+    Args:
+        states: Each in units of a difference that counts as one.
+        noise_variance: Of the values beside the covariance's own noise, in their unit squared.
     """
     state_mean, value_mean = states.mean(0), values.mean(0)
     states, values = states - state_mean, values - value_mean
@@ -172,11 +173,11 @@ def interpolate_residual(
 ) -> InterpolatedResidual:
     """Return the process of a residual (T, 3), in any unit and NaN where unknown, in the frames `is_gap` (T,).
 
-    rate          Hz
-    time_scale_s  of the residual's correlation
-    margin_s      on either side of a gap that is used
-    noise_sd      of a single sample, in the residual's unit
-    min_sd        least standard deviation of the process, likewise
+    Args:
+        time_scale_s: Of the residual's correlation.
+        margin_s: On either side of a gap that is used.
+        noise_sd: Of a single sample, in the residual's unit.
+        min_sd: Least standard deviation of the process, likewise.
     """
     is_known = ~np.isnan(residual[:, 0])
     mean, variance = np.zeros_like(residual), np.zeros(len(residual))
@@ -212,7 +213,8 @@ def build_residual_map(
 ) -> Float[np.ndarray, "P N"]:
     """Return the linear map from a residual's known samples to its expectation at other times, in seconds.
 
-    noise_ratio  variance of a sample's noise relative to the power of the process
+    Args:
+        noise_ratio: Variance of a sample's noise relative to the power of the process.
     """
     among = compute_residual_correlation(known_s[:, None] - known_s, time_scale_s, roughness) + noise_ratio * np.eye(len(known_s))
     return np.linalg.solve(among, compute_residual_correlation(known_s[:, None] - wanted_s, time_scale_s, roughness)).T

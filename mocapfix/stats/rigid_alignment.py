@@ -31,7 +31,8 @@ def compute_cross_covariance(
 def fit_rotations(cross: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:
     """Return the rotations R that maximise trace(R' cross), never a reflection.
 
-    cross  sums of outer products, measured by model
+    Args:
+        cross: Sums of outer products, measured by model.
     """
     rotation = np.empty(cross.shape)
     fit_rotation_frames(_make_contiguous(cross), rotation)

@@ -54,8 +54,9 @@ def find_cheapest_states(
 ) -> Int[np.ndarray, " T"]:
     """Return the state of each frame in the sequence of least total cost (Viterbi 1967).
 
-    step_cost   (T - 1, N, N) cost of the step from each state of a frame to each state of the next
-    state_cost  (T, N) cost of each state in each frame
+    Args:
+        step_cost: (T - 1, N, N) cost of the step from each state of a frame to each state of the next.
+        state_cost: Cost of each state in each frame.
     """
     return compute_cheapest_states(step_cost, state_cost)
 
@@ -63,7 +64,8 @@ def find_cheapest_states(
 def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[int]:
     """Return the indices of rows that differ most: the one nearest to the mean, then each that is farthest from those before it.
 
-    count  at least one is returned, and at most N are different
+    Args:
+        count: At least one is returned, and at most N are different.
     """
     chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin())]
     nearest = np.full(len(values), np.inf)
@@ -117,8 +119,9 @@ def smooth_path(
 ) -> Float[np.ndarray, "T C"]:
     """Return the x that minimises sum |x_t - path_t|^2 / variance_t + integral |x''|^2 / power.
 
-    variance            per component
-    acceleration_power  in squared units of the path / s^3
+    Args:
+        variance: Per component.
+        acceleration_power: In squared units of the path / s^3.
     """
     from scipy.linalg import solveh_banded  # slow to import
 

@@ -111,9 +111,11 @@ MAX_KEPT_CHANGE_SD = 3.0
 def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
     """Return the bone lengths and marker offsets that explain the take best, with a pose for each frame.
 
-    take  the markers in the order of the marker set, NaN if not visible or an outlier
+    Args:
+        take: The markers in the order of the marker set, NaN if not visible or an outlier.
 
-    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
+    Raises:
+        TakeError: If no frame shows three markers, or the markers do not fit a person's size.
     """
     return fit_calibration(take, marker_set, body, prior).subject
 
@@ -136,7 +138,8 @@ def fit_calibration(
 ) -> CalibrationFit:
     """Calibrate as `calibrate_subject`.
 
-    previous  a calibration from the same take with a few more or fewer samples: its frames are refined from where it ended
+    Args:
+        previous: A calibration from the same take with a few more or fewer samples: its frames are refined from where it ended.
     """
     if previous is None:
         start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
@@ -203,9 +206,11 @@ def select_calibration_frames(
 ) -> CalibrationFrames:
     """Return the frames of a take that show most markers and differ most in pose.
 
-    take  the markers in the order of the marker set, NaN if not visible or an outlier
+    Args:
+        take: The markers in the order of the marker set, NaN if not visible or an outlier.
 
-    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
+    Raises:
+        TakeError: If no frame shows three markers, or the markers do not fit a person's size.
     """
     start, frames, (root_position, local_rotations) = choose_calibration_frames(take, marker_set, body, prior)
     return CalibrationFrames(
@@ -231,10 +236,11 @@ def add_moved_markers(
 
     A new offset is the median of the visible samples in the axes of the joint; its spread is that of the original marker.
 
-    markers         (T, E, 3) m: the samples at the new positions, NaN elsewhere
-    marker_indices  (E,) the subject's marker that was moved
-
     Returns the extended subject, and (E,) bool: the positions visible in enough frames to be added.
+
+    Args:
+        markers: (T, E, 3) m: the samples at the new positions, NaN elsewhere.
+        marker_indices: (E,) the subject's marker that was moved.
     """
     position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
     enough = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MOVED_MARKER_FRAMES

@@ -160,10 +160,7 @@ class JointGraph:
 
 
 def find_legs(groups: Sequence[MovingGroup], floor_m: float) -> list[LegChain]:
-    """Return one leg, or the left and the right one of one person among rigid groups; none where it is uncertain which they are.
-
-    floor_m  height of the lowest marker of the take
-    """
+    """Return one leg, or the left and the right one of a person among rigid groups; none where it is uncertain which they are."""
     graph = JointGraph(groups)
     chains = [
         _complete_chain(graph, (pelvis, thigh, shank), floor_m)

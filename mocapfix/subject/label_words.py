@@ -77,8 +77,6 @@ def locate_label(label: str, side_places: Collection[str] = ALL_SIDE_PLACES) -> 
     """Return the name of the joint and the position in its axes, m, that the words of a label mean.
 
     Returns None if the label has no known word, names an object, or has no word for the side of a marker that needs one.
-
-    side_places  where a word for a side may stand
     """
     name = fold_label(label)
     if names_object(label) or name in _load_other_words().modifiers:

@@ -97,7 +97,8 @@ class LearnedBody:
 def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from_positions: bool) -> str:
     """Return why a learned body is not plausible as the predicate of a sentence, "" if it is.
 
-    from_positions  whether the segments were guessed from positions alone
+    Args:
+        from_positions: Whether the segments were guessed from positions alone.
     """
     min_size = MIN_POSITION_SIZE_RATIO if from_positions else MIN_LEARNED_SIZE_RATIO
     segment_distance = count_segments_between(learned.marker_set.joints)
@@ -229,8 +230,9 @@ def measure_learned_body(
 ) -> LearnedBody:
     """Return what the checks compare of a set that was fitted to a take.
 
-    labels            the names of the take's markers in the set
-    average_length_m  total length of the average skeleton
+    Args:
+        labels: The names of the take's markers in the set.
+        average_length_m: Total length of the average skeleton.
     """
     columns = [labels.index(label) for label in marker_set.labels]
     markers = take.markers[:, columns]
@@ -270,10 +272,7 @@ def is_contradicted_by_words(guess: MarkerSet, from_words: MarkerSet) -> bool:
 def find_doubtful_markers(
     take: Take, labels: Sequence[str], fit: "MarkerSetFit", named_labels: Collection[str]
 ) -> dict[str, str]:
-    """Return why a marker is left out of the learned set though it was attached to a segment, by label.
-
-    named_labels  the markers whose segments were known before
-    """
+    """Return why a marker is left out of the learned set though it was attached to a segment, by label."""
     skeleton, attachment = load_cmu31_body().skeleton, fit.attachment
     is_named = np.array([label in named_labels for label in labels])
     max_sd = np.where(is_named, MAX_NAMED_MARKER_SD_M, MAX_UNNAMED_MARKER_SD_M)
@@ -431,10 +430,8 @@ def select_subject_markers(take: Take) -> SubjectMarkers:
 def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None = None) -> InitialGuess:
     """Return the most certain guess at the markers of a take from its labels or the cloud of its markers.
 
-    labels  of the take's markers, without subject prefixes
-    like    as for `learn_marker_set`
-
-    Raises TakeError if the set `like` has too few of the take's markers, or if no guess shows a body.
+    Raises:
+        TakeError: If the set `like` has too few of the take's markers, or if no guess shows a body.
     """
     visible_labels = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
     known = load_marker_set(like) if like else choose_marker_set(visible_labels).marker_set
@@ -494,7 +491,8 @@ def relabel_marker_set(known: MarkerSet, labels: Sequence[str]) -> MarkerSet:
 def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title: str, *, keep_guess: bool) -> MarkerSet:
     """Return the learned set under its name, with the offsets that were measured on this person.
 
-    keep_guess  whether the offsets of the guessed markers stay as they are, because they are of a known set
+    Args:
+        keep_guess: Whether the offsets of the guessed markers stay as they are, because they are of a known set.
     """
     marker_set = learned.marker_set
     size = learned.subject.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
@@ -551,12 +549,13 @@ def learn_marker_set(
 ) -> LearnedMarkerSet:
     """Return the marker set of the take at `path` under a name.
 
-    like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
-    subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
-    options         what is known about the file, as for `read_take`
-    progress        called with the name of each stage as it begins
-
     Raises ReadError, SceneError or TakeError.
+
+    Args:
+        like: A marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any.
+        subject_prefix: The subject ("Jim" of Jim:LFHD); None for the one with the most markers.
+        options: What is known about the file, as for `read_take`.
+        progress: Called with the name of each stage as it begins.
     """
     report_stage = progress or (lambda stage: None)
     report_stage("read")

@@ -68,7 +68,8 @@ def read_subject(path: str | Path) -> Subject:
 def write_subject(path: str | Path, subject: Subject) -> None:
     """Write a subject as YAML, with lengths rounded to LENGTH_DECIMALS.
 
-    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
+    Raises:
+        WriteError: If the folder cannot be written; an existing file is then left unchanged.
     """
     skeleton, names = subject.skeleton, subject.skeleton.names
     bones: dict[str, InlineMapping] = {}
@@ -215,7 +216,8 @@ def load_whole_body_marker_sets() -> tuple[MarkerSet, ...]:
 def load_marker_set(name_or_path: str | Path) -> MarkerSet:
     """Return a shipped marker set by its name, or the set in a YAML file.
 
-    Raises SceneError if there is no such set (the message lists the shipped ones) or the file has a wrong key.
+    Raises:
+        SceneError: If there is no such set (the message lists the shipped ones) or the file has a wrong key.
     """
     set_of_name = {each.name: each for each in load_shipped_marker_sets()}
     set_of_name |= {name: each for each in load_shipped_marker_sets() for name in each.other_names}
@@ -243,7 +245,8 @@ def build_subject_marker_set(subject: Subject) -> MarkerSet:
 def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "") -> None:
     """Write a marker set as YAML for `load_marker_set`, below a comment of any number of lines.
 
-    Raises WriteError if the folder cannot be written to; an existing file then stays as it is.
+    Raises:
+        WriteError: If the folder cannot be written to; an existing file then stays as it is.
     """
     joint_names = load_cmu31_body().skeleton.names
     markers: dict[str, InlineMapping] = {}
@@ -377,8 +380,6 @@ def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = 
 
     "L_" of "L_ANKLE" is none: a prefix is the name of a subject only if what follows it shows a body or a part of one in a
     marker set, and if more markers are found in this way than by the whole labels.
-
-    marker_set  a set to be considered besides the shipped ones
     """
     if any(":" in label for label in labels):
         return ()
@@ -401,7 +402,8 @@ def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = 
 def select_subject(take: Take, subject_prefix: str) -> Take:
     """Return the markers of one subject of a take, who is given by the beginning of the labels: "Jim" or "Jim:".
 
-    Raises TakeError where no subject has that name.
+    Raises:
+        TakeError: Where no subject has that name.
     """
     subject_prefix = subject_prefix.strip().removesuffix(":")
     names = np.array([name.casefold() for name in take.marker_subjects], object)
@@ -488,7 +490,8 @@ def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
 def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     """Return the subject and the marker set of one subject's take: those that the options name, or the set that its labels match.
 
-    Raises TakeError where the named set or subject does not fit the take.
+    Raises:
+        TakeError: Where the named set or subject does not fit the take.
     """
     if take.subject_name == UNASSIGNED_SUBJECT:
         return SubjectChoice(None, None, ("Markers that form neither a body nor a part of one are cleaned without a skeleton.",))

@@ -88,10 +88,11 @@ def attach_markers(
 ) -> AttachedMarkers:
     """Return the most likely segment of each marker.
 
-    markers                           in metres in N different frames, NaN if not visible
-    joint_positions, joint_rotations  the joints in the world, in metres
-    atlas                             marker positions of the known sets at the size of this body
-    label_log_odds                    log odds of each joint given the marker's label
+    Args:
+        markers: In metres in N different frames, NaN if not visible.
+        joint_positions, joint_rotations: The joints in the world, in metres.
+        atlas: Marker positions of the known sets at the size of this body.
+        label_log_odds: Log odds of each joint given the marker's label.
     """
     candidates, each = np.unique(atlas.joints), np.arange(markers.shape[1])
     offsets, sd = measure_marker_offsets(markers, joint_positions[:, candidates], joint_rotations[:, candidates])
@@ -155,8 +156,10 @@ def _explain_too_few_frames(frame_count: int, min_frames: float) -> str:
 def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: int, joint_names: list[str]) -> str:
     """Return why a marker is attached to no segment, "" if it is.
 
-    residual_sd     (C,) m per axis: its motion relative to each of C segments, of which `best` is the most likely
-    atlas_distance  distance in metres from the nearest known marker position on that segment; 0 if the label names the segment
+    Args:
+        residual_sd: (C,) m per axis: its motion relative to each of C segments, of which `best` is the most likely.
+        atlas_distance: Distance in metres from the nearest known marker position on that segment; 0 if the label names the
+            segment.
     """
     if residual_sd[best] > MAX_ATTACHED_SD_M:
         least = int(residual_sd.argmin())
@@ -201,11 +204,13 @@ def fit_marker_set(
 ) -> MarkerSetFit:
     """Return the marker set of a take, as far as its markers are attached to the body.
 
-    labels          the names of the take's M markers in the new set
-    guess           an initial set of some of these markers, enough to determine a body
-    label_log_odds  log odds that the guess names the correct segment
+    Args:
+        labels: The names of the take's M markers in the new set.
+        guess: An initial set of some of these markers, enough to determine a body.
+        label_log_odds: Log odds that the guess names the correct segment.
 
-    Raises TakeError if the guess does not fit a person's size, or no marker moves with it.
+    Raises:
+        TakeError: If the guess does not fit a person's size, or no marker moves with it.
     """
     atlas, frames = build_marker_atlas(load_whole_body_marker_sets()), select_candidate_frames(take.markers)
     frames = frames[sample_evenly(len(frames), MAX_ATTACHMENT_FRAMES)]
@@ -249,8 +254,6 @@ def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess
     """Return the attached markers as a set on the average body.
 
     Where the guess has the correct segment its offset is kept, otherwise the measured one is used.
-
-    size  the person's size relative to the average body
     """
     guessed = {label: k for k, label in enumerate(guess.labels)}
     attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0]

@@ -85,7 +85,8 @@ class CalibrationParameters:
 def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPosePrior) -> CalibrationParameters:
     """Return the calibration parameters of a subject.
 
-    start  `body` at the estimated size; its marker spread is the standard deviation of people's marker offsets
+    Args:
+        start: `body` at the estimated size; its marker spread is the standard deviation of people's marker offsets.
     """
     offsets, marker_offsets = start.skeleton.offsets, start.marker_offsets
     shapes = body.shape_components * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
@@ -128,7 +129,8 @@ def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
 def list_bone_leans(skeleton: Skeleton, joint_names: tuple[str, ...]) -> Float[np.ndarray, "L J 3"]:
     """Return the changes of the joints' offsets by a rotation of each bone about two axes across it, in metres per radian.
 
-    joint_names  one joint at the end of each bone; joints at the same offset from one parent share a bone
+    Args:
+        joint_names: One joint at the end of each bone; joints at the same offset from one parent share a bone.
     """
     offsets, leans = skeleton.offsets, list[np.ndarray]()
     for j in map(skeleton.find_joint, joint_names):
@@ -169,8 +171,8 @@ class HipEvidence(NamedTuple):
 def add_hip_regression(parameters: CalibrationParameters, start: Subject, average: Skeleton) -> CalibrationParameters:
     """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none.
 
-    start    the subject at the start of the calibration
-    average  the skeleton of which the subject's is a scaled copy
+    Args:
+        start: The subject at the start of the calibration.
     """
     evidence = build_hip_evidence(start, average, parameters)
     if evidence is None:
@@ -182,10 +184,7 @@ def add_hip_regression(parameters: CalibrationParameters, start: Subject, averag
 
 
 def find_pelvis_landmarks(subject: Subject, average: Skeleton) -> PelvisLandmarks | None:
-    """Return the markers on the landmarks of the pelvis of an uncalibrated subject; None if one is missing.
-
-    average  the skeleton of which the subject's is a scaled copy
-    """
+    """Return the markers on the landmarks of the pelvis of an uncalibrated subject; None if one is missing."""
     ratio = subject.skeleton.total_length_m / average.total_length_m
     pelvis = average.find_joint("Hips")
 
@@ -204,7 +203,8 @@ def predict_hip_joints(
 ) -> Float[np.ndarray, "2 3"]:
     """Return the centres of the left and the right hip joint from the iliac spines of a person, all in metres.
 
-    posterior  the middle of the posterior superior iliac spines
+    Args:
+        posterior: The middle of the posterior superior iliac spines.
     """
     middle, across = (left_anterior + right_anterior) / 2, left_anterior - right_anterior
     width_m, depth_m = float(np.linalg.norm(across)), float(np.linalg.norm(middle - posterior))

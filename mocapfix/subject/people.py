@@ -57,7 +57,8 @@ def measure_marker_distances(
 ) -> dict[str, float]:
     """Return the median distances in metres of marker pairs whose joints are the same or neighbours.
 
-    joints  (K,) the joint that carries each marker
+    Args:
+        joints: The joint that carries each marker.
     """
     parents = np.array(load_cmu31_body().skeleton.parents)
     second, first = np.tril_indices(len(labels), -1)
@@ -105,8 +106,9 @@ class Person:
 def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequence[str]] | None = None) -> list[Person]:
     """Return the people of a session.
 
-    bodies  the measurements of each subject in each take
-    names   by name of a person, the ids of the takes that show only that person, or the person among others by prefix
+    Args:
+        bodies: The measurements of each subject in each take.
+        names: By name of a person, the ids of the takes that show only that person, or the person among others by prefix.
     """
     of_take = {take: name for name, takes in (names or {}).items() for take in takes}
     subject_counts: dict[str, int] = {}
@@ -143,7 +145,8 @@ def find_name(body: BodyMeasurements) -> tuple[str, str]:
 def can_be_same(body: BodyMeasurements, others: Sequence[BodyMeasurements], limit: float) -> bool:
     """Return whether a subject can be the person of other takes: in another take, with the same marker set and a similar body.
 
-    limit  greatest median relative difference of marker distances
+    Args:
+        limit: Greatest median relative difference of marker distances.
     """
     if any(other.take == body.take or other.marker_set != body.marker_set for other in others):
         return False
@@ -229,7 +232,8 @@ def calibrate_people(
 ) -> list[CalibratedPerson]:
     """Calibrate all people in takes. Who is who: by the names in the labels or the folders of the takes, checked by the body.
 
-    Raises TakeError if a take cannot be read or shows no body.
+    Raises:
+        TakeError: If a take cannot be read or shows no body.
     """
     from mocapfix.surveys import BodyToCalibrate, find_bodies_to_calibrate, survey_subject
 

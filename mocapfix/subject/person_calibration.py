@@ -77,9 +77,9 @@ def calibrate_jointly(
 ) -> JointCalibration:
     """Return the bones and marker offsets that explain frames of several takes best.
 
-    takes     all with the same K markers
-    places    number of the place of each marker in each take: takes with the same number share its offset
-    previous  a calibration from the same frames with other places, from whose poses the refinement begins
+    Args:
+        places: Number of the place of each marker in each take: takes with the same number share its offset.
+        previous: A calibration from the same frames with other places, from whose poses the refinement begins.
     """
     size_ratio = float(np.median([take.size_ratio for take in takes]))
     start = build_average_subject(takes[0].known_markers, size_ratio)
@@ -123,8 +123,8 @@ def lay_out_unknowns(
 ) -> JointUnknowns:
     """Return the unknowns of all takes: deformations, markers at place 0, their further places, and mean poses of the takes.
 
-    plain       the parameters without the prediction of the hip joints, whose prior holds for further places
-    parameters  those with it
+    Args:
+        plain: The parameters without the prediction of the hip joints, whose prior holds for further places.
     """
     take_count, marker_count = places.shape
     body_count = len(parameters.deformations.marker_offsets)
@@ -260,7 +260,8 @@ class MovedMarker:
 def compute_place_residuals(state: RefinementState, *, without_marker: int | None = None) -> Float[np.ndarray, "K 3"]:
     """Return the median distance of each marker from its place in the axes of its joint, in metres; NaN if seldom visible.
 
-    without_marker  a marker that does not affect the poses
+    Args:
+        without_marker: A marker that does not affect the poses.
     """
     problem, poses = state.problem, state.poses
     if without_marker is not None:
@@ -282,10 +283,7 @@ def compute_place_residuals(state: RefinementState, *, without_marker: int | Non
 def find_attached_again(
     states: Sequence[RefinementState], marker_offsets: Float[np.ndarray, "T K 3"], sessions: Sequence[str]
 ) -> Int[np.ndarray, "T K"]:
-    """Return the number of each marker's place in each take: sessions in which the markers lie elsewhere have their own places.
-
-    sessions  name of the session of each take
-    """
+    """Return the number of each marker's place in each take: sessions in which markers lie elsewhere have their own places."""
     places = np.zeros(marker_offsets.shape[:2], int)
     residuals = np.array([compute_place_residuals(state) for state in states]) + marker_offsets - marker_offsets[0]
     names = list(dict.fromkeys(sessions))
@@ -313,8 +311,8 @@ def find_moved_markers(
 ) -> list[MovedMarker]:
     """Return the markers that some takes show elsewhere than the others with the same place number.
 
-    marker_offsets  metres, the calibrated places in each take
-    shortest_s      duration of the shortest take: a place is less certain in a short one, in which the skin slides less often
+    Args:
+        shortest_s: Duration of the shortest take: a place is less certain in a short one, in which the skin slides less often.
     """
     if len(states) < 2:
         return []
@@ -343,8 +341,6 @@ def is_confirmed_move(move: MovedMarker, marker_offsets: Float[np.ndarray, "T K 
     """Return whether a marker still lies elsewhere in some takes after a calibration in which it may.
 
     A marker beside one that moved may seem to move too, until the other one has a place of its own.
-
-    marker_offsets  metres, the calibrated places in each take
     """
     others = [t for t in range(len(marker_offsets)) if t not in move.takes]
     own, usual = (np.median(marker_offsets[rows, move.marker], axis=0) for rows in (list(move.takes), others))
@@ -453,9 +449,11 @@ def calibrate_person(
 ) -> PersonCalibration:
     """Return a person's bones and marker places, estimated from frames of several takes.
 
-    sessions  the session of each take: markers are attached again only between sessions; None if all are of one
+    Args:
+        sessions: The session of each take: markers are attached again only between sessions; None if all are of one.
 
-    Raises TakeError if the takes have different marker sets.
+    Raises:
+        TakeError: If the takes have different marker sets.
     """
     takes = join_marker_sets(takes)
     session_of_take = {take.take: name for take, name in zip(takes, sessions or [""] * len(takes), strict=True)}
@@ -541,7 +539,8 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
 def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFrames]:
     """Return the takes with the markers of all: those that a take does not have are missing in it.
 
-    Raises TakeError if the takes have different marker sets.
+    Raises:
+        TakeError: If the takes have different marker sets.
     """
     if len({take.marker_set for take in takes}) > 1:
         names = format_name_list([f"{take.take} ({take.marker_set})" for take in takes])

@@ -35,8 +35,9 @@ def find_props(
 ) -> tuple[RigidGroup, ...]:
     """Return the rigid groups of a take's markers outside the body, the largest first, with names.
 
-    is_on_body   the markers of the solved body; none of them where there is no body
-    known_props  the labels of the markers on each prop, as a marker set names them
+    Args:
+        is_on_body: The markers of the solved body; none of them where there is no body.
+        known_props: The labels of the markers on each prop, as a marker set names them.
     """
     is_free = ~is_on_body & take.visible.any(0)
     if is_free.sum() < MIN_GROUP_MARKERS:

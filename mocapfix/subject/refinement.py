@@ -42,8 +42,9 @@ def estimate_residual_sd(distance: Float[np.ndarray, "N K"], pose_freedom: int) 
 
     Each frame's pose has absorbed a part of the markers' motion. The estimate is larger than the residuals accordingly.
 
-    distance      of each marker to the body, in metres, NaN if not visible
-    pose_freedom  number of coordinates of a pose that the markers determine
+    Args:
+        distance: Of each marker to the body, in metres, NaN if not visible.
+        pose_freedom: Number of coordinates of a pose that the markers determine.
     """
     measured = 3 * np.isfinite(distance).sum(1).mean()
     share = min(pose_freedom / max(measured, 1.0), MAX_POSE_ABSORBED_SHARE)
@@ -65,11 +66,13 @@ def compute_shared_covariance(
     covariance of an estimate with these weights is H^-1 G H^-1, H the curvature and G the actual covariance of the gradient
     (Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions").
 
-    marker_response, marker_weight  of n of the N frames, each of which stands for an equal part of them (see `SharedResponses`)
-    prior_gradient_covariance       of the gradient of the prior's cost: the prior's part of the curvature, larger for unknowns
-                                    that vary more than the fit assumes
-    times_s                         of all frames, in rising order
-    residual_sd_m                   of a marker about its place on the body, per axis
+    Args:
+        marker_response, marker_weight: Of n of the N frames, each of which stands for an equal part of them (see
+            `SharedResponses`).
+        prior_gradient_covariance: Of the gradient of the prior's cost: the prior's part of the curvature, larger for unknowns
+            that vary more than the fit assumes.
+        times_s: Of all frames, in rising order.
+        residual_sd_m: Of a marker about its place on the body, per axis.
     """
     correlation = evaluate_matern(np.abs(times_s[:, None] - times_s) / SKIN_CORRELATION_S, 1)
     parts = np.linspace(0, len(times_s), len(marker_weight) + 1).astype(int)[:-1]
@@ -87,10 +90,7 @@ def compute_response_sd(
     marker_response: Float[np.ndarray, "n rows K 3"],
     covariance: Float[np.ndarray, "Q Q"],
 ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
-    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns.
-
-    covariance  of the shared unknowns
-    """
+    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns."""
     half = np.linalg.cholesky(covariance).T  # half.T @ half is the covariance
     displacements = (half @ response.reshape(*response.shape[:2], -1) for response in (joint_response, marker_response[:, :-1]))
     joint_sd, marker_sd = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displacements)
@@ -245,8 +245,9 @@ def compute_calibration_sd(
 
     The pose of each frame adapts to the unknowns. The values are root mean squares over at most MAX_UNCERTAINTY_FRAMES frames.
 
-    times_s        of the frames; None if each is measured independently
-    residual_sd_m  of a marker about its place on the body, per axis
+    Args:
+        times_s: Of the frames; None if each is measured independently.
+        residual_sd_m: Of a marker about its place on the body, per axis.
     """
     frames = sample_evenly(len(state.poses[0]), MAX_UNCERTAINTY_FRAMES)
     responses = respond_in_frames(state.parameters, state.problem, state.poses, frames)

@@ -59,7 +59,8 @@ def guess_from_marker_cloud(
 ) -> MarkerSet:
     """Return a set of those markers of the take for which the body has a position, under the names `labels`.
 
-    Raises TakeError if too few markers are visible at once.
+    Raises:
+        TakeError: If too few markers are visible at once.
     """
     candidates = select_candidate_frames(take.markers)
     trial = take.markers[candidates[sample_evenly(len(candidates), MAX_TRIAL_FRAMES)]]

@@ -1,5 +1,6 @@
 """Takes for the injection of faults: composed without damage, and performed at the rate of a capture system. Poses for the
-benchmarks: their subjects, and the shipped poses."""
+benchmarks: their subjects, and the shipped poses.
+"""
 
 from pathlib import Path
 

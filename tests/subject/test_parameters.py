@@ -23,7 +23,8 @@ BONES = parameters.list_bones(BODY.skeleton)
 
 def unknowns(**parts):
     """Return all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
-    shifts (K, 3), turns (F, 3)"""
+    shifts (K, 3), turns (F, 3)
+    """
     x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shape_components), list(BODY.bone_groups)
     for name, value in parts.items():
         if name == "places":

@@ -1,9 +1,9 @@
 """The terms of the pose solve; the solver takes a tuple of them.
 
-observations  measured positions, directions and orientations of bodies, points in camera images
-constraints   tracking of a pose, a prior about a mean pose, joint limits, distances between points, a function of all joints
-latent_code   joint rotations decoded from a latent code
-contract      the interface of a term, and the robust losses
+- `observations`: measured positions, directions and orientations of bodies, points in camera images
+- `constraints`: tracking of a pose, a prior about a mean pose, joint limits, distances between points, a function of all joints
+- `latent_code`: joint rotations decoded from a latent code
+- `contract`: the interface of a term, and the robust losses
 """
 
 from mocapfix.kernels.terms.constraints import (

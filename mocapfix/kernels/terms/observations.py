@@ -98,8 +98,9 @@ class ReprojectionTerm(NamedTuple):
 def normalise_pixels(pixels: np.ndarray, scale: float | np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Return the measurements (..., 2) of a `ReprojectionTerm` for pixels (..., 2).
 
-    scale   focal length in pixels, one or (fx, fy); of a scaled orthographic camera: pixels per metre
-    centre  (2,) the principal point, in pixels
+    Args:
+        scale: Focal length in pixels, one or (fx, fy); of a scaled orthographic camera: pixels per metre.
+        centre: (2,) the principal point, in pixels.
     """
     return np.ascontiguousarray((pixels - centre) / scale)
 
