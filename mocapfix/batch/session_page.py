@@ -27,7 +27,7 @@ from mocapfix.errors import SceneError, join_words
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.faults import FaultKind
 from mocapfix.report.html_report import write_page
-from mocapfix.report.terms import format_kind_counts, format_number
+from mocapfix.report.terms import format_fault_counts, format_number
 
 CSV_NAME = "summary.csv"
 PARQUET_NAME = "summary.parquet"
@@ -246,7 +246,7 @@ def _format_figures(figures: SubjectFigures | None) -> tuple[str, ...]:
 def _format_faults(counts: Mapping[str, int]) -> str:
     """Return the number of faults, by which the column is sorted, and what they are."""
     total = sum(counts.values())
-    return f"{total:,}" + (f": {format_kind_counts(counts)}" if total else "")
+    return f"{total:,}" + (f": {format_fault_counts(counts)}" if total else "")
 
 
 def select_subject_outputs(record: TakeRecord, subject: str) -> dict[str, str]:

@@ -41,8 +41,7 @@ from mocapfix.solve.minimise import minimise
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.stats.sequences import find_runs
 
-ROLLING_SD_M = 0.006
-"""Standard deviation per axis of ankle or toes of a standing foot about where they stand when markers show them."""
+ROLLING_SD_M = 0.006  # standard deviation per axis of ankle or toes of a foot about where they stand when markers show them
 SHINS = {"left": "LeftLeg", "right": "RightLeg"}
 
 
@@ -62,7 +61,9 @@ def reduce_held_uncertainty(subject: Subject, motion: Motion, contacts: BodyCont
         markers = np.flatnonzero(np.isin(subject.joints, [*feet, shin])) if marker_sd.size else []
         for k in markers:
             usual = _compute_known_sd(motion.marker_sd[:, k], is_ankle_known)
-            share = _compute_place_on_shin(subject, int(k), feet[0]) if subject.joints[k] == shin else 1.0
+            to_ankle = skeleton.offsets[feet[0]]
+            along_shin = np.clip(subject.marker_offsets[k] @ to_ankle / (to_ankle @ to_ankle), 0, 1)  # 0 at the knee
+            share = float(along_shin) if subject.joints[k] == shin else 1.0
             held = np.hypot(usual, share * ROLLING_SD_M + (1 - share) * motion.marker_sd[is_foot_held, k])
             marker_sd[is_foot_held, k] = np.minimum(marker_sd[is_foot_held, k], held)
     return replace(motion, joint_sd=joint_sd, marker_sd=marker_sd)
@@ -81,28 +82,18 @@ def _compute_known_sd(sd: Float[np.ndarray, " T"], is_known: Bool[np.ndarray, " 
     return float(np.median(sd[is_known])) if is_known.any() else 0.0
 
 
-def _compute_place_on_shin(subject: Subject, marker: int, ankle: int) -> float:
-    """Return how far along the shin a marker is: 0 at the knee, 1 at the ankle."""
-    shin = subject.skeleton.offsets[ankle]
-    return float(np.clip(subject.marker_offsets[marker] @ shin / (shin @ shin), 0, 1))
-
-
 LEG_SEGMENTS = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))  # thigh and shin, in the order of FOOT_JOINTS
 LEG_JOINTS = ("LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
 CONTACT_SD_M = 0.0003  # standard deviation of a joint about its place in a contact
-LEG_ROTATION_SD_RAD = 0.05
-"""Standard deviation of a leg's joint about its rotation before; of the root's rotation and position it is smaller."""
+LEG_ROTATION_SD_RAD = 0.05  # standard deviation of a leg's joint about its rotation before
 ROOT_ROTATION_SD_RAD = 0.0005
-ROOT_SD_M = 0.01
-"""Standard deviation of the root: a leg that is straight bends far for a foot that comes nearer by a few millimetres."""
+ROOT_SD_M = 0.01  # of the root: a straight leg bends far for a foot that comes nearer by a few millimetres
 MAX_ROOT_DISPLACEMENT_M = 0.0015  # largest displacement of the root, which carries pelvis, trunk, head and arms along
 ROOT_LIMIT_EXPONENT = 4  # exponent with which the displacement approaches its limit; smaller ones change those below it more
-FIXED_ROOT_SHARE = 1e-3
-"""Share of these deviations by which a root that is fixed may move during the solve; it is where it was afterwards."""
+FIXED_ROOT_SHARE = 1e-3  # share of these deviations by which a root that is fixed may move during the solve
 LEG_MARKER_SD_M = 0.003  # standard deviation of thighs' and shins' markers about their places, while their foot is displaced
 MARKER_DISPLACEMENT_M = 0.005  # displacement of a foot at which the markers of its leg have half their weight
-MIN_KERNEL_WEIGHT = 1e-6
-"""Share of a kernel within visible frames below which a residual is not known; the marker's share is 0 there."""
+MIN_KERNEL_WEIGHT = 1e-6  # share of a kernel within visible frames below which a residual is not known
 MIN_DISPLACEMENT_M = 2e-5  # displacement below which a frame is not solved
 
 
@@ -132,13 +123,9 @@ def compute_held_displacements(
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet that holds them, in every frame."""
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
-    feet_contacts = replace(
-        contacts,
-        joints=CONTACT_JOINTS,
-        is_contact=contacts.is_contact[:, : len(feet)],
-        is_known=contacts.is_known[:, : len(feet)],
-    )
-    return compute_foot_displacements(joint_position[:, feet], feet_contacts, is_locked=is_locked)
+    is_contact, is_known = contacts.is_contact[:, : len(feet)], contacts.is_known[:, : len(feet)]
+    of_feet = replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known)
+    return compute_foot_displacements(joint_position[:, feet], of_feet, is_locked=is_locked)
 
 
 class LegMarkers(NamedTuple):
@@ -199,7 +186,9 @@ def displace_feet(
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
     if not is_root_fixed:
         step = solve_legs(skeleton, moving, points)[0] - moving.root_position
-        moving = replace(moving, root_position=moving.root_position + limit_root_displacement(step))
+        ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
+        step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
+        moving = replace(moving, root_position=moving.root_position + step)
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[frames] = moving.root_position
     local_rotations[frames, 1:] = solve_legs(skeleton, moving, points, root_share=FIXED_ROOT_SHARE)[1][:, 1:]
@@ -221,9 +210,8 @@ def add_leg_markers(
     """
     square = (displacement**2).sum(-1).reshape(len(displacement), len(LEG_SEGMENTS), -1).max(-1)
     leg_share = square / (square + MARKER_DISPLACEMENT_M**2)
-    leg_of_marker = [
-        next(n for n, segments in enumerate(LEG_SEGMENTS) if skeleton.names[joint] in segments) for joint in markers.joints
-    ]
+    carriers = [skeleton.names[joint] for joint in markers.joints]
+    leg_of_marker = [next(n for n, segments in enumerate(LEG_SEGMENTS) if name in segments) for name in carriers]
     weight = markers.share * leg_share[:, leg_of_marker] / LEG_MARKER_SD_M**2
     return PointTerm(
         np.r_[points.joints, markers.joints],
@@ -231,12 +219,6 @@ def add_leg_markers(
         np.ascontiguousarray(np.hstack([points.measured, markers.position])),
         np.ascontiguousarray(np.hstack([points.weight, weight])),
     )
-
-
-def limit_root_displacement(displacement: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Return displacements of the root in metres, smoothly limited to MAX_ROOT_DISPLACEMENT_M."""
-    ratio = np.linalg.norm(displacement, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
-    return displacement / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
 
 
 def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0) -> Poses:
@@ -259,8 +241,7 @@ MAX_JUMP_RATIO = 1.5  # acceleration above which it does, relative to the larges
 JUMP_REACH_S = 0.1
 JUMP_SHARE = 0.5  # share of its displacement to which a foot is reduced where its knee jumps
 MIN_HOLDING_SHARE = 0.5  # share of its displacement below which a foot is not held
-PARTIAL_ROUNDS = 3
-"""Rounds in which a foot is held in part where it moved visible markers too far; afterwards it is not held there."""
+PARTIAL_ROUNDS = 3  # rounds in which a foot is held in part where it moved visible markers too far; then it is not held there
 MAX_YIELD_ROUNDS = 8
 
 
@@ -272,7 +253,8 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
         take: the take as it was read, whose file may have force plates and events.
         mode: one of FEET_MODES.
     """
-    skeleton, standing = body.subject.skeleton, find_body_contacts(body, take.rate)
+    skeleton = body.subject.skeleton
+    standing = find_contacts(skeleton, body.motion, body.solved_joint_positions, take.rate)
     contacts = add_gait_events(standing, body, body.take.markers, take)
     if mode == FEET_OFF or not standing.is_contact.any():
         return StandingBody(body, contacts, body.motion)
@@ -280,8 +262,10 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
     subject = body.extended_subject
     motion = reduce_held_uncertainty(subject, held.body.motion, select_held_contacts(standing, held.share))
     filling = reduce_held_uncertainty(subject, held.filling_motion, standing)
-    done = describe_held_feet(skeleton, body.joint_positions, held.body.joint_positions, mode)
-    done = done._replace(yielded_s=float((held.share < MIN_HOLDING_SHARE).any(1).sum() / contacts.rate))
+    feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
+    moved_m = np.linalg.norm((held.body.joint_positions - body.joint_positions)[:, feet], axis=-1)
+    yielded_s = float((held.share < MIN_HOLDING_SHARE).any(1).sum() / contacts.rate)
+    done = HeldFeet(mode, float(moved_m.max(initial=0.0)), yielded_s)
     return StandingBody(replace(held.body, motion=motion), replace(contacts, held_feet=done), filling)
 
 
@@ -362,24 +346,6 @@ def select_held_contacts(contacts: BodyContacts, share: Float[np.ndarray, "T F"]
     return replace(contacts, is_contact=is_contact)
 
 
-def find_body_contacts(body: BodyFit, rate: float) -> BodyContacts:
-    """Return when joints of a solved body stand, by its motion alone; `rate` in frames per second."""
-    return find_contacts(body.subject.skeleton, body.motion, body.solved_joint_positions, rate)
-
-
-def describe_held_feet(
-    skeleton: Skeleton, before: Float[np.ndarray, "T J 3"], after: Float[np.ndarray, "T J 3"], mode: str
-) -> HeldFeet:
-    """Return what was done to the feet, from the positions (T, J, 3) in metres of the joints before and after."""
-    feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
-    return HeldFeet(mode, float(np.linalg.norm(after[:, feet] - before[:, feet], axis=-1).max(initial=0.0)))
-
-
-def are_feet_solved(body: BodyFit) -> bool:
-    """Return whether the markers show both feet."""
-    return all(body.subject.solved_joints[body.subject.skeleton.names.index(joint)] for joint in CONTACT_JOINTS)
-
-
 def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.ndarray, "T K 3"], take: Take) -> BodyContacts:
     """Return the contacts with the events of gait, and both as force plates show them where a foot stands on one.
 
@@ -395,7 +361,7 @@ def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.nda
         plates = read_force_plates(data, take.layout, take.rate)
         last_s = (take.frame_count - 1) / take.rate
         recorded = read_gait_events(data[: take.layout.data_start_byte], take.main_subject, (take.first_frame, take.rate), last_s)
-    if not are_feet_solved(body):
+    if not all(body.subject.solved_joints[body.subject.skeleton.names.index(joint)] for joint in CONTACT_JOINTS):
         return replace(contacts, events=recorded)
     feet = build_foot_points(body.extended_subject, body.motion, markers, body.marker_positions, contacts.is_known)
     detected = detect_gait_events(feet, contacts.floor, contacts.rate)

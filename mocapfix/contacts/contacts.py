@@ -16,8 +16,7 @@ from mocapfix.stats.sequences import find_runs
 
 TOE_HEIGHT_M = 0.025  # height of the toe joint above the sole of a person of average size, standing flat
 MAX_LEVEL_DEVIATION_M = 0.06  # largest height of a standing joint above its level; half a low step
-MAX_SUPPORT_ABOVE_OTHER_M = 0.02
-"""Height of a toe above that of the other foot, where both stand, up to which its foot may bear the weight on a level."""
+MAX_SUPPORT_ABOVE_OTHER_M = 0.02  # height of a toe above that of the other standing foot up to which it may bear the weight
 MIN_LEVEL_STEP_M = 0.1  # smallest height of a step between two levels
 MIN_LEVEL_S = 0.3  # time for which feet stand on a level, all together, at least
 BASE_PERCENTILE = 10.0  # the share of standing frames, in percent, that may be below a level: noise, and feet that roll
@@ -25,8 +24,7 @@ MIN_TILT_PLACES = 6
 MIN_TILT_EXTENT_M = 1.5  # number of places, and their extent in a direction, from which a tilt is estimated
 MIN_TILT_RAD = np.deg2rad(0.3)  # smallest tilt that is distinguished from a level floor
 MIN_RAMP_RAD = np.deg2rad(1.5)  # the same where the places extend in one direction only: few of them then decide
-MAX_TILT_RAD = np.deg2rad(12.0)
-"""Largest tilt of a floor, that of steep ramps; stairs, of which each step is trodden on once, rise by 20 degrees or more."""
+MAX_TILT_RAD = np.deg2rad(12.0)  # largest tilt of a floor, that of steep ramps; stairs rise by 20 degrees or more
 MAX_TILT_RESIDUAL_M = 0.03  # largest deviation of nine of ten places from a tilted floor; otherwise it has levels
 
 
@@ -68,8 +66,8 @@ def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[n
     """
     if not is_standing.any():
         return NO_FLOOR
-    places = _average_places(toe_position, is_standing)
-    slope_x, slope_z = _fit_slope(places)
+    runs = [(n, run) for n in range(is_standing.shape[1]) for run in find_runs(is_standing[:, n])]
+    slope_x, slope_z = _fit_slope(np.array([toe_position[first : last + 1, n].mean(0) for n, (first, last) in runs]))
     height = toe_position[..., 1] - slope_x * toe_position[..., 0] - slope_z * toe_position[..., 2]
     lowest_standing = np.where(is_standing, height, np.inf).min(1, keepdims=True)
     is_support = is_standing & (height <= lowest_standing + MAX_SUPPORT_ABOVE_OTHER_M)
@@ -79,21 +77,10 @@ def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[n
         near = remaining[remaining <= remaining[0] + 2 * MAX_LEVEL_DEVIATION_M]
         base = float(np.percentile(near, BASE_PERCENTILE))
         is_on_level = remaining <= base + MAX_LEVEL_DEVIATION_M
-        is_new = not levels or (base - TOE_HEIGHT_M - levels[-1] >= MIN_LEVEL_STEP_M and is_on_level.sum() >= MIN_LEVEL_S * rate)
-        if is_new:
+        if not levels or (base - TOE_HEIGHT_M - levels[-1] >= MIN_LEVEL_STEP_M and is_on_level.sum() >= MIN_LEVEL_S * rate):
             levels.append(base - TOE_HEIGHT_M)
         remaining = remaining[~is_on_level]
     return Floor(slope_x, slope_z, tuple(levels))
-
-
-def _average_places(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "P 3"]:
-    """Return the mean position of each run in which a toe stands."""
-    places = [
-        toe_position[first : last + 1, n].mean(0)
-        for n in range(is_standing.shape[1])
-        for first, last in find_runs(is_standing[:, n])
-    ]
-    return np.array(places)
 
 
 def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
@@ -124,8 +111,7 @@ def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
 FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
 """the joints of each foot that can be in contact: the ankle stands for the heel, the toe base for the ball of the foot"""
 CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
-OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")
-"""knees and wrists, which are in contact in falls, rolls and crawls"""
+OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")  # knees and wrists: in falls, rolls and crawls
 PLATE_SOURCE, FILE_SOURCE = "force plate", "file"
 
 
@@ -197,14 +183,6 @@ def build_no_contacts(frame_count: int, rate: float) -> BodyContacts:
     """Return the contacts of a body whose feet no marker shows."""
     nothing = np.zeros((frame_count, len(CONTACT_JOINTS)), bool)
     return BodyContacts(CONTACT_JOINTS, nothing, nothing, NO_FLOOR, rate)
-
-
-class ContactPositions(NamedTuple):
-    """The positions from which contacts are detected."""
-
-    position: Float[np.ndarray, "T C 3"]  # m: joints, Y up
-    sd: Float[np.ndarray, "T C"]  # m: their standard deviation per axis
-    rate: float  # frames per second
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from mocapfix.contacts.contacts import (
     OTHER_CONTACT_JOINTS,
     TOE_HEIGHT_M,
     BodyContacts,
-    ContactPositions,
     Floor,
     build_no_contacts,
     estimate_floor,
@@ -33,12 +32,10 @@ MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position
 MAX_SD_RATIO = 1.5  # standard deviation, relative to the take's usual one, above which the joint lacks its markers
 BORDER_S = 0.08  # time beside unknown frames in which the smoothness of the motion carries their error into known ones
 USUAL_SD_PERCENTILE = 25
-MAX_PLACE_CHANGE_M = 0.025
-"""Distance between the places before and after up to which they are one: a foot that stands rolls by 10 to 20 mm."""
+MAX_PLACE_CHANGE_M = 0.025  # between the places before and after that are one: a foot that stands rolls by 10 to 20 mm
 MAX_CERTAIN_GAP_S = 0.5  # a foot cannot step away and return to its place in this time
 MAX_OTHER_STEPS = 1  # steps of the other foot in a longer gap, above which the person may be walking on the spot
-STILL_TIME_S = 1.0
-"""Time beside a gap at the beginning or the end of a take for which both feet stand, if the person stands still."""
+STILL_TIME_S = 1.0  # time beside a gap at an end of the take for which both feet stand, if the person stands still
 MAX_END_GAP_S = 2.0  # longest such gap: in a longer one a person may have stood on the other leg
 PLACE_WINDOW_S = 0.1  # time over which the place beside a gap is averaged
 
@@ -99,8 +96,7 @@ STANDING_SPEED_M_S = 0.09
 """Speed at which standing and moving are equally likely. Chosen on CMU training people: F1 changes by 0.002 from 0.08 to 0.1."""
 LOG_SPEED_WIDTH = 0.3  # change of the logarithm of the speed that changes the cost by 1
 MAX_STATE_COST = 3.0  # largest cost of a state in a frame: a single fast frame is no proof of a step
-STANDING_CHANGE_COST = 2.0
-"""Cost of a change of state, at the rate for which it was chosen; several frames must contradict a state to change it."""
+STANDING_CHANGE_COST = 2.0  # cost of a change of state: several frames must contradict a state to change it
 MIN_STANDING_S = 0.1  # shortest time for which a joint stands
 MIN_SPEED_M_S = 1e-4
 
@@ -156,27 +152,20 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     if not len(joint_position) or not np.isfinite(joint_position[:, feet]).all():
         return build_no_contacts(len(joint_position), rate)
-    positions = ContactPositions(joint_position[:, feet], motion.joint_sd[:, feet], rate)
-    contacts = find_foot_contacts(positions)
+    contacts = find_foot_contacts(joint_position[:, feet], motion.joint_sd[:, feet], rate)
     others = [skeleton.names.index(joint) for joint in OTHER_CONTACT_JOINTS]
     if contacts.floor is NO_FLOOR or not np.isfinite(joint_position[:, others]).all():
         return contacts
     added = find_other_contacts(joint_position[:, others], contacts.floor, rate)
     is_known = np.stack([find_known_frames(motion.joint_sd[:, joint], rate) for joint in others], axis=1)
-    return BodyContacts(
-        (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS),
-        np.hstack([contacts.is_contact, added]),
-        np.hstack([contacts.is_known, is_known]),
-        contacts.floor,
-        rate,
-    )
+    contact, known = np.hstack([contacts.is_contact, added]), np.hstack([contacts.is_known, is_known])
+    return BodyContacts((*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS), contact, known, contacts.floor, rate)
 
 
-def find_foot_contacts(positions: ContactPositions) -> BodyContacts:
-    """Find the contacts of the joints of both feet, in the order of CONTACT_JOINTS."""
+def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float) -> BodyContacts:
+    """Find the contacts of both feet, from the positions of CONTACT_JOINTS and their standard deviations per axis, in metres."""
     columns = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
-    position, rate = positions.position, positions.rate
-    is_known = np.stack([find_known_frames(positions.sd[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
+    is_known = np.stack([find_known_frames(sd[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
     for ankle, toe in columns.values():  # where the ankle is unknown, so is where the toes are
         is_known[:, toe] &= is_known[:, ankle]
     speed = np.stack([compute_speed(position[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)

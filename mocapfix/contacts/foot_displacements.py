@@ -52,15 +52,12 @@ def restore_foot_length(
 
 
 SOFT_SMOOTHING_S = 0.3  # standard deviation of the kernel that smooths a standing foot
-LOCK_EXTENSION_SPEED_M_S = 0.2
-"""Speed up to which a lock extends beyond the contact: the foot is rolling on or off, in contact with the floor."""
+LOCK_EXTENSION_SPEED_M_S = 0.2  # speed up to which a lock extends beyond the contact: the foot is rolling on or off
 MAX_LOCK_EXTENSION_S = 0.2
-MAX_LOCK_DISPLACEMENT_M = 0.035
-"""Distance from its mean place up to which a joint is held there; a foot that stands rolls by 10 to 20 mm."""
+MAX_LOCK_DISPLACEMENT_M = 0.035  # distance from its mean place up to which a joint is held there; a standing foot rolls by 20 mm
 RETURN_TIME_S = 0.06  # time constant with which a displacement begins before a contact and ends after it
 CONTACT_WEIGHT = 1000.0  # weight of the displacement within contacts relative to that of no displacement between them
-MAX_DISPLACEMENT_ACCELERATION_M_S2 = 4.0
-"""Acceleration of the displacement above which it is made smoother there; a joint of a calm motion has 10 to 40 m/s^2."""
+MAX_DISPLACEMENT_ACCELERATION_M_S2 = 4.0  # with more it is made smoother there; a joint of a calm motion has 10 to 40 m/s^2
 ACCELERATION_ROUNDS = 4  # solutions with more stiffness where the one before exceeded that acceleration
 ACCELERATION_REACH_S = 0.03  # time on both sides of such a frame in which stiffness is added
 
@@ -78,19 +75,15 @@ def compute_foot_displacements(
     if is_locked:
         for c in range(is_held.shape[1]):
             is_held[:, c] = extend_contacts(is_held[:, c], compute_speed(position[:, c], contacts.rate), contacts.rate)
-    target = position.copy()
+    share, moved = np.zeros(is_held.shape), np.zeros(position.shape)
     for c in np.flatnonzero(is_held.any(0)):
         is_known = contacts.is_known[:, c]
-        target[:, c] = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, is_locked=is_locked)
-    pairs = [tuple(CONTACT_JOINTS.index(joint) for joint in joints) for joints in FOOT_JOINTS.values()]
-    share = np.zeros(is_held.shape)
-    moved = np.zeros(position.shape)
-    for c in np.flatnonzero(is_held.any(0)):
-        wanted = np.column_stack([target[:, c] - position[:, c], np.ones(len(position))])
-        smooth = smooth_displacement(wanted, is_held[:, c], contacts.is_known[:, c] | ~is_held[:, c], contacts.rate)
+        held = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, is_locked=is_locked)
+        wanted = np.column_stack([held - position[:, c], np.ones(len(position))])
+        smooth = smooth_displacement(wanted, is_held[:, c], is_known | ~is_held[:, c], contacts.rate)
         moved[:, c], share[:, c] = smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
     target = position.copy()
-    for ankle, toe in pairs:
+    for ankle, toe in ([CONTACT_JOINTS.index(joint) for joint in joints] for joints in FOOT_JOINTS.values()):
         length_m = np.linalg.norm(position[:, toe] - position[:, ankle], axis=1)
         shares = share[:, ankle], share[:, toe]
         target[:, ankle] += moved[:, ankle] + (1 - share[:, [ankle]]) * moved[:, toe]  # what is not held moves with the other

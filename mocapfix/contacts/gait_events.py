@@ -25,8 +25,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
 
-HEEL_PER_FOOT = -0.35
-"""The heel along the foot, as a share of the length from the ankle to the toe base; negative is behind the ankle."""
+HEEL_PER_FOOT = -0.35  # the heel, as a share of the length from the ankle to the toe base; negative is behind the ankle
 MAX_HEEL_MARKER_M = 0.02  # the foremost place along the foot, before the ankle, of a marker that stands for the heel
 MIN_TOE_MARKER_SHARE = 0.9
 """The rearmost place along the foot, before the ankle, of a marker that stands for the toes, as a share of the length from the
@@ -76,12 +75,12 @@ def build_foot_points(
         tip = position[:, toe] + rotation[:, toe] @ end
         place = _compute_place_along_foot(subject, foot, toe)
         is_usable = np.isfinite(place) & (visible.mean(0) >= MIN_SHOWN_SHARE) & np.isfinite(shown).all((0, 2))
-        rearmost, foremost = _find_extreme_markers(place, is_usable)
         is_seen = is_known[:, [CONTACT_JOINTS.index(joint) for joint in joints]]
-        if rearmost is not None and place[rearmost] < MAX_HEEL_MARKER_M:
-            heel, is_seen[:, 0] = shown[:, rearmost], is_seen[:, 0] | visible[:, rearmost]
-        if foremost is not None and place[foremost] > MIN_TOE_MARKER_SHARE * np.linalg.norm(bone):
-            tip, is_seen[:, 1] = shown[:, foremost], is_seen[:, 1] | visible[:, foremost]
+        by_place = sorted(np.flatnonzero(is_usable), key=lambda marker: place[marker])
+        if by_place and place[by_place[0]] < MAX_HEEL_MARKER_M:
+            heel, is_seen[:, 0] = shown[:, by_place[0]], is_seen[:, 0] | visible[:, by_place[0]]
+        if by_place and place[by_place[-1]] > MIN_TOE_MARKER_SHARE * np.linalg.norm(bone):
+            tip, is_seen[:, 1] = shown[:, by_place[-1]], is_seen[:, 1] | visible[:, by_place[-1]]
         points[side] = FootPoints(heel, tip, is_seen)
     return points
 
@@ -93,14 +92,6 @@ def _compute_place_along_foot(subject: Subject, foot: int, toe: int) -> Float[np
     along = subject.marker_offsets @ direction
     along = np.where(subject.joints == toe, along + np.linalg.norm(bone), along)
     return np.where(np.isin(subject.joints, (foot, toe)), along, np.nan)
-
-
-def _find_extreme_markers(place: Float[np.ndarray, " K"], is_usable: Bool[np.ndarray, " K"]) -> tuple[int | None, int | None]:
-    """Return the rearmost and the foremost usable marker."""
-    usable = np.flatnonzero(is_usable)
-    if not len(usable):
-        return None, None
-    return int(usable[place[usable].argmin()]), int(usable[place[usable].argmax()])
 
 
 NEAR_FLOOR_M = 0.05
@@ -121,8 +112,7 @@ SWING_PERCENTILE = 98.0  # percentile of a point's speed that is the speed of it
 LOWEST_PERCENTILE = 5.0
 MIN_CONTACT_S = 0.06  # shortest contact, and shortest time without contact
 MIN_SEEN_S = 0.05  # time before and after an event for which the take must last and markers must show the foot
-LOWPASS_HZ = 25.0
-"""Cut-off of the positions before they are differentiated twice; the impact of a strike is above the usual 6 to 12 Hz."""
+LOWPASS_HZ = 25.0  # of the positions before they are differentiated; the impact of a strike is above the usual 6 to 12 Hz
 MAX_LOWPASS_SHARE = 0.4  # the same at most, as a share of the frame rate
 STRIKE_WINDOW_S = (0.08, 0.08)
 OFF_WINDOW_S = (0.06, 0.15)  # seconds before and after the ends of a contact in which its events are searched
@@ -130,8 +120,7 @@ MAX_STRIKE_HEIGHT_M = 0.03  # height of the point that strikes above its low pla
 MAX_STRIKE_SPEED_M_S = 0.8
 MAX_STRIKE_SPEED_SHARE = 0.2
 """Speed of a point at its strike: at most the first, or this share of its swing. The toes of a sprinter land at 3 of 20 m/s."""
-MIN_STRIKE_ACCELERATION_M_S2 = 3.0
-"""Vertical acceleration below which there was no impact, or smoothing of the markers has removed it."""
+MIN_STRIKE_ACCELERATION_M_S2 = 3.0  # vertical, below which there was no impact, or smoothing of the markers has removed it
 PEAK_SHARE = 0.93
 """Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak. Against 21 strikes
 and 20 offs on plates the medians are -3 and +2 ms; from 0.9 to 0.98 they grow by 6 and 8 ms, standard deviations of 9 ms by 1."""
@@ -166,18 +155,24 @@ def detect_gait_events(feet: Mapping[str, FootPoints], floor: Floor, rate: float
             ([strike_s for strike_s, _ in times], "foot strike", np.all(points.is_seen, axis=1)),
             ([off_s for _, off_s in times], "foot off", points.is_seen[:, 1]),
         ):
-            events += [GaitEvent(side, kind, time_s, "markers") for time_s in times_s if _is_event_seen(time_s, is_seen, rate)]
+            for time_s in times_s:
+                first, last = np.ceil((time_s - MIN_SEEN_S) * rate), np.floor((time_s + MIN_SEEN_S) * rate)
+                if first >= 0 and last < len(is_seen) and is_seen[int(first) : int(last) + 1].all():
+                    events.append(GaitEvent(side, kind, time_s, "markers"))
     return tuple(sorted(events, key=lambda event: event.time_s))
 
 
 def _generate_contact_times(points: FootPoints, floor: Floor, rate: float) -> Iterator[tuple[float, float]]:
     """Yield strike and off of each contact of a foot, in seconds; NaN where the take begins or ends in contact."""
-    heel, toe = motions = [_build_point_motion(path, rate) for path in points.paths]
+    motions: list[PointMotion] = []
+    for path in points.paths:
+        speed = compute_speed(path, rate)
+        motions.append(PointMotion(path, speed, compute_acceleration(path, rate), float(np.percentile(speed, SWING_PERCENTILE))))
     for first, last in find_runs(find_foot_near_floor(points, floor, rate)):
         strikes_s = [find_strike(motion, (first, last), rate) for motion in motions]
         strike_s = float(np.nanmin(strikes_s)) if np.isfinite(strikes_s).any() else first / rate
-        off_s = find_off(toe.acceleration, last, rate)
-        yield (strike_s if first > 0 else np.nan), (off_s if last < len(heel.path) - 1 else np.nan)
+        off_s = find_off(motions[1].acceleration, last, rate)
+        yield (strike_s if first > 0 else np.nan), (off_s if last < len(points.heel) - 1 else np.nan)
 
 
 def remove_repeated_contacts(contacts: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -197,12 +192,6 @@ def remove_repeated_contacts(contacts: list[tuple[float, float]]) -> list[tuple[
     return kept
 
 
-def _is_event_seen(time_s: float, is_seen: Bool[np.ndarray, " T"], rate: float) -> bool:
-    """Return whether markers show a foot in all frames about an event, which has such frames on both sides."""
-    first, last = np.ceil((time_s - MIN_SEEN_S) * rate), np.floor((time_s + MIN_SEEN_S) * rate)
-    return bool(first >= 0 and last < len(is_seen) and is_seen[int(first) : int(last) + 1].all())
-
-
 def find_foot_near_floor(points: FootPoints, floor: Floor, rate: float) -> Bool[np.ndarray, " T"]:
     """Return the frames in which the heel or the toes are slow and low, about times at which they stand on the floor.
 
@@ -214,8 +203,7 @@ def find_foot_near_floor(points: FootPoints, floor: Floor, rate: float) -> Bool[
     for first, last in find_runs(~is_slowest):
         if not is_slow[first : last + 1].all():
             is_near[first : last + 1] = is_slow[first : last + 1]
-    length = max(1, round(MIN_CONTACT_S * rate))
-    structure = np.ones(length + 1, bool)
+    structure = np.ones(max(1, round(MIN_CONTACT_S * rate)) + 1, bool)
     padded = np.pad(is_near, len(structure), mode="edge")
     closed = binary_closing(padded, structure)[len(structure) : -len(structure)]
     return binary_opening(closed, structure)
@@ -241,17 +229,11 @@ def find_low_frames(points: FootPoints, floor: Floor, rate: float, limit_m_s: fl
     return is_found
 
 
-def _build_point_motion(path: Float[np.ndarray, "T 3"], rate: float) -> PointMotion:
-    speed = compute_speed(path, rate)
-    return PointMotion(path, speed, compute_acceleration(path, rate), float(np.percentile(speed, SWING_PERCENTILE)))
-
-
 def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, "T 3"]:
     """Return the acceleration in m/s^2 of a path in metres, filtered without delay."""
     from scipy.signal import butter, sosfiltfilt  # slow to import
 
-    cutoff_hz = min(LOWPASS_HZ, MAX_LOWPASS_SHARE * rate)
-    sections = butter(2, cutoff_hz / (rate / 2), output="sos")
+    sections = butter(2, min(LOWPASS_HZ, MAX_LOWPASS_SHARE * rate) / (rate / 2), output="sos")
     smooth = sosfiltfilt(sections, path, axis=0)
     return np.gradient(np.gradient(smooth, 1 / rate, axis=0), 1 / rate, axis=0)
 

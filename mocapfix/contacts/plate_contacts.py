@@ -80,7 +80,9 @@ def merge_events(
             if nearest is not None and abs(nearest.time_s - event.time_s) < half_step_s:
                 each = EventDisagreement(nearest, event)
                 found[nearest] = min(found.get(nearest, each), each, key=lambda pair: abs(pair.delay_s))
-            elif events is recorded or not any(_is_within(event, each) for each in contacts):
+            elif events is recorded or not any(
+                event.side == each.side and each.strike_s < event.time_s < each.off_s for each in contacts
+            ):
                 added.append(event)
         kept += added
         disagreements += found.values()
@@ -115,20 +117,9 @@ def align_contacts_with_plates(contacts: BodyContacts, plate_contacts: Sequence[
         heel[first:begin] = True
         ball[end + 1 : last + 1] = True
         ball[first : last + 1] |= ~heel[first : last + 1]
-        for column in (heel, ball):
-            _clear_run(column[:first][::-1])
-            _clear_run(column[last + 1 :])
+        for part in (each for column in (heel, ball) for each in (column[:first][::-1], column[last + 1 :])):
+            part[: int(np.argmin(part)) if not part.all() else len(part)] = False  # the run of a contact beside the load
     return replace(contacts, is_contact=is_contact)
-
-
-def _clear_run(is_contact: Bool[np.ndarray, " T"]) -> None:
-    """Set the values of the run at the beginning to False, in place."""
-    is_contact[: int(np.argmin(is_contact)) if not is_contact.all() else len(is_contact)] = False
-
-
-def _is_within(event: GaitEvent, contact: PlateContact) -> bool:
-    """Return whether an event lies within the time in which its foot stands on a plate."""
-    return event.side == contact.side and contact.strike_s < event.time_s < contact.off_s
 
 
 def _find_single_foot(on_plate: Mapping[str, Bool[np.ndarray, "T 2"]], start_frame: float, stop_frame: float) -> str | None:

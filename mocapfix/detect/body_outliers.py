@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.detect.noise import find_shared_deviations
+from mocapfix.errors import join_words
 from mocapfix.kernels.label_evidence import MAX_SMOOTH_LEAP, compute_own_leaps
 from mocapfix.model.faults import Fault, MarkerShift
 from mocapfix.model.motion import Motion
@@ -446,8 +447,7 @@ def _build_body_swap_fault(cycle: tuple[CarriedMarker, ...], is_smooth: np.ndarr
     distance_m = float(np.mean([each.outlier.distance_m for each in cycle]))
     time = f"for {(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
     where = f"they lie {distance_m * 1e3:.0f} mm off their positions on the body, and {ratio:.1f} times nearer to one another's"
-    labels = [take.bare_labels[m] for m in markers]
-    reason = f"{', '.join(labels[:-1])} and {labels[-1]} have exchanged their labels {time}: {where}."
+    reason = f"{join_words([take.bare_labels[m] for m in markers])} have exchanged their labels {time}: {where}."
     return Fault("swap", markers[0], first, last, distance_m, reason, 1 - 1 / ratio, tuple(markers[1:]))
 
 

@@ -259,29 +259,18 @@ def detect_frozen(
     neighbours = np.argsort(estimate_distance_changes(take.markers, take.rate), axis=1)[:, :-1]
     faults: list[Fault] = []
     for marker, first, last in stretches:
-        travel_m = _measure_neighbour_travel(take.markers[first : last + 1, neighbours[marker]])
-        if len(travel_m) and travel_m.min() >= min_travel_m:
-            faults.append(_build_frozen_fault(take, marker, (first, last), travel_m, min_travel_m))
+        markers = take.markers[first : last + 1, neighbours[marker]]
+        near = markers[:, (~np.isnan(markers[..., 0])).mean(0) >= 0.5][:, :MAX_COMPARED_NEIGHBOURS]
+        start = near[(~np.isnan(near[..., 0])).argmax(0), np.arange(near.shape[1])]
+        travel_m = np.nanmax(np.linalg.norm(near - start, axis=-1), axis=0)
+        if not len(travel_m) or travel_m.min() < min_travel_m:
+            continue
+        first += int(first > 0 and take.visible[first - 1, marker])  # the first sample of the constant value was measured
+        severity, duration_s = float(np.median(travel_m)), (last - first + 1) / take.rate
+        label, confidence = take.bare_labels[marker], 1 - min_travel_m / (min_travel_m + float(travel_m.min()))
+        reason = f"{label} keeps one value for {duration_s:.2f} s while its neighbours move by {severity * 1e3:.0f} mm."
+        faults.append(Fault("stuck", marker, first, last, severity, reason, confidence))
     return faults
-
-
-def _measure_neighbour_travel(markers: np.ndarray) -> np.ndarray:
-    """Measure how far, in metres, the first few markers (T, M, 3) that are visible at least half the time travel."""
-    near = markers[:, (~np.isnan(markers[..., 0])).mean(0) >= 0.5][:, :MAX_COMPARED_NEIGHBOURS]
-    start = near[(~np.isnan(near[..., 0])).argmax(0), np.arange(near.shape[1])]
-    return np.nanmax(np.linalg.norm(near - start, axis=-1), axis=0)
-
-
-def _build_frozen_fault(
-    take: Take, marker: int, interval: tuple[int, int], neighbour_travel_m: np.ndarray, min_travel_m: float
-) -> Fault:
-    first, last = interval
-    first += int(first > 0 and take.visible[first - 1, marker])  # the first sample of the constant value was measured
-    severity, duration_s = float(np.median(neighbour_travel_m)), (last - first + 1) / take.rate
-    label = take.bare_labels[marker]
-    reason = f"{label} keeps one value for {duration_s:.2f} s while its neighbours move by {severity * 1e3:.0f} mm."
-    confidence = 1 - min_travel_m / (min_travel_m + float(neighbour_travel_m.min()))
-    return Fault("stuck", marker, first, last, severity, reason, confidence)
 
 
 def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, "M M"]:

@@ -81,9 +81,7 @@ def detect_lost_segments(take: Take, marker_set: MarkerSet) -> list[Fault]:
     faults: list[Fault] = []
     for name, markers in list_body_parts(take, marker_set):
         for first, last in find_runs(~np.any(take.visible[:, markers], axis=1)):
-            is_known = any(
-                larger.first <= first and last <= larger.last and set(markers) <= set(larger.markers) for larger in faults
-            )
+            is_known = any(each.first <= first and last <= each.last and set(markers) <= set(each.markers) for each in faults)
             if last - first + 1 >= MIN_LOST_SEGMENT_DURATION_S * take.rate and not is_known:
                 faults.append(_build_lost_segment_fault(take, name, markers, first, last))
     return sorted(faults, key=lambda fault: (fault.first, -len(fault.other_markers)))
@@ -96,10 +94,8 @@ def list_body_parts(take: Take, marker_set: MarkerSet) -> list[tuple[str, list[i
     joints_by_part: dict[str, set[str]] = {"the body": set(marker_joints.tolist())}
     joints_by_part |= {f"the {limb}": set(joints) for limb, joints in LIMB_JOINT_NAMES.items()}
     joints_by_part |= {name: {name} for name in dict.fromkeys(marker_joints.tolist())}
-    parts = [
-        (part, [int(c) for c in columns[np.isin(marker_joints, list(joints))] if c >= 0])
-        for part, joints in joints_by_part.items()
-    ]
+    columns_of_part = {part: columns[np.isin(marker_joints, list(joints))] for part, joints in joints_by_part.items()}
+    parts = [(part, [int(c) for c in columns if c >= 0]) for part, columns in columns_of_part.items()]
     return [(part, markers) for part, markers in parts if len(markers) >= MIN_MARKERS_PER_BODY_PART]
 
 
@@ -110,9 +106,8 @@ def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: 
         reason = f"All markers of the body are missing {time}: its pose is estimated from the frames before and after."
     else:
         labels = ", ".join(take.bare_labels[m] for m in markers)
-        reason = (
-            f"All markers of {name} are missing {time} ({labels}): its pose is estimated from its neighbours and the pose prior."
-        )
+        estimate = "its pose is estimated from its neighbours and the pose prior"
+        reason = f"All markers of {name} are missing {time} ({labels}): {estimate}."
     travel_m = _measure_travel(take, markers, first, last)
     return Fault("segment lost", markers[0], first, last, travel_m, reason, 1.0, tuple(markers[1:]))
 

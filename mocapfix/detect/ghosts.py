@@ -78,7 +78,11 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
             is_seen = any(0 <= t < take.frame_count and take.visible[t, m] for t in (interval[0] - 1, interval[1] + 1))
             least_m = min_distance_m if is_seen else max(min_distance_m, MIN_UNSEEN_GHOST_M)
             if displacement.distance_m > least_m and displacement.is_abrupt and not may_be_moved:
-                ghosts.append(_build_ghost_fault(take, m, interval, displacement.distance_m, gain, is_persistent))
+                off_m, count = displacement.distance_m, interval[1] - interval[0] + 1
+                where = f"{off_m * 1e3:.0f} mm off its segment for {count / take.rate:.2f} s ({count} frames)"
+                end = "" if is_persistent else ", and returns"
+                reason = f"{take.bare_labels[m]} is {where}, at a position without a marker{end}."
+                ghosts.append(Fault("ghost", m, *interval, off_m, reason, float(1 - np.exp(-gain))))
     return ghosts
 
 
@@ -130,7 +134,11 @@ def _measure_displacement(
     deviation = _compute_deviations(markers[frames], distances, marker, partners)
     ends = [(frames[0], visible[a - 1])] if a > 0 else []
     ends += [(frames[-1], visible[b + 1])] if b + 1 < len(visible) else []
-    is_abrupt = all(_is_abrupt(_compute_deviations(markers[[*end]], distances, marker, partners)) for end in ends)
+    is_abrupt = True
+    for end in ends:
+        at_end = _compute_deviations(markers[[*end]], distances, marker, partners)
+        inside, outside = at_end[:, np.abs(at_end[0]).argmax()]
+        is_abrupt &= not abs(inside - outside) < MIN_END_CHANGE_RATIO * abs(inside)
     return _Displacement(float(np.median(np.abs(deviation).max(1))), float(deviation.std(0).max()), is_abrupt)
 
 
@@ -138,12 +146,6 @@ def _compute_deviations(markers: np.ndarray, distances: MarkerDistances, marker:
     """Compute the deviations (N, P), in metres, of a marker's distances to partners in N frames, NaN where missing."""
     position = [distances.partner[marker].tolist().index(p) for p in partners.tolist()]
     return np.linalg.norm(markers[:, [marker]] - markers[:, partners], axis=-1) - distances.length_m[marker, position]
-
-
-def _is_abrupt(deviation: np.ndarray) -> bool:
-    """Return whether the largest deviation of the first of two frames (2, P) is not there in the second, or is unknown there."""
-    inside, outside = deviation[:, np.abs(deviation[0]).argmax()]
-    return not abs(inside - outside) < MIN_END_CHANGE_RATIO * abs(inside)
 
 
 def _find_shared_deviations(
@@ -169,13 +171,3 @@ def _find_shared_deviations(
         is_shared |= keeper_m * np.sign(own_m) > MIN_SHARED_DEVIATION_RATIO * np.abs(own_m)
         is_shared[keeper] = False
     return is_shared
-
-
-def _build_ghost_fault(
-    take: Take, marker: int, interval: tuple[int, int], distance_m: float, gain: float, is_persistent: bool
-) -> Fault:
-    first, last = interval
-    label, count = take.bare_labels[marker], last - first + 1
-    where = f"{label} is {distance_m * 1e3:.0f} mm off its segment for {count / take.rate:.2f} s ({count} frames)"
-    reason = f"{where}, at a position without a marker{'' if is_persistent else ', and returns'}."
-    return Fault("ghost", marker, first, last, distance_m, reason, float(1 - np.exp(-gain)))

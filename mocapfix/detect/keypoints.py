@@ -75,23 +75,15 @@ def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float,
         point_sd_m: Standard deviation per axis that the marker set states.
     """
     is_known, smooth, is_outlier = ~np.isnan(path[:, 0]), path.copy(), np.zeros(len(path), bool)
-    for first, last in _join_short_gaps(is_known, rate):
+    is_joined = is_known.copy()
+    for first, last in find_runs(~is_known):
+        is_joined[first : last + 1] = first > 0 and last < len(path) - 1 and last - first + 1 <= MAX_JOINED_GAP_S * rate
+    for first, last in find_runs(is_joined):
         frames = slice(first, last + 1)
         if is_known[frames].sum() >= MIN_SMOOTHED_SAMPLES:
             smooth[frames], is_outlier[frames] = _smooth_run(path[frames], is_known[frames], noise_sd_m, rate, point_sd_m)
     smooth[~is_known] = np.nan
     return SmoothedPoint(smooth, is_outlier & is_known, noise_sd_m)
-
-
-def _join_short_gaps(is_known: Bool[np.ndarray, " T"], rate: float) -> list[tuple[int, int]]:
-    """Return the runs of known samples, joined across short gaps."""
-    runs: list[tuple[int, int]] = []
-    for first, last in find_runs(is_known):
-        if runs and first - runs[-1][1] - 1 <= MAX_JOINED_GAP_S * rate:
-            runs[-1] = runs[-1][0], last
-        else:
-            runs.append((first, last))
-    return runs
 
 
 def _smooth_run(
@@ -156,7 +148,9 @@ def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[n
         noise_sd_m: Standard deviation per axis of the noise of each point of the take.
     """
     faults: list[Fault] = []
-    section_of_column = find_sections(take, marker_set)
+    names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
+    section_of_joint = {joint: section for section, joints in BODY_SECTIONS.items() for joint in joints}
+    section_of_column = {int(column): section_of_joint[names[j]] for column, j in zip(columns, marker_set.joints, strict=True)}
     markers, judged = take.markers.copy(), list[tuple[int, int]]()
     for left, right in find_mirrored_columns(take, marker_set):
         sd_m = float(max(noise_sd_m[left], noise_sd_m[right], marker_set.point_sd / 2))
@@ -213,18 +207,12 @@ def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, 
     pairs: list[tuple[int, int]] = []
     for left, (left_joint, left_offset) in place_of_column.items():
         for right, (right_joint, right_offset) in place_of_column.items():
-            is_pair = right_joint == left_joint.replace("Left", "Right") and _is_left(left_joint, left_offset)
+            is_left = left_joint.startswith("Left") or (not left_joint.startswith("Right") and left_offset[0] > 0)
+            is_pair = is_left and right_joint == left_joint.replace("Left", "Right")
             if is_pair and np.abs(left_offset * [-1, 1, 1] - right_offset).max() <= MAX_MIRROR_MISFIT_M and left != right:
                 pairs.append((left, right))
     depths = compute_joint_depths()
     return sorted(pairs, key=lambda pair: depths[place_of_column[pair[0]][0]])
-
-
-def find_sections(take: Take, marker_set: MarkerSet) -> dict[int, str]:
-    """Return the section of the body that carries each column of the take."""
-    names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
-    section_of_joint = {joint: section for section, joints in BODY_SECTIONS.items() for joint in joints}
-    return {int(column): section_of_joint[names[j]] for column, j in zip(columns, marker_set.joints, strict=True) if column >= 0}
 
 
 def compute_joint_depths() -> dict[str, int]:
@@ -293,19 +281,13 @@ def _add_single_samples(
     return is_exchanged
 
 
-def _is_left(joint_name: str, offset: Float[np.ndarray, "3"]) -> bool:
-    return joint_name.startswith("Left") or (not joint_name.startswith("Right") and float(offset[0]) > 0)
-
-
 def _build_swap_fault(take: Take, left: int, right: int, first: int, last: int) -> Fault:
     frames = slice(first, last + 1)
     distance_m = np.linalg.norm(take.markers[frames, left] - take.markers[frames, right], axis=-1)
     severity = float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
     count, labels = last - first + 1, take.bare_labels
-    reason = (
-        f"{labels[left]} and {labels[right]} are exchanged for {count / take.rate:.2f} s ({count} frame{'s' * (count > 1)}): "
-        "each continues the path of the other."
-    )
+    time = f"{count / take.rate:.2f} s ({count} frame{'s' * (count > 1)})"
+    reason = f"{labels[left]} and {labels[right]} are exchanged for {time}: each continues the path of the other."
     return Fault("swap", left, first, last, severity, reason, 1.0, (right,))
 
 
@@ -342,8 +324,6 @@ def _build_outlier_fault(take: Take, marker: int, first: int, last: int, path: n
     distance_m = float(np.linalg.norm(take.markers[first : last + 1, marker] - path[first : last + 1], axis=-1).max())
     count = last - first + 1
     kind: FaultKind = "spike" if count <= max(1, max_spike_duration_s * take.rate) else "ghost"
-    reason = (
-        f"{take.bare_labels[marker]} lies {distance_m * 1e3:.0f} mm off its path for {count} frame{'s' * (count > 1)}, more than "
-        "its noise explains."
-    )
+    where = f"{take.bare_labels[marker]} lies {distance_m * 1e3:.0f} mm off its path"
+    reason = f"{where} for {count} frame{'s' * (count > 1)}, more than its noise explains."
     return Fault(kind, marker, first, last, distance_m, reason)

@@ -30,6 +30,7 @@ from mocapfix.model.faults import (
     FaultReview,
     Faults,
     Fragment,
+    MarkerShift,
     build_fault_mask,
 )
 from mocapfix.model.marker_set import MarkerSet
@@ -120,23 +121,14 @@ def detect_epoch_faults(detected: Detected, body: BodyFit, options: DetectOption
 
 
 def find_unconfirmed_shifts(detected: Detected, body: BodyFit) -> list[Fault]:
-    """Return the marker shifts after which the body carries the marker where it did before.
-
-    There the joint or the skin moved, not the marker.
-    """
-    offsets = {
-        int(column): body.extended_subject.marker_offsets[k] for k, column in enumerate(body.marker_columns) if column >= 0
-    }
+    """Return the marker shifts after which the body carries the marker where it did before: joint or skin moved there."""
+    offsets = dict(zip(body.marker_columns.tolist(), body.extended_subject.marker_offsets, strict=True))
     unconfirmed: list[Fault] = []
-    for fault in detected.sample_faults.select_kinds(*SHIFT_KINDS):
-        before, after = (detected.epochs.find_column(fault.marker, frame) for frame in (fault.first - 1, fault.last))
-        if fault.marker not in offsets:
-            continue
-        if after in offsets:
-            change_m = np.linalg.norm(offsets[after] - offsets.get(before, np.inf))
-            if change_m >= MIN_CONFIRMED_SHIFT_FRACTION * fault.severity:
-                continue
-        unconfirmed.append(fault)
+    for fault in (each for each in detected.sample_faults.items if isinstance(each, MarkerShift) and each.marker in offsets):
+        before, after = (detected.epochs.find_column(fault.marker, frame) for frame in (fault.first - 1, fault.settled_frame))
+        change_m = np.linalg.norm(offsets[after] - offsets.get(before, np.inf)) if after in offsets else 0.0
+        if not change_m >= MIN_CONFIRMED_SHIFT_FRACTION * fault.severity:
+            unconfirmed.append(fault)
     return unconfirmed
 
 
@@ -184,10 +176,8 @@ MIN_VISIBLE_MARKERS = 3  # inliers in at least one frame: fewer do not determine
 def check_visible_markers(detected: Detected) -> None:
     """Raise TakeError if no frame shows enough markers after the detection."""
     if detected.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
-        raise TakeError(
-            f"{detected.take.name}: no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated; "
-            "check the labels and the export."
-        )
+        problem = f"no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated"
+        raise TakeError(f"{detected.take.name}: {problem}; check the labels and the export.")
 
 
 def detect_on_trajectories(
@@ -213,13 +203,11 @@ def detect_on_trajectories(
     for _ in range(options.detect.max_rounds):
         fragments = review.select([*detect_fragments(take)])
         joined = join_fragments(take, fragments)
-        swaps = [
-            fault
-            for fault in review.select(detect_label_swaps(joined.masked(joined.measured)))
-            if fault.confidence >= MIN_LABEL_CONFIDENCE
-        ]
-        # a fragment that was not joined is detected again in each round.
-        label_faults = [*(fault for fault in label_faults if not _is_unused_fragment(fault)), *fragments, *swaps]
+        swaps = review.select(detect_label_swaps(joined.masked(joined.measured)))
+        swaps = [fault for fault in swaps if fault.confidence >= MIN_LABEL_CONFIDENCE]
+        # a fragment that was not joined is detected again in each round
+        kept = (each for each in label_faults if not (isinstance(each, Fragment) and each.relation in ("other", "doubles")))
+        label_faults = [*kept, *fragments, *swaps]
         take = undo_label_exchanges(joined, swaps)
         if not swaps:
             break
@@ -279,10 +267,6 @@ def detect_remaining_faults(take: Take, marker_set: MarkerSet | None, review: Fa
         if not replaced:
             break
     return known
-
-
-def _is_unused_fragment(fault: Fault) -> bool:
-    return isinstance(fault, Fragment) and fault.relation in ("other", "doubles")
 
 
 def _identify_fault(fault: Fault) -> tuple[object, ...]:

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from mocapfix.detect.body_outliers import BodyResiduals
 from mocapfix.model.faults import MarkerShift
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 
@@ -164,9 +163,11 @@ class _MarkerPath(NamedTuple):
 def detect_marker_shifts(residuals: BodyResiduals, subject: Subject, motion: Motion, rate: float) -> list[ShiftEstimate]:
     """Detect markers that seem to move on their segments, ordered by marker; at most one change of each."""
     step = max(1, round(rate / SHIFT_SAMPLE_RATE_HZ))
-    rotvecs_by_joint = {
-        joint: _sample_joint_rotations(subject.skeleton, motion, joint, step) for joint in set(subject.joints.tolist())
-    }
+    rotvecs_by_joint: dict[int, np.ndarray] = {}  # (N, 3 J): of a joint, except the root, and of its children
+    for joint in set(subject.joints.tolist()):
+        adjacent = [j for j, parent in enumerate(subject.skeleton.parents) if joint in (j, parent) and parent >= 0]
+        rotvecs = [Rotation.from_matrix(motion.local_rotations[::step, j]).as_rotvec() for j in adjacent]
+        rotvecs_by_joint[joint] = np.concatenate(rotvecs, axis=1)
     shifts: list[ShiftEstimate] = []
     for k, joint in enumerate(subject.joints):
         shift = _detect_shift(residuals.residual_segment[:, k], rotvecs_by_joint[int(joint)], k, rate, step)
@@ -202,12 +203,6 @@ def build_shift_fault(shift: ShiftEstimate, take: Take) -> MarkerShift:
     )
 
 
-def _sample_joint_rotations(skeleton: Skeleton, motion: Motion, joint: int, step: int) -> np.ndarray:
-    """Return the rotation vectors (N, 3 J) of a joint, except the root, and of its children in every `step`-th frame."""
-    adjacent = [j for j, parent in enumerate(skeleton.parents) if joint in (j, parent) and parent >= 0]
-    return np.concatenate([Rotation.from_matrix(motion.local_rotations[::step, j]).as_rotvec() for j in adjacent], axis=1)
-
-
 def _detect_shift(residual: np.ndarray, joint_rotvecs: np.ndarray, marker: int, rate: float, step: int) -> ShiftEstimate | None:
     """Detect the change that explains most of a marker's path (T, 3) in metres; None if none is certain."""
     reduced, reduced_rate = residual[::step], rate / step
@@ -229,11 +224,11 @@ def _detect_shift(residual: np.ndarray, joint_rotvecs: np.ndarray, marker: int, 
 def _evaluate_knock(path: _MarkerPath, ramp: Ramp) -> ShiftEstimate | None:
     """Return a sudden change; None if it is not certain, or if the marker does not jump."""
     relative_ratio = ramp.size_m / compute_residual_rms(path.regressed, ramp, 1) / MIN_KNOCK_RATIO
-    knock = _locate_knock(path, ramp)
-    min_jump_m = max(MIN_JUMP_FRACTION * ramp.size_m, MIN_BACKGROUND_JUMP_RATIO * knock.usual_jump_m)
-    if ramp.size_m < MIN_SHIFT_M or relative_ratio < 1 or knock.jump_m < min_jump_m:
+    frame, jump_m, usual_jump_m = _locate_knock(path, ramp)
+    min_jump_m = max(MIN_JUMP_FRACTION * ramp.size_m, MIN_BACKGROUND_JUMP_RATIO * usual_jump_m)
+    if ramp.size_m < MIN_SHIFT_M or relative_ratio < 1 or jump_m < min_jump_m:
         return None
-    return ShiftEstimate(path.marker, knock.frame, knock.frame, ramp.size_m, ramp.gain_m2, relative_ratio)
+    return ShiftEstimate(path.marker, frame, frame, ramp.size_m, ramp.gain_m2, relative_ratio)
 
 
 def _evaluate_slide(path: _MarkerPath, ramp: Ramp) -> ShiftEstimate | None:
@@ -249,26 +244,22 @@ def _evaluate_slide(path: _MarkerPath, ramp: Ramp) -> ShiftEstimate | None:
     return ShiftEstimate(path.marker, first, settled, ramp.size_m, ramp.gain_m2, relative_ratio)
 
 
-class _Knock(NamedTuple):
-    """The first frame at the new position, the jump there along the displacement, and the usual jump, in metres."""
+def _locate_knock(path: _MarkerPath, ramp: Ramp) -> tuple[int, float, float]:
+    """Locate the largest jump along the displacement, at most KNOCK_SEARCH_WINDOW_S before or after the ramp.
 
-    frame: int
-    jump_m: float
-    usual_jump_m: float
-
-
-def _locate_knock(path: _MarkerPath, ramp: Ramp) -> _Knock:
-    """Locate the largest jump along the displacement, at most KNOCK_SEARCH_WINDOW_S before or after the ramp."""
+    Returns:
+        The first frame at the new position, the jump there, and the usual jump, in metres.
+    """
     before, after = (int(path.regressed.frames[index]) * path.step for index in (ramp.start, ramp.end))
     reach, half_width = round(KNOCK_SEARCH_WINDOW_S * path.rate), max(1, round(KNOCK_AVERAGE_WINDOW_S * path.rate))
     begin = max(0, before - reach)
     position_m = path.residual[begin : after + reach + 1] @ (ramp.displacement / np.linalg.norm(ramp.displacement))
     visible = np.flatnonzero(~np.isnan(position_m))
     if len(visible) < 4 * half_width:
-        return _Knock(after, 0.0, 0.0)
+        return after, 0.0, 0.0
     total = np.r_[0, np.cumsum(position_m[visible])]
     splits = np.arange(half_width, len(visible) - half_width + 1)
     jump_m = (total[splits + half_width] - 2 * total[splits] + total[splits - half_width]) / half_width
     largest = int(jump_m.argmax())
     usual_jump_m = np.sqrt(np.mean(jump_m[abs(splits - splits[largest]) >= half_width] ** 2))
-    return _Knock(begin + int(visible[splits[largest]]), float(jump_m[largest]), float(usual_jump_m))
+    return begin + int(visible[splits[largest]]), float(jump_m[largest]), float(usual_jump_m)

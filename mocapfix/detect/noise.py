@@ -255,10 +255,8 @@ def detect_jitter(
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, noise.threshold_m):
                 continue
             duration_s = (burst.last - burst.first + 1) / take.rate
-            reason = (
-                f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; "
-                f"its usual noise is {noise.usual_m * 1e3:.1f} mm."
-            )
+            usual = f"its usual noise is {noise.usual_m * 1e3:.1f} mm"
+            reason = f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; {usual}."
             faults.append(Fault("jitter", m, burst.first, burst.last, burst.amplitude_m, reason))
     return faults
 
@@ -377,14 +375,11 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
         is_spike = ~_find_shared_excursions(take, m, excursion, partners[m][partners[m] >= 0])
         distance_m = np.zeros(take.frame_count)
         distance_m[excursion.frames[is_spike]] = np.linalg.norm(excursion.deviation[is_spike], axis=-1)
-        faults += [_build_spike_fault(label, m, first, distance_m[first : last + 1]) for first, last in find_runs(distance_m > 0)]
+        for first, last in find_runs(distance_m > 0):
+            severity, count = float(distance_m[first : last + 1].max()), last - first + 1
+            reason = f"{label} jumps {severity * 1e3:.0f} mm off its path for {count} frame{'s' * (count > 1)} and returns."
+            faults.append(Fault("spike", m, first, last, severity, reason))
     return faults
-
-
-def _build_spike_fault(label: str, marker: int, first: int, distance_m: np.ndarray) -> Fault:
-    severity, frames = float(distance_m.max()), f"{len(distance_m)} frame{'s' if len(distance_m) > 1 else ''}"
-    reason = f"{label} jumps {severity * 1e3:.0f} mm off its path for {frames} and returns."
-    return Fault("spike", marker, first, first + len(distance_m) - 1, severity, reason)
 
 
 class _Excursions(NamedTuple):

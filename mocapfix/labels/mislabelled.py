@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.errors import format_name_list
+from mocapfix.errors import format_name_list, join_words
 from mocapfix.labels.label_swaps import find_permutation_cycles
 from mocapfix.model.faults import Fault
 from mocapfix.model.marker_set import MarkerSet
@@ -241,8 +241,7 @@ def _build_mislabelled_fault(
     elif len(cycle) == 2:
         reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {where}"
     else:
-        names = f"{', '.join(labels[:-1])} and {labels[-1]}"
-        reason = f"{names} have exchanged their labels in a cycle over the whole take: {where}"
+        reason = f"{join_words(labels)} have exchanged their labels in a cycle over the whole take: {where}"
     marker, *others = (int(columns[k]) for k in cycle)
     confidence = float(1 / (1 + np.exp(CORRECT_LABEL_LOG_ODDS - gain)))
     return Fault("mislabelled", marker, 0, take.frame_count - 1, before_m, reason, confidence, tuple(others))

@@ -15,7 +15,6 @@ from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent, Sta
 from mocapfix.errors import join_words
 from mocapfix.labels.label_summary import build_labelling_section
 from mocapfix.model.changes import Decided, UnfilledRun, serialize_changes
-from mocapfix.model.detected import MarkerEpochs
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.subject import Subject
@@ -23,7 +22,6 @@ from mocapfix.model.take import Take
 from mocapfix.options import FEET_OFF, NO_TRAINED_PRIOR, CleanOptions
 from mocapfix.report import notes
 from mocapfix.report.report import (
-    ComputedPointEntry,
     ContactSection,
     ErrorSummary,
     FaultEntry,
@@ -43,7 +41,6 @@ from mocapfix.report.report import (
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.solve.motion_solver import PREVIEW_NOTE
-from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.subject.library import SubjectChoice
 
 STEP_TIME_RANGE_S = (0.2, 1.2)  # time between the strikes of the two feet that make a step; a longer one is a pause
@@ -183,27 +180,21 @@ def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | 
         section["up_axis"] = {"axis": take.up_axis.letter, "basis": take.up_axis.basis, "certain": take.up_axis.is_certain}
     if labelling := build_labelling_section(take):
         section["labelling"] = labelling
-    if take.computed_points:
-        section["computed_points"] = _build_computed_point_entries(take, cleaned_take or take)
+    if take.computed_points and (computed := (cleaned_take or take).computed_points):
+        section["computed_points"] = [
+            {
+                "label": label,
+                "recognised_by": computed.evidence[c],
+                "computed_from": list(computed.list_parent_labels(c, take)),
+                "updated": int(computed.updated_counts[c]),
+            }
+            for c, label in enumerate(computed.take.labels)
+        ]
     if take.subject_name:
         section["person"] = take.subject_name
     if take.point_kind == "joint":
         section["animation"] = True
     return section
-
-
-def _build_computed_point_entries(take: Take, cleaned_take: Take) -> list[ComputedPointEntry]:
-    assert cleaned_take.computed_points is not None
-    computed, updated = cleaned_take.computed_points, cleaned_take.computed_points.updated_counts
-    return [
-        {
-            "label": label,
-            "recognised_by": computed.evidence[c],
-            "computed_from": list(computed.list_parent_labels(c, take)),
-            "updated": int(updated[c]),
-        }
-        for c, label in enumerate(computed.take.labels)
-    ]
 
 
 def build_fault_entries(take: Take, faults: Faults) -> list[FaultEntry]:
@@ -320,6 +311,12 @@ def build_fill_section(
         for run in unfilled_runs
         if counts[run.marker]
     ]
+    reasons: dict[str, Counter[str]] = {}
+    for run in unfilled:
+        reasons.setdefault(run["marker"], Counter())[run["reason"]] += run["last"] - run["first"] + 1
+    left: list[LeftEmptyEntry] = [
+        {"marker": marker, "samples": each.total(), "reasons": dict(each.most_common())} for marker, each in reasons.items()
+    ]
     return {
         "missing_before": int((~input_take.visible & counts).sum()),
         "filled": int((estimated & ~visible & counts).sum()),
@@ -327,19 +324,8 @@ def build_fill_section(
         "relabelled": int((relabelled & counts).sum()),
         "left_empty": int((~cleaned_take.visible & counts).sum()),
         "unfilled": unfilled,
-        "left_by_marker": _count_left_by_marker(unfilled),
+        "left_by_marker": sorted(left, key=lambda entry: -entry["samples"]),
     }
-
-
-def _count_left_by_marker(unfilled: Sequence[UnfilledEntry]) -> list[LeftEmptyEntry]:
-    counts: dict[str, Counter[str]] = {}
-    for run in unfilled:
-        counts.setdefault(run["marker"], Counter())[run["reason"]] += run["last"] - run["first"] + 1
-    entries: list[LeftEmptyEntry] = [
-        {"marker": marker, "samples": reasons.total(), "reasons": dict(reasons.most_common())}
-        for marker, reasons in counts.items()
-    ]
-    return sorted(entries, key=lambda entry: -entry["samples"])
 
 
 def build_report(
@@ -380,7 +366,11 @@ def build_report(
         body_notes += describe_contacts(standing.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:
         body_notes.append(notes.NO_PREVIEW_NOTE)
-    rigid_groups = _build_rigid_group_entries(take, detected.epochs, decided.filled.rigid_groups)
+    rigid_groups: list[RigidGroupEntry] = []
+    for group in decided.filled.rigid_groups:
+        markers = dict.fromkeys(detected.epochs.column_marker[list(group.markers)].tolist())
+        labels = [take.labels[m] for m in markers]
+        rigid_groups.append({"name": group.name, "markers": labels, "spread_mm": round(group.spread_m * 1e3, 2)})
     marker_set = subject.marker_set
     report: Report = {
         "take": build_take_section(take, marker_set.name if marker_set else None, decided.take),
@@ -408,14 +398,3 @@ def build_report(
     if rigid_groups:
         report["rigid_groups"] = rigid_groups
     return report
-
-
-def _build_rigid_group_entries(take: Take, epochs: MarkerEpochs, groups: Sequence[RigidGroup]) -> list[RigidGroupEntry]:
-    return [
-        {
-            "name": group.name,
-            "markers": [take.labels[m] for m in dict.fromkeys(epochs.column_marker[list(group.markers)].tolist())],
-            "spread_mm": round(group.spread_m * 1e3, 2),
-        }
-        for group in groups
-    ]

@@ -71,7 +71,10 @@ def build_change_curves(comparison: CleaningComparison, fault: Fault) -> ChangeC
         before_mm, after_mm = (1e3 * (_get_position(take, m)[frames] - origin) for take in (before, after))
         curves += _split_by_change(before_mm, after_mm, rank)
     position_mm = 1e3 * (_get_position(after, affected[0])[frames] - origin)
-    half_width_mm = BAND_SD_MULTIPLE * 1e3 * _get_fill_sd(after, affected[0])[frames, None]
+    sd_m = np.full(len(frames), np.nan)
+    if after.sample_sd is not None and affected[0] < len(after.labels):
+        sd_m = after.sample_sd[frames, affected[0]]
+    half_width_mm = BAND_SD_MULTIPLE * 1e3 * sd_m[:, None]
     band_mm = np.stack([position_mm - half_width_mm, position_mm + half_width_mm], axis=-1)
     return ChangeCurves(frames, ("x", "y", "z"), tuple(after.labels[m] for m in references), tuple(curves), band_mm)
 
@@ -112,13 +115,6 @@ def _get_position(take: Take, index: int) -> Float[np.ndarray, "T 3"]:
     if index < len(take.labels) or take.unlabelled is None:
         return take.markers[:, index]
     return take.unlabelled.markers[:, index - len(take.labels)]
-
-
-def _get_fill_sd(take: Take, index: int) -> Float[np.ndarray, " T"]:
-    """Return the predicted standard deviation of the samples in metres, NaN where they were measured."""
-    if take.sample_sd is None or index >= len(take.labels):
-        return np.full(take.frame_count, np.nan)
-    return take.sample_sd[:, index]
 
 
 def _split_by_change(before_mm: Float[np.ndarray, "N 3"], after_mm: Float[np.ndarray, "N 3"], rank: int) -> list[MarkerCurve]:
@@ -198,7 +194,10 @@ def draw_change_figure(curves: ChangeCurves, first: int, last: int, first_frame:
         f'<text x="-6" y="{top + (h - w) * scale / 2 + 3:.1f}" text-anchor="end">{escape(name[:MAX_AXIS_NAME_LENGTH])}</text>'
         for name, top, w, h in zip(curves.axis_names, tops, low, high, strict=True)
     )
-    content += _draw_scale_bar(scale) + _draw_frame_numbers(left, right, first_frame + first, first_frame + last)
+    bar_mm, bar_x = compute_round_step(CHANGE_FIGURE_HEIGHT / SCALE_BAR_SHARE / scale), CHANGE_FIGURE_WIDTH + 5
+    content += f'<path class="bar" d="M{bar_x} {CHANGE_FIGURE_HEIGHT}v{-bar_mm * scale:.1f}"/>'
+    content += f'<text transform="translate({bar_x + 10} {CHANGE_FIGURE_HEIGHT}) rotate(-90)">{bar_mm:g} mm</text>'
+    content += _draw_frame_numbers(left, right, first_frame + first, first_frame + last)
     width = LEFT_MARGIN + CHANGE_FIGURE_WIDTH + RIGHT_MARGIN
     box = f"{-LEFT_MARGIN} -6 {width} {CHANGE_FIGURE_HEIGHT + BOTTOM_MARGIN + 12}"
     return Markup(f'<svg class="change" viewBox="{box}" role="img" aria-label="before and after">{content}</svg>')
@@ -232,13 +231,6 @@ def _draw_band(x: Float[np.ndarray, " N"], low: Float[np.ndarray, "N S"], high: 
             backward = [f"{x[i]:.1f} {low[i, s]:.1f}" for i in range(last, first - 1, -1)]
             areas += "M" + "L".join(forward + backward) + "Z"
     return f'<path class="band" d="{areas}"/>' if areas else ""
-
-
-def _draw_scale_bar(scale: float) -> str:
-    """Return a vertical bar of a round number of millimetres; `scale` is in SVG units per millimetre."""
-    length_mm, x = compute_round_step(CHANGE_FIGURE_HEIGHT / SCALE_BAR_SHARE / scale), CHANGE_FIGURE_WIDTH + 5
-    line = f'<path class="bar" d="M{x} {CHANGE_FIGURE_HEIGHT}v{-length_mm * scale:.1f}"/>'
-    return f'{line}<text transform="translate({x + 10} {CHANGE_FIGURE_HEIGHT}) rotate(-90)">{length_mm:g} mm</text>'
 
 
 def _draw_frame_numbers(left: float, right: float, first: int, last: int) -> str:
@@ -302,7 +294,10 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
         for count, one, many in counts
         if count
     ]
-    declined = _describe_declined_changes(report)
+    decisions = Counter(change["decision"] for change in report["changes"])
+    names = {"reject": "rejected", "keep": "kept as measured"}
+    refused = [f"{decisions[decision]:,} {name}" for decision, name in names.items() if decisions[decision]]
+    declined = f" Declined in review: {join_words(refused)}." if refused else ""
     if not parts:
         return f"No changes: all {terms.samples} are as {terms.measured}.{declined}"
     text = f"{join_words(parts)}; every other {terms.sample} is as {terms.measured}.{declined}"
@@ -314,18 +309,8 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
         return f"{text} No body was used: the estimates come from the other markers and the markers’ own trajectories."
     residual = report["solve"]["marker_residual_mm"]
     mean, p95 = format_number(residual["mean"]), format_number(residual["p95"])
-    distance = f"The body's mean distance from the markers is {mean} mm (95th percentile {p95} mm)."
-    return (
-        f"{text} The estimates come from the solved body and the other markers; the method is listed with each change. {distance}"
-    )
-
-
-def _describe_declined_changes(report: Report) -> str:
-    """Return a sentence on the changes that a review rejected or kept as measured."""
-    counts = Counter(change["decision"] for change in report["changes"])
-    names = {"reject": "rejected", "keep": "kept as measured"}
-    parts = [f"{counts[decision]:,} {name}" for decision, name in names.items() if counts[decision]]
-    return f" Declined in review: {join_words(parts)}." if parts else ""
+    text += " The estimates come from the solved body and the other markers; the method is listed with each change."
+    return f"{text} The body's mean distance from the markers is {mean} mm (95th percentile {p95} mm)."
 
 
 def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
@@ -339,14 +324,9 @@ def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
         text += f": {join_names(labels)}. The reasons are listed below." if labels else "."
     unchanged = [f.kind for f in comparison.unchanged_faults if f.kind not in (*MISSING_KINDS, "fragment")]
     text += f" Unchanged faults: {format_fault_counts(unchanged)}." if unchanged else ""
-    return text + _describe_lost_parts(report)
-
-
-def _describe_lost_parts(report: Report) -> str:
-    """Return a sentence on the parts of the body that the solve lost although their markers are seen; empty without any."""
     lost = report["solve"]["lost_in_sight"] if report["solve"] else {}
     parts = [f"{name} ({count:,} frame{'' if count == 1 else 's'})" for name, count in lost.items()]
-    return f" Lost by the solved body although their markers are seen: {join_words(parts)}." if parts else ""
+    return text + f" Lost by the solved body although their markers are seen: {join_words(parts)}." * bool(parts)
 
 
 def format_severity(fault: Fault) -> str:
@@ -372,9 +352,17 @@ class Figure:
 
 
 def select_worst_changes(comparison: CleaningComparison) -> list[tuple[Change, Fault]]:
-    """Return at most MAX_CHANGE_FIGURES applied changes, the worst first, including the worst of each kind."""
-    rate = comparison.input_take.rate
-    ordered = sorted(comparison.applied_changes, key=lambda pair: -_compute_change_weight(*pair, rate))
+    """Return at most MAX_CHANGE_FIGURES applied changes, the worst first, including the worst of each kind.
+
+    The worst has the largest product of duration and the sum of the errors, before and predicted; 1 rad counts as 1 m.
+    """
+
+    def compute_weight(pair: tuple[Change, Fault]) -> float:
+        change, fault = pair
+        error_before = 0.0 if fault.kind in TRAVEL_SEVERITY_KINDS or np.isnan(fault.severity) else fault.severity
+        return (fault.last - fault.first + 1) * (error_before + (change.predicted_mm or 0.0) / 1e3)
+
+    ordered = sorted(comparison.applied_changes, key=compute_weight, reverse=True)
     first_of_kind: dict[str, int] = {}
     for n, (change, _) in enumerate(ordered):
         first_of_kind.setdefault(change.kind, n)
@@ -382,21 +370,7 @@ def select_worst_changes(comparison: CleaningComparison) -> list[tuple[Change, F
     return [ordered[n] for n in sorted([*first_of_kind.values(), *others][:MAX_CHANGE_FIGURES])]
 
 
-def _compute_change_weight(change: Change, fault: Fault, rate_hz: float) -> float:
-    """Return duration times the sum of the error before and the predicted error after, in metre-seconds.
-
-    A rotation of one radian counts as one metre.
-    """
-    error_before = 0.0 if fault.kind in TRAVEL_SEVERITY_KINDS or np.isnan(fault.severity) else fault.severity
-    error_after = (change.predicted_mm or 0.0) / 1e3
-    return (fault.last - fault.first + 1) / rate_hz * (error_before + error_after)
-
-
-def build_change_figures(comparison: CleaningComparison) -> list[Figure]:
-    return [_build_change_figure(comparison, change, fault) for change, fault in select_worst_changes(comparison)]
-
-
-def _build_change_figure(comparison: CleaningComparison, change: Change, fault: Fault) -> Figure:
+def build_change_figure(comparison: CleaningComparison, change: Change, fault: Fault) -> Figure:
     curves = build_change_curves(comparison, fault)
     svg = draw_change_figure(curves, fault.first, fault.last, comparison.input_take.first_frame)
     frames = f"frame{'s' if change.last > change.first else ''} {format_frame_range(change.first, change.last)}"

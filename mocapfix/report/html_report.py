@@ -16,12 +16,13 @@ from mocapfix.model.faults import MISSING_KINDS
 from mocapfix.model.take import Take
 from mocapfix.report.change_figures import (
     Figure,
-    build_change_figures,
+    build_change_figure,
     describe_change,
     describe_changes,
     describe_faults,
     describe_remaining,
     format_severity,
+    select_worst_changes,
 )
 from mocapfix.report.report import ErrorSummary, Report, SolveSection
 from mocapfix.report.sample_states import (
@@ -85,6 +86,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
     take, solve, subject = comparison.input_take, report["solve"], report["subject"]
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
+    notes = [("Note", note) for note in report["notes"]]
     review_file, name = f"{take.output_stem}.changes.yaml", take.path.name if take.path else "TAKE"
     write_page(
         target,
@@ -94,10 +96,9 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         report=report,
         terms=comparison.terms,
         facts=_build_facts(report, comparison),
-        answers=[*((question, describe(report, comparison)) for question, describe in answers)]
-        + [("Note", note) for note in report["notes"]],
+        answers=[(question, describe(report, comparison)) for question, describe in answers] + notes,
         worst_frame=_describe_worst_frame(comparison),
-        change_figures=build_change_figures(comparison),
+        change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
         frame_count=take.frame_count,
         fault_rows=build_fault_rows(comparison),
         fault_legend=[each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]],

@@ -53,22 +53,17 @@ def build_body_notes(
     """
     columns, epochs = body.marker_columns, detected.epochs
     marker_set_take = detected.select_columns(columns, detected.inlier_take.visible)
+    names, is_solved = body.subject.skeleton.names, body.subject.solved_joints
+    lost_samples = merge_lost_samples(lost_parts, columns, epochs)
+    unsolved = format_name_list([name for name, is_shown in zip(names, is_solved, strict=True) if not is_shown])
     return [
-        *describe_unsolved_joints(body.subject),
+        *[f"Not shown by any marker, so not solved and kept at rest: {unsolved}."] * (not is_solved.all()),
         *describe_unobserved_joints(marker_set_take, body.extended_subject),
         *describe_unassigned_markers(detected.take, epochs.column_marker[columns[columns >= 0]], detected.donor_markers),
         *(describe_lost_part(detected.take, part, columns, epochs, detected.inlier_mask) for part in lost_parts),
-        *describe_stray_markers(
-            detected.take, residual_m, detected.faults.items, merge_lost_samples(lost_parts, columns, epochs)
-        ),
+        *describe_stray_markers(detected.take, residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, residual_m),
     ]
-
-
-def describe_unsolved_joints(subject: Subject) -> list[str]:
-    """Return a note on the joints that the subject's markers do not show."""
-    names = [name for name, is_solved in zip(subject.skeleton.names, subject.solved_joints, strict=True) if not is_solved]
-    return [f"Not shown by any marker, so not solved and kept at rest: {format_name_list(names)}."] if names else []
 
 
 def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[str]:
@@ -164,9 +159,8 @@ def describe_lost_part(
         columns: The epoch column of each of the subject's markers, -1 where it has none.
         inlier_mask: The samples of the take that are not taken for faults.
     """
-    ranges = [
-        format_frame_range(take.get_frame_number(first), take.get_frame_number(last)) for first, last in find_runs(part.frames)
-    ]
+    numbers = ((take.get_frame_number(frame) for frame in run) for run in find_runs(part.frames))
+    ranges = [format_frame_range(first, last) for first, last in numbers]
     more = f" and {len(ranges) - MAX_LISTED_RANGES:,} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
     listed = ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
     frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
@@ -174,13 +168,9 @@ def describe_lost_part(
     labels = format_name_list([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))], MAX_LISTED_PART_LABELS)
     distance = _format_mm(float(np.nanmean(part.distance_m)))
     replaced_count = int((lost_samples & ~inlier_mask).sum())
-    outcome = "left unchanged"
-    if replaced_count:
-        outcome = f"{replaced_count:,} {'sample was' if replaced_count == 1 else 'samples were'} taken for faults"
-    return (
-        f"The solved {part.name} is {distance} from its markers ({labels}) in {frames} ({listed}). They are plausible "
-        f"and {outcome}; do not use it there."
-    )
+    replaced = f"{replaced_count:,} {'sample was' if replaced_count == 1 else 'samples were'} taken for faults"
+    outcome = f"They are plausible and {replaced if replaced_count else 'left unchanged'}; do not use it there."
+    return f"The solved {part.name} is {distance} from its markers ({labels}) in {frames} ({listed}). {outcome}"
 
 
 def merge_lost_samples(
@@ -268,14 +258,10 @@ def describe_rigid_groups(groups: Sequence[RigidGroupEntry], *, has_body: bool) 
 
 def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERMS) -> list[str]:
     """Return a note on fills with a large predicted standard deviation; no note without any."""
-    if cleaned_take.sample_sd is None:
+    if cleaned_take.sample_sd is None or not (uncertain := cleaned_take.sample_sd > MAX_RELIABLE_FILL_SD_M).any():
         return []
-    uncertain = cleaned_take.sample_sd > MAX_RELIABLE_FILL_SD_M
-    if not uncertain.any():
-        return []
-    labels = format_name_list(
-        [cleaned_take.labels[m] for m in np.argsort(-uncertain.sum(0), kind="stable") if uncertain[:, m].any()]
-    )
+    order = [m for m in np.argsort(-uncertain.sum(0), kind="stable") if uncertain[:, m].any()]
+    labels = format_name_list([cleaned_take.labels[m] for m in order])
     limit = f"a predicted standard deviation above {_format_mm(MAX_RELIABLE_FILL_SD_M)}"
     return [f"{uncertain.sum()} filled {terms.samples} are unreliable, with {limit}: {labels}."]
 

@@ -62,7 +62,8 @@ def log_contacts(writer: "_RecordingWriter", contacts: BodyContacts, position: F
     """Log the contacts, whose joints are at `position` (T, C, 3) in metres, the floor and the events."""
     _log_contact_points(writer, contacts, position)
     for level, lines in enumerate(build_floor_grids(contacts, position)):
-        _log_floor(writer, f"world/floor/{level + 1}", lines)
+        strips = rr.LineStrips3D(lines.astype(np.float32), radii=FLOOR_LINE_RADIUS_M, colors=np.uint32(FLOOR_COLOUR))
+        writer.recording.log(f"world/floor/{level + 1}", strips, static=True)
     _log_contact_states(writer, contacts)
     _log_events(writer, contacts)
 
@@ -73,11 +74,6 @@ def _log_contact_points(writer: "_RecordingWriter", contacts: BodyContacts, posi
     columns = rr.Points3D.columns(positions=position[is_contact].astype(np.float32), colors=colours[is_contact])
     writer.recording.log("world/contacts", rr.Points3D.from_fields(radii=CONTACT_POINT_RADIUS_M), static=True)
     writer.send_columns("world/contacts", columns.partition(is_contact.sum(axis=1)))
-
-
-def _log_floor(writer: "_RecordingWriter", path: str, lines: Float[np.ndarray, "N 2 3"]) -> None:
-    strips = rr.LineStrips3D(lines.astype(np.float32), radii=FLOOR_LINE_RADIUS_M, colors=np.uint32(FLOOR_COLOUR))
-    writer.recording.log(path, strips, static=True)
 
 
 def build_floor_grids(contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> list[Float[np.ndarray, "N 2 3"]]:
@@ -221,10 +217,8 @@ class _RecordingWriter:
         """Log input markers, unlabelled trajectories and cleaned markers."""
         before, after, outcome = comparison.input_take, comparison.cleaned_take, comparison.sample_states
         input_state = classify_input_samples(before.visible, outcome)
-        colours = _select_colours(
-            INPUT_COLOUR,
-            {FAULTY_COLOUR: input_state == SampleOutcome.SUSPECT, RELABELLED_COLOUR: input_state == SampleOutcome.RELABELLED},
-        )
+        is_faulty, is_relabelled = (input_state == each for each in (SampleOutcome.SUSPECT, SampleOutcome.RELABELLED))
+        colours = _select_colours(INPUT_COLOUR, {FAULTY_COLOUR: is_faulty, RELABELLED_COLOUR: is_relabelled})
         self._log_points("world/before", before, colours, INPUT_POINT_RADIUS_M)
         if before.unlabelled and after.unlabelled:
             joined = before.unlabelled.visible & ~after.unlabelled.visible

@@ -66,16 +66,6 @@ def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.nd
     return joints[frame] if joints is not None and is_known else np.empty((0, 3))
 
 
-def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: Float[np.ndarray, "J 3"]) -> "FigureView":
-    """Return the view that contains all markers of a frame, before and after cleaning, and the joints of the body."""
-    before, after = comparison.input_take.markers[frame], comparison.cleaned_take.markers[frame]
-    if comparison.skeleton is not None and len(joint_position):
-        left = _find_left_direction(comparison.skeleton, joint_position)
-    else:
-        left = _find_widest_direction(after)
-    return _fit_view(before, after, joint_position, left)
-
-
 @dataclass(frozen=True)
 class FigureView:
     """Orthographic view of one frame, in centimetres with y down."""
@@ -125,17 +115,14 @@ def _draw_lines(css_class: str, lines_cm: Float[np.ndarray, "N 2 3"]) -> str:
     return f'<path class="{css_class}" d="{path}"/>'
 
 
-def _fit_view(
-    input_position: Float[np.ndarray, "M 3"],
-    cleaned_position: Float[np.ndarray, "M 3"],
-    joint_position: Float[np.ndarray, "J 3"],
-    left_direction: Float[np.ndarray, " 3"],
-) -> FigureView:
-    """Return the view that contains all markers and joints.
-
-    Args:
-        left_direction: Level unit vector to the body's left, which is the right side of the picture.
-    """
+def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: Float[np.ndarray, "J 3"]) -> FigureView:
+    """Return the view that contains all markers of a frame, before and after cleaning, and the joints of the body."""
+    input_position, cleaned_position = comparison.input_take.markers[frame], comparison.cleaned_take.markers[frame]
+    left_direction = _find_widest_direction(cleaned_position)  # to the right side of the picture
+    if comparison.skeleton is not None and len(joint_position):  # +X in the rest pose, by the regression of the joints on it
+        known = np.isfinite(joint_position).all(axis=1)
+        lateral = comparison.skeleton.rest_positions[known, 0]
+        left_direction = _project_to_floor((lateral - lateral.mean()) @ joint_position[known])
     up = np.array([0.0, 1.0, 0.0])
     front = np.cross(left_direction, up)
     right = left_direction * np.cos(VIEW_YAW_RAD) - front * np.sin(VIEW_YAW_RAD)
@@ -155,13 +142,6 @@ def _fit_view(
     left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
     width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
     return FigureView(axes, ground, (float(left), float(top), float(width), float(height)))
-
-
-def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the level direction to the body's left, +X in the rest pose, from the regression of the joints on the rest pose."""
-    known = np.isfinite(joint_position).all(axis=1)
-    lateral = skeleton.rest_positions[known, 0]
-    return _project_to_floor((lateral - lateral.mean()) @ joint_position[known])
 
 
 def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:

@@ -68,15 +68,10 @@ def get_fault_group(kind: FaultKind) -> str:
     return "place" if kind in SHIFT_KINDS else "faulty"
 
 
-def format_fault_counts(kinds: Iterable[str]) -> str:
-    """Return a list such as "3 gaps, 1 spike and 2 bursts of jitter"."""
-    return format_kind_counts(Counter(kinds))
-
-
-def format_kind_counts(fault_counts: Mapping[str, int]) -> str:
-    """Return the same of the number of faults by kind."""
+def format_fault_counts(kinds: Iterable[str] | Mapping[str, int]) -> str:
+    """Return a list such as "3 gaps, 1 spike and 2 bursts of jitter" of the kinds of faults, or of their numbers by kind."""
     counts: Counter[str] = Counter()
-    for kind, count in fault_counts.items():
+    for kind, count in Counter(kinds).items():
         counts["gap" if kind in MISSING_KINDS else kind] += count
     return join_words([f"{counts[kind]:,} {names[counts[kind] > 1]}" for kind, names in FAULT_KIND_NAMES.items() if counts[kind]])
 

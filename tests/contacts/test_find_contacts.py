@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, OTHER_CONTACT_JOINTS, ContactPositions, Floor
+from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, OTHER_CONTACT_JOINTS, Floor
 from mocapfix.contacts.find_contacts import find_contacts, find_foot_contacts, find_frames_near_floor, find_other_contacts
 from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
@@ -17,7 +17,7 @@ SECONDS = 5.5
 
 def find(feet: np.ndarray, rate: float, sd: np.ndarray | None = None):
     """Return the contacts of the paths (T, 4, 3) of feet."""
-    return find_foot_contacts(ContactPositions(feet, np.full(feet.shape[:2], 0.003) if sd is None else sd, rate))
+    return find_foot_contacts(feet, np.full(feet.shape[:2], 0.003) if sd is None else sd, rate)
 
 
 def compute_agreement(contacts, stances, rate: float) -> float:

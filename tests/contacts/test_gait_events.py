@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, ContactPositions, Floor
+from mocapfix.contacts.contacts import CONTACT_JOINTS, Floor
 from mocapfix.contacts.find_contacts import find_foot_contacts
 from mocapfix.contacts.gait_events import (
     FootPoints,
@@ -190,7 +190,7 @@ def test_steps_of_a_walk_that_turns_and_stops_are_found_once(seed):
     take = compose_take(seed=seed, seconds=seconds)
     joints = [take.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS]
     position = take.joint_positions[:, joints]
-    floor = find_foot_contacts(ContactPositions(position, np.full(position.shape[:2], 0.001), take.rate)).floor
+    floor = find_foot_contacts(position, np.full(position.shape[:2], 0.001), take.rate).floor
     is_known = np.ones(position.shape[:2], bool)
     feet = build_foot_points(take.subject, take.motion, take.marker_positions, take.marker_positions, is_known)
     events = detect_gait_events(feet, floor, take.rate)

@@ -95,6 +95,17 @@ def test_shift_is_confirmed_by_the_body(change_m, is_rejected):
     assert found == ([shift] if is_rejected else [])
 
 
+def test_a_marker_that_is_put_back_was_away():
+    """Each shift is compared with the place after it, not with that at the end of the take, which is the first one again."""
+    knocked = MarkerShift("moved", 1, 30, 99, 0.04, "", settled_frame=30)
+    replaced = MarkerShift("moved", 1, 70, 99, 0.04, "", settled_frame=70)
+    detection = Detected(replace(TAKE, rate=50.0), (), Faults((knocked, replaced)))
+    columns = [int(detection.epochs.find_column(1, frame)) for frame in (0, 50, 90)]
+    offsets = dict(zip(columns, ([0, 0, 0], [0, 0.04, 0], [0, 0, 0]), strict=True))
+    body = build_body([0, *offsets], [[0, 0, 0], *offsets.values()])
+    assert loop.find_unconfirmed_shifts(detection, body) == []
+
+
 def test_shift_to_a_rarely_visible_position_is_unconfirmed():
     """A shift of a marker that is not on the body is not checked."""
     late = MarkerShift("moved", 1, 90, 99, 0.04, "", settled_frame=90)
