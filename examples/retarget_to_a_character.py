@@ -19,7 +19,7 @@ if result.subject and result.motion and result.contacts:
     performed = convert_motion(result.motion, result.input_take.rate)
     motion = retarget_motion(source, performed, character, contacts=result.contacts)
     position, _ = compute_character_poses(character, motion)  # (frames, bones, 3) metres
-    toe = position[:, character.find_bone("mixamorig:LeftToeBase")]
+    toe = position[:, character.skeleton.find_joint("mixamorig:LeftToeBase")]
     for first, last in result.contacts.list_intervals("LeftToeBase"):
         x, _, z = toe[first : last + 1].mean(0)
         print(f"frames {first} to {last}: the left foot stands at x = {x:.3f} m, z = {z:.3f} m")

@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.io.c3d import write_c3d
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import BodyModel, Skeleton, compute_local_rotations, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.result import CleaningResult
-from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_local_rotations, compute_world_poses
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_world_poses
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import load_marker_set
 

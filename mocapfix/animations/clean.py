@@ -24,13 +24,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animations import joint_mapping
 from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
-from mocapfix.animations.joint_mapping import (
-    SkeletonAlignment,
-    align_skeleton,
-    build_joint_skeleton,
-    convert_to_cmu31,
-    find_ancestor,
-)
+from mocapfix.animations.joint_mapping import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.animations.repair import repair_animation
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
@@ -44,7 +38,7 @@ from mocapfix.model.animation import Animation
 from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import compose_transforms, find_ancestor, load_cmu31_body
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -59,7 +53,6 @@ from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.rigid_alignment import compose_transforms
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
@@ -211,8 +204,8 @@ class AnimationResult(CleaningResult):
     @cached_property
     def comparison(self) -> "CleaningComparison":
         """The animation before and after cleaning, for the report and the recording."""
-        skeleton, positions = build_joint_skeleton(self.animation)
-        comparison = replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
+        positions = self.animation.compute_world_poses()[0]
+        comparison = replace(super().comparison, skeleton=self.animation.skeleton, joint_position_world=positions)
         if self.contacts is None or self.subject is None or self.motion is None:
             return comparison
         model, columns = self.subject.skeleton, [self.subject.skeleton.names.index(joint) for joint in self.contacts.joints]

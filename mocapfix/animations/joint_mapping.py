@@ -20,12 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from mocapfix.characters.character import list_path
 from mocapfix.errors import format_name_list
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import JointName, StrictModel, find_by_name, read_yaml_model
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import Skeleton, find_ancestor, list_path, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
@@ -121,14 +120,6 @@ def _discard_misplaced_joints(
     return kept
 
 
-def find_ancestor(joint: int, parents: Int[np.ndarray, " J"], is_candidate: Bool[np.ndarray, " J"]) -> int:
-    """Return the nearest candidate above a joint in a tree, -1 if there is none."""
-    joint = int(parents[joint])
-    while joint >= 0 and not is_candidate[joint]:
-        joint = int(parents[joint])
-    return joint
-
-
 def find_descendants(joint: int, parents: Int[np.ndarray, " J"], is_candidate: Bool[np.ndarray, " J"]) -> list[int]:
     """Return a joint if it is a candidate, otherwise the nearest candidates below it."""
     if is_candidate[joint]:
@@ -221,13 +212,6 @@ def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[n
     return sd
 
 
-def build_joint_skeleton(animation: Animation) -> tuple[Skeleton, Float[np.ndarray, "T J 3"]]:
-    """Return the file's own skeleton and the positions of its joints in the world, in metres."""
-    offsets = animation.bone_offsets @ animation.rotation_y_up_file.T * animation.unit_m
-    skeleton = Skeleton(animation.names, animation.parents, offsets, np.full(offsets.shape, np.nan))
-    return skeleton, animation.compute_world_poses()[0]
-
-
 def _build_point_take(animation: Animation, points: Float[np.ndarray, "T M 3"], labels: tuple[str, ...]) -> Take:
     return Take(
         points,
@@ -270,7 +254,7 @@ def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) ->
     """
     sampled = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
     moving_poses = sampled.compute_world_poses()
-    rest_poses = animation.compute_rest_positions()[None], np.tile(np.eye(3), (1, len(animation.names), 1, 1))
+    rest_poses = animation.skeleton.rest_positions[None], np.tile(np.eye(3), (1, len(animation.names), 1, 1))
     for positions, rotations in (rest_poses, moving_poses):
         uprightness = np.nan_to_num(_compute_uprightness(positions, file_joints), nan=-1.0)
         frame = int(np.argmax(uprightness))

@@ -20,14 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
+from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
 from mocapfix.solve import occluded_joints
-from mocapfix.solve.kinematics import compute_local_rotations
 from mocapfix.solve.motion_prior import GapContext, combine_rotations, compute_combined_variance, compute_prediction_weight
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.constant_offsets import OffsetModel
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
-from mocapfix.stats.rigid_alignment import compose_transforms
 from mocapfix.stats.sequences import find_runs, sample_evenly, select_training_frames
 
 MIN_STEADY_FRAMES = 3  # frames without jitter that the smoothing requires

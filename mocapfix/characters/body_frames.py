@@ -104,7 +104,7 @@ class BodyFrame:
         foot = self.segment_bones[f"{side}_foot"]
         if f"{side}_toe" in self.segment_bones:
             return self.compute_vector(f"{side}_foot", self.find_head(f"{side}_toe"))
-        tail = self.rest_position[foot] + self.rest_rotation[foot] @ self.character.tails[foot]
+        tail = self.rest_position[foot] + self.rest_rotation[foot] @ self.character.skeleton.ends[foot]
         vector = self.compute_vector(f"{side}_foot", tail)
         length = DEFAULT_FOOT_LENGTH * self.leg_length_m
         if np.isfinite(vector).all() and vector[2] > length / 2:
@@ -114,7 +114,7 @@ class BodyFrame:
     def compute_palm(self, side: str) -> Float[np.ndarray, " 3"]:
         """Return the middle of a hand relative to the wrist, in the hand's axes, in metres, by the tail of its bone."""
         hand = self.segment_bones[f"{side}_hand"]
-        tail = self.rest_position[hand] + self.rest_rotation[hand] @ self.character.tails[hand]
+        tail = self.rest_position[hand] + self.rest_rotation[hand] @ self.character.skeleton.ends[hand]
         vector = self.compute_vector(f"{side}_hand", tail)
         return PALM_SHARE * vector if np.isfinite(vector).all() else DEFAULT_PALM * self.arm_length_m * LIMB_DIRECTIONS[side]
 
@@ -143,7 +143,7 @@ class BodyFrame:
 
 def build_body_frame(character: Character) -> BodyFrame:
     """Compute the standard pose of a character from its rest pose. The mapping must have all required segments."""
-    position, rotation = character.compute_rest_pose()
+    position, rotation = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     segment_bones = {segment: find_segment_bone(segment, chain) for segment, chain in bones.items() if chain}
     facing = _compute_facing(position, bones)
@@ -180,7 +180,7 @@ def _compute_segment_turns(
         for start, end in LIMB_ENDS.items():
             direction = DOWN if start in ("thigh", "shin") else LIMB_DIRECTIONS[side]
             bone = bones[f"{side}_{start}"][-1]
-            tail = facing.T @ (position[bone] + rotation[bone] @ character.tails[bone])
+            tail = facing.T @ (position[bone] + rotation[bone] @ character.skeleton.ends[bone])
             vector = heads.get(f"{side}_{end}", tail) - heads[f"{side}_{start}"]
             turns[f"{side}_{start}"] = compute_shortest_rotation(vector, direction) if np.isfinite(vector).all() else np.eye(3)
         turns[f"{side}_hand"] = turns[f"{side}_forearm"]

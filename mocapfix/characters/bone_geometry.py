@@ -17,7 +17,8 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.characters.character import SIDES, find_common_ancestor, list_path
+from mocapfix.characters.character import SIDES
+from mocapfix.model.skeleton import find_common_joint, list_path
 
 MAX_ANKLE_HEIGHT_SHARE = 0.2  # height of the ankle above the lowest bone of the leg, as a share of the height of its first bone
 MIN_DOWNWARD_COSINE = 0.6  # cosine between a thigh or a shin and the vertical
@@ -483,7 +484,7 @@ def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.n
     trunk = find_pair_centre(arms, positions) - find_pair_centre(legs, positions)
     if trunk[1] < MIN_TRUNK_COSINE * np.linalg.norm(trunk):
         raise ValueError("the trunk is not upright in the rest pose")
-    pelvis = find_common_ancestor([*legs.select(0), *arms.select(0)], parents)
+    pelvis = find_common_joint(parents, [*legs.select(0), *arms.select(0)])
     if pelvis < 0:
         raise ValueError("legs and arms are below different roots")
     chest = int(parents[arms.paths.first[0]])

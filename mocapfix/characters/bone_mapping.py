@@ -23,13 +23,11 @@ from mocapfix.characters.character import (
     TWISTING_SEGMENTS,
     BoneMapping,
     Character,
-    find_common_ancestor,
     get_next_segment,
-    is_below,
-    list_path,
 )
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
+from mocapfix.model.skeleton import find_common_joint, is_below, list_path
 from mocapfix.options import CHARACTER_PRESETS
 
 NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
@@ -157,7 +155,7 @@ def _correct_pelvis(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]
     limbs = [chains[segment][0] for side in SIDES for segment in (f"{side}_thigh", f"{side}_upper_arm") if chains.get(segment)]
     pelvis = chains.get("pelvis", [])[:1]
     if pelvis and limbs and not all(is_below(bone, pelvis[0], parents) for bone in limbs):
-        common = find_common_ancestor([*limbs, *pelvis], parents)
+        common = find_common_joint(parents, [*limbs, *pelvis])
         pelvis = [common] if common >= 0 else []
     if "pelvis" in chains:
         chains["pelvis"] = pelvis
@@ -215,9 +213,9 @@ def map_bones(character: Character) -> BoneMapping:
     Raises:
         SceneError: If the bones do not form a body with two arms and two legs. The message names the file.
     """
-    positions, _ = character.compute_rest_pose()
+    positions, _ = character.skeleton.compute_rest_pose()
     source = character.source.path if character.source else character.name
-    named = find_segments_by_name(character.names, character.parents)
+    named = find_segments_by_name(character.skeleton.names, character.skeleton.parents)
     if named is not None:
         if _stands_on_hands(positions, named.bones):
             raise SceneError(
@@ -225,13 +223,13 @@ def map_bones(character: Character) -> BoneMapping:
                 "character on two legs can take a person's motion."
             )
         return _build_mapping(character, positions, dict(named.bones), f"{named.title} names")
-    if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.names):
+    if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.skeleton.names):
         raise SceneError(
             f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "
             "alone, or give the metarig."
         )
     try:
-        shape = find_segments_by_shape(character.parents, positions)
+        shape = find_segments_by_shape(character.skeleton.parents, positions)
     except ValueError as error:
         raise SceneError(
             f"{source}: the names of its bones are unknown, and their shape is no body with two arms and two legs in an upright "
@@ -252,9 +250,9 @@ def _stands_on_hands(positions: Float[np.ndarray, "J 3"], bones: Mapping[str, tu
 def _build_mapping(
     character: Character, positions: Float[np.ndarray, "J 3"], bones: dict[str, tuple[int, ...]], how: str
 ) -> BoneMapping:
-    twists = find_side_twists(character.names, character.parents, positions, bones)
+    twists = find_side_twists(character.skeleton.names, character.skeleton.parents, positions, bones)
     count = sum(map(len, (*bones.values(), *twists.values())))
-    return BoneMapping(bones, twists, f"{how}: {count} of {len(character.names)} bones.")
+    return BoneMapping(bones, twists, f"{how}: {count} of {len(character.skeleton.names)} bones.")
 
 
 MAX_TWIST_SHARE = 0.98

@@ -5,15 +5,14 @@ and includes the rest rotation: in the rest pose the local rotations are `rest_r
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import SceneError
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
-from mocapfix.stats.rigid_alignment import compose_transforms
+from mocapfix.model.skeleton import Skeleton, compose_transforms, is_below
 
 SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -58,47 +57,28 @@ class BoneMapping:
 
 @dataclass(frozen=True)
 class Character:
-    """A tree of J bones in its rest pose, parents before children.
+    """A rigged figure: the skeleton of its J bones, and which of them form the segments of its body.
 
-    name            short name, part of the names of output files
-    names           J names of bones
-    parents         (J,) index of each bone's parent, -1 for the roots
-    rest_positions  (J, 3) m: each bone's head in its parent's axes (for a root: in the world), scales of the file multiplied out
-    rest_rotations  (J, 3, 3): each bone's axes to its parent's (for a root: to the world's)
-    tails           (J, 3) m: the tail of the bone in its own axes; NaN where the file has none and no child shows it
-    mapping         the segments of its body
-    scales          (J,) the length in metres of one unit of the file along each bone's own axes: translations of its children in
-                    the file are `rest_positions` divided by it
-    root_scale      metres in a unit of the file, for translations of the roots
-    rotation_y_up_file  (3, 3) from the file's axes to axes with Y up
-    limits_deg      bone to the (3, 2) least and greatest components of its rotation vector from the rest pose, in its parent's
-                    axes, in degrees
-    has_feet_flat   whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical
-    source          the file it was read from, None for a preset
+    Attributes:
+        name: Short name, part of the names of output files.
+        skeleton: The bones in the rest pose, with the scales of the file multiplied out.
+        mapping: The segments of its body.
+        scales: (J,) length in metres of one unit of the file along each bone's own axes: translations of its children in the
+            file are the skeleton's offsets divided by it.
+        root_scale: Metres in a unit of the file, for translations of the roots.
+        rotation_y_up_file: (3, 3) from the file's axes to axes with Y up.
+        has_feet_flat: Whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical.
+        source: The file it was read from, None for a preset.
     """
 
     name: str
-    names: tuple[str, ...]
-    parents: Int[np.ndarray, " J"]
-    rest_positions: Float[np.ndarray, "J 3"]
-    rest_rotations: Float[np.ndarray, "J 3 3"]
-    tails: Float[np.ndarray, "J 3"]
+    skeleton: Skeleton
     mapping: BoneMapping
     scales: Float[np.ndarray, " J"]
     root_scale: float = 1.0
     rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
-    limits_deg: Mapping[int, Float[np.ndarray, "3 2"]] = field(default_factory=dict)
     has_feet_flat: bool = True
     source: "CharacterSource | None" = None
-
-    def find_bone(self, name: str) -> int:
-        """Return the index of a bone. Raises ValueError for an unknown name."""
-        return self.names.index(name)
-
-    def compute_rest_pose(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
-        """Compute the positions in metres and the rotations of the bones in the world, in the rest pose."""
-        position, rotation = compose_transforms(self.parents, self.rest_positions[None], self.rest_rotations[None])
-        return position[0], rotation[0]
 
 
 @dataclass(frozen=True)
@@ -139,9 +119,9 @@ def compute_character_poses(
     character: Character, motion: CharacterMotion
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
     """Compute the positions in metres and the rotations of the bones in the world, in every frame."""
-    positions = np.tile(character.rest_positions, (motion.frame_count, 1, 1))
+    positions = np.tile(character.skeleton.offsets, (motion.frame_count, 1, 1))
     positions[:, character.mapping.bones["pelvis"][0]] = motion.pelvis_position
-    return compose_transforms(character.parents, positions, motion.local_rotations)
+    return compose_transforms(character.skeleton.parents, positions, motion.local_rotations)
 
 
 MIN_TAIL_FRACTION = 0.5  # of the distance of a bone's farthest child: nearer children, such as a thumb, do not count for its tail
@@ -171,32 +151,16 @@ def build_cmu31_character(skeleton: Skeleton) -> Character:
     for side in SIDES:
         for segment, joint in SEGMENT_JOINTS.items():
             bones[f"{side}_{segment}"] = (skeleton.find_joint(side.capitalize() + joint),)
-    count = len(skeleton.names)
-    return Character(
-        name="cmu31",
-        names=skeleton.names,
-        parents=skeleton.parents,
-        rest_positions=skeleton.offsets,
-        rest_rotations=np.tile(np.eye(3), (count, 1, 1)),
-        tails=_find_tails(skeleton),
-        mapping=BoneMapping(bones, reason="the 31 joints of the solved body"),
-        scales=np.ones(count),
-        has_feet_flat=False,
-    )
+    ends = skeleton.ends.copy()
+    for joint in np.flatnonzero(~skeleton.is_leaf):
+        ends[joint] = skeleton.offsets[skeleton.parents == joint].mean(0)
+    mapping = BoneMapping(bones, reason="the 31 joints of the solved body")
+    return Character("cmu31", replace(skeleton, ends=ends), mapping, np.ones(len(ends)), has_feet_flat=False)
 
 
 def convert_motion(motion: Motion, rate: float) -> CharacterMotion:
     """Return the motion of the 31-joint skeleton as that of its character; `rate` in frames per second."""
     return CharacterMotion(motion.root_position, motion.local_rotations, rate)
-
-
-def _find_tails(skeleton: Skeleton) -> np.ndarray:
-    """Return the end of each joint's bone in its axes: the mean of its children, or its end site."""
-    tails = skeleton.ends.copy()
-    for joint in range(len(skeleton.names)):
-        if len(children := np.flatnonzero(skeleton.parents == joint)):
-            tails[joint] = skeleton.offsets[children].mean(0)
-    return tails
 
 
 SEGMENT_CHAINS = (
@@ -251,31 +215,6 @@ def build_bone_mapping(
         raise SceneError(f"{source}: segments.{missing[0]}: is missing; a body needs {', '.join(missing)}.")
     _check_order(names, parents, mapping, source)
     return mapping
-
-
-def is_below(bone: int, above: int, parents: Int[np.ndarray, " J"]) -> bool:
-    """Return whether a bone is a descendant of another."""
-    bone = int(parents[bone])
-    while bone >= 0 and bone != above:
-        bone = int(parents[bone])
-    return bone >= 0
-
-
-def list_path(bone: int, above: int, parents: Int[np.ndarray, " J"]) -> list[int]:
-    """Return the bones from the child of `above` (-1: from a root) down to `bone`."""
-    path: list[int] = []
-    while bone not in (above, -1):
-        path.insert(0, int(bone))
-        bone = int(parents[bone])
-    return path
-
-
-def find_common_ancestor(bones: Sequence[int], parents: Int[np.ndarray, " J"]) -> int:
-    """Return the lowest bone that is each of some bones or above it, -1 if they have none in common."""
-    candidate = bones[0]
-    while candidate >= 0 and not all(bone == candidate or is_below(bone, candidate, parents) for bone in bones):
-        candidate = int(parents[candidate])
-    return candidate
 
 
 def _check_segment_names(segments: Mapping[str, Sequence[str]], twists: Mapping[str, Sequence[str]], source: str) -> None:

@@ -51,13 +51,13 @@ MIN_MOVED_ELEMENT = 1e-6
 def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
     """Return the bones of all segments, their twist bones, and others that the motion turns from their rest rotation."""
     mapped = {bone for group in (character.mapping.bones, character.mapping.twists) for chain in group.values() for bone in chain}
-    difference = np.abs(motion.local_rotations - character.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
+    difference = np.abs(motion.local_rotations - character.skeleton.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
     return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
 
 
 def get_parent_scale(character: Character, bone: int) -> float:
     """Return the metres in a unit of the file in which the position of a bone is given."""
-    parent = int(character.parents[bone])
+    parent = int(character.skeleton.parents[bone])
     return float(character.scales[parent]) if parent >= 0 else character.root_scale
 
 
@@ -99,24 +99,24 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     if source is not None and source.kind == "gltf":
         return parse_glb(Path(source.path), source.data), source.nodes
     buffer = GltfBuffer(_build_skinned_document(character))
-    positions, rotations = character.compute_rest_pose()
-    has_child = np.isin(np.arange(len(positions)), character.parents)
-    tails = positions + np.einsum("jab,jb->ja", rotations, character.tails)
-    add_test_skin(buffer, character.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
+    positions, rotations = character.skeleton.compute_rest_pose()
+    has_child = np.isin(np.arange(len(positions)), character.skeleton.parents)
+    tails = positions + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
+    add_test_skin(buffer, character.skeleton.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
     return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
 
 
 def _build_skinned_document(character: Character) -> dict[str, Any]:
     """Return a document with the bones as its first nodes, in metres, and a node for mesh 0 and skin 0."""
-    quaternions = Rotation.from_matrix(character.rest_rotations).as_quat()
+    quaternions = Rotation.from_matrix(character.skeleton.rest_rotations).as_quat()
     nodes: list[dict[str, Any]] = [
         {"name": name, "translation": position.tolist(), "rotation": quaternion.tolist()}
-        for name, position, quaternion in zip(character.names, character.rest_positions, quaternions, strict=True)
+        for name, position, quaternion in zip(character.skeleton.names, character.skeleton.offsets, quaternions, strict=True)
     ]
-    for bone, parent in enumerate(character.parents):
+    for bone, parent in enumerate(character.skeleton.parents):
         if parent >= 0:
             nodes[parent].setdefault("children", []).append(bone)
-    roots = np.flatnonzero(character.parents < 0).tolist()
+    roots = np.flatnonzero(character.skeleton.parents < 0).tolist()
     nodes.append({"name": "Bones", "mesh": 0, "skin": 0})
     scene_nodes = [*roots, len(nodes) - 1]
     if len(roots) > 1:  # the joints of a skin need a common ancestor
@@ -162,12 +162,12 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
     """
     bones = _list_written_bones(character)
     place = {bone: joint for joint, bone in enumerate(bones)}
-    parents = np.array([place.get(int(character.parents[bone]), -1) for bone in bones])
-    rest_positions, rest_rotations = (each[bones] for each in character.compute_rest_pose())
+    parents = np.array([place.get(int(character.skeleton.parents[bone]), -1) for bone in bones])
+    rest_positions, rest_rotations = (each[bones] for each in character.skeleton.compute_rest_pose())
     positions, rotations = (each[:, bones] for each in compute_character_poses(character, motion))
     turned = rotations @ rest_rotations.swapaxes(-1, -2)
-    names = [BVH_NAME_SEPARATORS.sub("_", character.names[bone]) for bone in bones]
-    tails = np.einsum("jab,jb->ja", rest_rotations, character.tails[bones])
+    names = [BVH_NAME_SEPARATORS.sub("_", character.skeleton.names[bone]) for bone in bones]
+    tails = np.einsum("jab,jb->ja", rest_rotations, character.skeleton.ends[bones])
     if (parents < 0).sum() > 1:
         names = [BVH_NAME_SEPARATORS.sub("_", character.name) or "Root", *names]
         parents = np.concatenate([[-1], parents + 1])
@@ -190,10 +190,10 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
 def _list_written_bones(character: Character) -> list[int]:
     """Return the bones that are written: all but nodes of a glTF at the top that are no joints and carry a single bone."""
     joints = _list_source_joints(character)
-    bones, mapped = list(range(len(character.names))), character.mapping.bones["pelvis"][0]
+    bones, mapped = list(range(len(character.skeleton.names))), character.mapping.bones["pelvis"][0]
     while joints and bones[0] not in joints and bones[0] != mapped:
-        children = np.flatnonzero(character.parents == bones[0])
-        is_single_tree = len(children) == 1 and (character.parents < 0).sum() == 1
+        children = np.flatnonzero(character.skeleton.parents == bones[0])
+        is_single_tree = len(children) == 1 and (character.skeleton.parents < 0).sum() == 1
         if not is_single_tree:
             break
         bones = bones[1:]

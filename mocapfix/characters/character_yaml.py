@@ -18,6 +18,7 @@ from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMappi
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineSequence, StrictModel, dump_yaml, read_yaml_model
+from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
@@ -109,16 +110,18 @@ def read_character_yaml(path: str | Path) -> Character:
         rotation_y_up_file = _read_quaternion(path, "file_rotation", model.file_rotation)
     return Character(
         name=model.name,
-        names=names,
-        parents=parents,
-        rest_positions=np.einsum("jba,jb->ja", parent_rotations, heads - parent_heads),
-        rest_rotations=parent_rotations.swapaxes(-1, -2) @ rotations,
-        tails=np.einsum("jba,jb->ja", rotations, tails - heads),
+        skeleton=Skeleton(
+            names,
+            parents,
+            offsets=np.einsum("jba,jb->ja", parent_rotations, heads - parent_heads),
+            ends=np.einsum("jba,jb->ja", rotations, tails - heads),
+            rest_rotations=parent_rotations.swapaxes(-1, -2) @ rotations,
+            limits_rad=_read_limits(path, model, names),
+        ),
         mapping=mapping,
         scales=np.array([bone.scale_m or model.unit_m for bone in model.bones]),
         root_scale=model.unit_m,
         rotation_y_up_file=rotation_y_up_file.copy(),
-        limits_deg=_read_limits(path, model, names),
         has_feet_flat=model.feet_flat,
         source=CharacterSource(str(path), path.read_bytes(), np.zeros(0, int), "yaml"),
     )
@@ -193,16 +196,17 @@ def _build_own_axis(axis: OwnAxis) -> Float[np.ndarray, " 3"]:
     return np.eye(3)["XYZ".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
 
 
-def _read_limits(path: Path, model: _CharacterModel, names: tuple[str, ...]) -> dict[int, Float[np.ndarray, "3 2"]]:
-    limits: dict[int, Float[np.ndarray, "3 2"]] = {}
+def _read_limits(path: Path, model: _CharacterModel, names: tuple[str, ...]) -> Float[np.ndarray, "J 3 2"]:
+    limits_rad = np.tile(UNLIMITED_RAD, (len(names), 1, 1))
     for name, limit in model.limits.items():
         if name not in names:
             raise SceneError(f"{path}: limits.{name}: there is no such bone in this file; check its spelling.")
-        limits[names.index(name)] = np.array([limit.x, limit.y, limit.z])
-        for axis, (least, greatest) in zip("xyz", limits[names.index(name)], strict=True):
+        limits_deg = np.array([limit.x, limit.y, limit.z])
+        limits_rad[names.index(name)] = np.deg2rad(limits_deg)
+        for axis, (least, greatest) in zip("xyz", limits_deg, strict=True):
             if not least <= 0.0 <= greatest:
                 raise SceneError(f"{path}: limits.{name}.{axis}: must be the least and the greatest angle, with 0 between them.")
-    return limits
+    return limits_rad
 
 
 def _read_quaternion(path: Path, key: str, values: Quaternion) -> Float[np.ndarray, "3 3"]:
@@ -235,7 +239,7 @@ def write_mapping_file(target: str | Path, character: Character) -> None:
 
     Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
     """
-    names, mapping = character.names, character.mapping
+    names, mapping = character.skeleton.names, character.mapping
     data: dict[str, Any] = {
         "segments": {segment: _list_names(names, mapping.bones, segment) for segment in SEGMENTS},
         "twists": {segment: _list_names(names, mapping.twists, segment) for segment in mapping.twists},
@@ -259,8 +263,8 @@ def read_mapping_file(path: str | Path, character: Character) -> BoneMapping:
     path = Path(path)
     model = read_yaml_model(_MappingModel, path)
     return build_bone_mapping(
-        character.names,
-        character.parents,
+        character.skeleton.names,
+        character.skeleton.parents,
         model.segments,
         model.twists,
         reason=f"The mapping file {path.name}.",

@@ -22,7 +22,7 @@ from mocapfix.io.capture import extract_head
 from mocapfix.io.file_content import read_file_bytes
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
@@ -45,12 +45,12 @@ def check_sides(character: Character, name: str) -> None:
     """
     if _measure_trunk_tilt_deg(character) > MAX_REST_TILT_DEG:
         return
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     what_to_do = "exchange the bones of both sides in a mapping file (--character-map) or in their names"
     legs, arms = (position[bones[f"left_{each}"][0]] - position[bones[f"right_{each}"][0]] for each in ("thigh", "upper_arm"))
     if legs @ arms < 0:
-        pairs = " and ".join(repr(character.names[bones[f"left_{each}"][0]]) for each in ("thigh", "upper_arm"))
+        pairs = " and ".join(repr(character.skeleton.names[bones[f"left_{each}"][0]]) for each in ("thigh", "upper_arm"))
         raise SceneError(f"{name}: {pairs}, both of the left, are on different sides of the body; {what_to_do}.")
     axes = _compute_body_axes(character)
     toes: list[str] = []
@@ -60,7 +60,7 @@ def check_sides(character: Character, name: str) -> None:
             length = float(np.hypot(foot[0], foot[2]))
             is_horizontal = length > MIN_HORIZONTAL_FOOT_SHARE * np.linalg.norm(foot)
             if is_horizontal and foot[2] < MAX_BACKWARD_COSINE * length:
-                toes.append(repr(character.names[toe[0]]))
+                toes.append(repr(character.skeleton.names[toe[0]]))
     if len(toes) == len(SIDES):
         problem = "point backwards, so the bones of left and right are swapped, or the feet are"
         raise SceneError(f"{name}: the toes {' and '.join(toes)} {problem}; {what_to_do}.")
@@ -102,11 +102,11 @@ def are_soles_flat(character: Character) -> bool:
     which shows its 31 joints, does not.
     """
     kind = character.source.kind if character.source else "yaml"
-    is_bare = kind == "bvh" or (kind == "gltf" and set(load_cmu31_skeleton().names) <= set(character.names))
+    is_bare = kind == "bvh" or (kind == "gltf" and set(load_cmu31_skeleton().names) <= set(character.skeleton.names))
     bones = character.mapping.bones
     if not is_bare or not all(bones.get(f"{side}_toe") for side in SIDES):
         return True
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
     spreads: list[float] = []
     for side, outward in zip(SIDES, (1.0, -1.0), strict=True):
@@ -122,7 +122,7 @@ def are_soles_flat(character: Character) -> bool:
 
 def _compute_body_axes(character: Character) -> Float[np.ndarray, "3 3"]:
     """Return the axes of the body in the world: to its left, up, and to its front, as left and right give them."""
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     leftward = np.zeros(3)
     for segment in ("thigh", "upper_arm"):
         left, right = (position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES)
@@ -134,7 +134,7 @@ def _compute_body_axes(character: Character) -> Float[np.ndarray, "3 3"]:
 
 def _measure_trunk_tilt_deg(character: Character) -> float:
     """Return the angle between the vertical and the direction from the hips to the shoulders."""
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     hips, shoulders = (
         np.mean([position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES], axis=0)
         for segment in ("thigh", "upper_arm")
@@ -144,7 +144,7 @@ def _measure_trunk_tilt_deg(character: Character) -> float:
 
 def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"]]:
     """Return the vector along each segment of a limb in the world, of those that end at another segment."""
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     return {
         f"{side}_{segment}": position[bones[f"{side}_{end}"][0]] - position[bones[f"{side}_{segment}"][0]]
@@ -190,11 +190,7 @@ def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Charac
         tails[joint] = compute_tail(np.concatenate([animation.bone_offsets[animation.parents == joint], ends]) * unit_m)
     return Character(
         name=path.stem,
-        names=make_names_unique(animation.names),
-        parents=animation.parents,
-        rest_positions=positions,
-        rest_rotations=rotations,
-        tails=tails,
+        skeleton=Skeleton(make_names_unique(animation.names), animation.parents, positions, tails, rotations),
         mapping=BoneMapping({}),
         scales=np.full(count, unit_m),
         root_scale=unit_m,
@@ -291,13 +287,13 @@ def _choose_skeleton(skeletons: list[Character], mapping_path: Path | None) -> C
 
 def check_lengths(character: Character, name: str) -> None:
     """Raise SceneError, which begins with `name`, if a thigh, shin, upper arm or forearm has no length in the rest pose."""
-    position, _ = character.compute_rest_pose()
+    position, _ = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     for side in SIDES:
         for start, end in LIMB_ENDS.items():
             first, last = bones[f"{side}_{start}"][0], bones.get(f"{side}_{end}", ())
             if last and not np.linalg.norm(position[last[0]] - position[first]) > MIN_LIMB_LENGTH_M:
-                pair = f"{character.names[first]!r} and {character.names[last[0]]!r}"
+                pair = f"{character.skeleton.names[first]!r} and {character.skeleton.names[last[0]]!r}"
                 raise SceneError(
                     f"{name}: the bones {pair} ({side} {start.replace('_', ' ')}) are at one place, so the character cannot be "
                     "posed; correct its rest pose or the mapping (--character-map)."

@@ -38,6 +38,7 @@ from mocapfix.io.gltf import (
     read_index,
     read_indices,
 )
+from mocapfix.model.skeleton import Skeleton
 
 ALIGNMENT_BYTES = 16
 """of a buffer that is appended to another: enough for every component and for compressed data"""
@@ -405,11 +406,13 @@ def _build_character(nodes: GltfNodes, joints: set[int], data: bytes, vrm_bones:
     place = {node: bone for bone, node in enumerate(bones)}
     return Character(
         name=nodes.path.stem,
-        names=tuple(nodes.names[node] for node in bones),
-        parents=np.array([place.get(int(nodes.parents[node]), -1) for node in bones]),
-        rest_positions=transforms.positions,
-        rest_rotations=transforms.rotations,
-        tails=_find_tails(nodes, bones, transforms.scales),
+        skeleton=Skeleton(
+            names=tuple(nodes.names[node] for node in bones),
+            parents=np.array([place.get(int(nodes.parents[node]), -1) for node in bones]),
+            offsets=transforms.positions,
+            ends=_find_tails(nodes, bones, transforms.scales),
+            rest_rotations=transforms.rotations,
+        ),
         mapping=build_vrm_mapping(nodes, bones, vrm_bones) if vrm_bones else BoneMapping({}),
         scales=transforms.scales,
         root_scale=GLTF_SCALE_M,
@@ -419,9 +422,9 @@ def _build_character(nodes: GltfNodes, joints: set[int], data: bytes, vrm_bones:
 
 def _add_vrm_twists(character: Character, spring_nodes: set[int]) -> Character:
     """Return the character with the twist bones beside its limbs, which a VRM does not name. Springs are none."""
-    positions, _ = character.compute_rest_pose()
+    positions, _ = character.skeleton.compute_rest_pose()
     mapping, nodes = character.mapping, [] if character.source is None else character.source.nodes.tolist()
-    found = find_side_twists(character.names, character.parents, positions, mapping.bones)
+    found = find_side_twists(character.skeleton.names, character.skeleton.parents, positions, mapping.bones)
     twists = {segment: tuple(bone for bone in chain if nodes[bone] not in spring_nodes) for segment, chain in found.items()}
     return replace(character, mapping=replace(mapping, twists={segment: chain for segment, chain in twists.items() if chain}))
 

@@ -47,8 +47,9 @@ from mocapfix.characters.kept_positions import (
     resample_foot_contacts,
 )
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.model.skeleton import UNLIMITED_RAD, compute_local_rotations
 from mocapfix.options import FEET_LOCK
-from mocapfix.solve.kinematics import Poses, compute_local_rotations, compute_tree_poses
+from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.terms import (
     JOINT_LIMIT_SD_RAD,
@@ -89,9 +90,9 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     joint_of_bone = {bone: k for k, (_, chain, _) in enumerate(joints) for bone in chain}
     parents, offsets = np.full(len(joints), -1), np.zeros((len(joints), 3))
     for k, (_, chain, _) in enumerate(joints):
-        above = int(character.parents[chain[0]])
+        above = int(character.skeleton.parents[chain[0]])
         while above >= 0 and above not in joint_of_bone:
-            above = int(character.parents[above])
+            above = int(character.skeleton.parents[above])
         if k and above >= 0:
             parent = joint_of_bone[above]
             _, parent_chain, parent_bone = joints[parent]
@@ -238,12 +239,10 @@ def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
     """
     chains = [character.mapping.bones.get(segment, ()) for segment in TWISTING_SEGMENTS]
     shared = {bone for chain in chains if len(chain) > 1 for bone in chain}
-    count = len(tree.bones)
-    rest = character.compute_rest_pose()[1][tree.bones]
-    low, high = np.full((count, 3), -np.inf), np.full((count, 3), np.inf)
-    for k, bone in enumerate(tree.bones.tolist()):
-        if bone in character.limits_deg and bone not in shared:
-            low[k], high[k] = np.deg2rad(character.limits_deg[bone]).T
+    rest = character.skeleton.compute_rest_pose()[1][tree.bones]
+    is_shared = np.isin(tree.bones, list(shared))
+    limits_rad = np.where(is_shared[:, None, None], UNLIMITED_RAD, character.skeleton.limits_rad[tree.bones])
+    low, high = np.ascontiguousarray(limits_rad[..., 0]), np.ascontiguousarray(limits_rad[..., 1])
     reference = compute_local_rotations(rest, tree.tree.parents)
     return JointLimitTerm(reference, low, high, JOINT_LIMIT_SD_RAD**-2)
 
@@ -442,7 +441,7 @@ def compose_character_motion(
     placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)
     rotations, above = build_local_rotations(character, placed, len(pelvis))
     pelvis_bone = character.mapping.bones["pelvis"][0]
-    parent = int(character.parents[pelvis_bone])
+    parent = int(character.skeleton.parents[pelvis_bone])
     position = pelvis
     if parent >= 0:
         position = np.einsum("tji,tj->ti", above[parent], pelvis - frame.rest_position[parent])
@@ -456,10 +455,10 @@ def build_local_rotations(
 
     Bones that are not placed keep their rest rotation relative to their parents.
     """
-    local = np.tile(character.rest_rotations, (frame_count, 1, 1, 1))
-    is_parent = np.isin(np.arange(len(character.names)), character.parents)
+    local = np.tile(character.skeleton.rest_rotations, (frame_count, 1, 1, 1))
+    is_parent = np.isin(np.arange(len(character.skeleton.names)), character.skeleton.parents)
     world: dict[int, Float[np.ndarray, "T 3 3"]] = {}
-    for bone, parent in enumerate(character.parents.tolist()):
+    for bone, parent in enumerate(character.skeleton.parents.tolist()):
         if bone in placed:
             world[bone] = placed[bone]
             local[:, bone] = np.swapaxes(world[parent], 1, 2) @ world[bone] if parent >= 0 else world[bone]

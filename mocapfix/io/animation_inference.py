@@ -99,7 +99,7 @@ def infer_up_axis(animation: Animation) -> Animation:
     inspected = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_INSPECTED_POSES)])
     for positions, letters in (
         (inspected.compute_world_poses()[0], ("Y", "Z", "-Y", "-Z")),
-        (animation.compute_rest_positions()[None], ("Y", "Z")),
+        (animation.skeleton.rest_positions[None], ("Y", "Z")),
     ):
         head_above_feet = positions[:, head[0]] - positions[:, feet].mean(1)
         total = head_above_feet[np.isfinite(head_above_feet).all(1)].sum(0)

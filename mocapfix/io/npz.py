@@ -110,7 +110,7 @@ def write_character_npz(target: Path, character: "Character", motion: "Character
     """Write the motion of a character, some of whose bones move. Raises WriteError if `target` is not writable."""
     from scipy.spatial.transform import Rotation  # few cleanings need it
 
-    bones, is_known = range(len(character.names)), np.ones(motion.frame_count, bool)
+    bones, is_known = range(len(character.skeleton.names)), np.ones(motion.frame_count, bool)
     rotations = [lie.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones]
     segments = [segment for segment, chain in character.mapping.bones.items() if chain]
     arrays = {
@@ -118,20 +118,20 @@ def write_character_npz(target: Path, character: "Character", motion: "Character
         "units": np.array(CHARACTER_NPZ_UNITS),
         "character": np.array(character.name),
         "rate": np.array(float(motion.rate)),
-        "names": np.array(character.names),
-        "parents": character.parents,
+        "names": np.array(character.skeleton.names),
+        "parents": character.skeleton.parents,
         "scales": character.scales,
         "root_scale": np.array(float(character.root_scale)),
-        "rest_positions": character.rest_positions,
-        "rest_rotations": Rotation.from_matrix(character.rest_rotations).as_quat(),
-        "tails": character.tails,
-        "pelvis": np.array(character.names[character.mapping.bones["pelvis"][0]]),
+        "rest_positions": character.skeleton.offsets,
+        "rest_rotations": Rotation.from_matrix(character.skeleton.rest_rotations).as_quat(),
+        "tails": character.skeleton.ends,
+        "pelvis": np.array(character.skeleton.names[character.mapping.bones["pelvis"][0]]),
         "pelvis_position": motion.pelvis_position,
         "rotations": np.stack(rotations, axis=1),
-        "is_moved": np.isin(np.arange(len(character.names)), list(moving_bones)),
+        "is_moved": np.isin(np.arange(len(character.skeleton.names)), list(moving_bones)),
         "segments": np.array(segments),
         "segment_bones": np.array(
-            ["\n".join(character.names[bone] for bone in character.mapping.bones[segment]) for segment in segments]
+            ["\n".join(character.skeleton.names[bone] for bone in character.mapping.bones[segment]) for segment in segments]
         ),
     }
     with replace_atomically(Path(target)) as part, part.open("wb") as file:

@@ -19,7 +19,7 @@ from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, compute_local_rotations
 from mocapfix.options import RIG_NAMES
 from mocapfix.solve import kinematics
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
@@ -134,7 +134,7 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
     rest_rotations = _compute_pose_rotations(skeleton, load_bone_directions(rig.rest_pose))
     rig_skeleton = _build_rig_skeleton(rig, skeleton, rest_rotations, joints, ends)
     positions, rotations = kinematics.compute_world_poses(skeleton, motion)
-    local_rotations = kinematics.compute_local_rotations(rotations[:, axes] @ rest_rotations[axes].swapaxes(-1, -2), parents)
+    local_rotations = compute_local_rotations(rotations[:, axes] @ rest_rotations[axes].swapaxes(-1, -2), parents)
     rig_motion = _replace_poses(motion, positions[:, joints[0]], local_rotations)
     rig_positions, _ = kinematics.compute_world_poses(rig_skeleton, rig_motion)
     error_m = np.linalg.norm(rig_positions - positions[:, joints], axis=-1).max(0)
@@ -146,7 +146,7 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
         )
     if rig.starts_with_t_pose:
         t_pose = _compute_pose_rotations(skeleton, load_bone_directions("t-pose"))
-        local_pose = kinematics.compute_local_rotations((t_pose @ rest_rotations.swapaxes(-1, -2))[axes][None], parents)
+        local_pose = compute_local_rotations((t_pose @ rest_rotations.swapaxes(-1, -2))[axes][None], parents)
         rig_motion = _prepend_pose(rig_skeleton, rig_motion, _round_to_degrees(local_pose, rig.rotation_order))
     return rig_skeleton, rig_motion
 

@@ -75,7 +75,7 @@ def build_seed_motion() -> tuple[Character, CharacterMotion]:
     """Return the average figure and a brief motion: it turns about, its arms and legs swing."""
     character = build_cmu31_character(load_cmu31_skeleton())
     rng, frames = np.random.default_rng(0), 4
-    turns = Rotation.from_rotvec(rng.normal(scale=0.5, size=(frames * len(character.names), 3))).as_matrix()
+    turns = Rotation.from_rotvec(rng.normal(scale=0.5, size=(frames * len(character.skeleton.names), 3))).as_matrix()
     rotations = turns.reshape(frames, -1, 3, 3)
     return character, CharacterMotion(np.tile([0.0, 0.95, 0.0], (frames, 1)), rotations, 30.0)
 
@@ -104,7 +104,7 @@ def list_character_seeds() -> tuple[CharacterCase, ...]:
 
 def _write_glb(character: Character) -> bytes:
     pelvis = character.mapping.bones["pelvis"][0]
-    motion = CharacterMotion(character.rest_positions[pelvis][None], character.rest_rotations[None], 30.0)
+    motion = CharacterMotion(character.skeleton.offsets[pelvis][None], character.skeleton.rest_rotations[None], 30.0)
     with TemporaryDirectory() as folder:
         write_character_glb(Path(folder) / "seed.glb", character, motion, "take")
         return (Path(folder) / "seed.glb").read_bytes()

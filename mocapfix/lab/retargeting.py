@@ -37,9 +37,8 @@ from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.lab.sound_takes import iterate_sound_takes, read_performed_motions
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import Skeleton, compute_local_rotations, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS
-from mocapfix.solve.kinematics import compute_local_rotations
 
 
 def copy_rotations(source: Character, motion: CharacterMotion, target: Character) -> CharacterMotion:
@@ -160,7 +159,7 @@ def compare_motions(
     character: Character, motion: CharacterMotion, other: CharacterMotion
 ) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
     """Return the distances in metres and the angles in radians between joints in the world, of joints that are turned."""
-    turned = [k for k, name in enumerate(character.names) if not name.endswith(UNTURNED_JOINTS)]
+    turned = [k for k, name in enumerate(character.skeleton.names) if not name.endswith(UNTURNED_JOINTS)]
     (position, rotation), (other_position, other_rotation) = (
         compute_character_poses(character, each) for each in (motion, other)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import euler_angles
-from mocapfix.stats.rigid_alignment import compose_transforms
+from mocapfix.model.skeleton import Skeleton, compose_transforms, find_common_joint, list_path
 from mocapfix.stats.sequences import find_runs
 
 AXIS_LETTERS = "XYZ"
@@ -114,6 +114,13 @@ class Animation:
         return offsets
 
     @cached_property
+    def skeleton(self) -> Skeleton:
+        """The joints in metres with all angles zero and the posed figure's bones, whose ends are the first end sites."""
+        ends = np.array([sites[0] if len(sites) else [np.nan] * 3 for sites in self.end_sites], float).reshape(-1, 3)
+        rotation = self.rotation_y_up_file.T * self.unit_m
+        return Skeleton(self.names, self.parents, self.bone_offsets @ rotation, ends @ rotation)
+
+    @cached_property
     def body_root(self) -> int:
         """The joint from which the body branches: the hips, whatever reference nodes are above them.
 
@@ -125,7 +132,7 @@ class Animation:
             for pattern in (HEAD_JOINT_PATTERN, FOOT_JOINT_PATTERN)
         )
         if head and foot:
-            return [a for a, b in zip(self.list_path(head[0]), self.list_path(foot[0]), strict=False) if a == b][-1]
+            return find_common_joint(self.parents, (head[0], foot[0]))
         joint = 0
         while len(children := np.flatnonzero(self.parents == joint)) == 1:
             joint = int(children[0])
@@ -145,20 +152,13 @@ class Animation:
 
         Percentiles of the positions are compared, so that no fault of a few frames decides.
         """
-        joints = [joint for joint in self.list_path(self.body_root) if self.get_position_channels(joint)[0].size]
+        joints = [joint for joint in list_path(self.body_root, -1, self.parents) if self.get_position_channels(joint)[0].size]
         ranges: list[float] = []
         for joint in joints:
             values = self.values[:, self.get_position_channels(joint)[0]]
             values = values[np.isfinite(values).all(1)]
             ranges.append(float(np.ptp(np.percentile(values, (5, 95), axis=0), axis=0).sum()) if len(values) else 0.0)
         return joints[int(np.argmax(ranges))] if joints else 0
-
-    def list_path(self, joint: int) -> list[int]:
-        """Return the joints from the root down to a joint."""
-        path = [joint]
-        while self.parents[path[-1]] >= 0:
-            path.append(int(self.parents[path[-1]]))
-        return path[::-1]
 
     def get_rotation_channels(self, joint: int) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
         """Return the columns of a joint's rotation channels and the axis of each (0, 1 or 2), the outermost first."""
@@ -201,11 +201,6 @@ class Animation:
     def compute_world_poses(self) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
         """Compute the positions in metres and the rotations of the joints in the world. Callers must not write into them."""
         return self._world_poses
-
-    def compute_rest_positions(self) -> Float[np.ndarray, "J 3"]:
-        """Compute the positions of the joints in metres with all angles zero and the posed figure's bones."""
-        offsets = self.bone_offsets @ self.rotation_y_up_file.T * self.unit_m
-        return compose_transforms(self.parents, offsets[None], np.tile(np.eye(3), (1, len(offsets), 1, 1)))[0][0]
 
     def replace_rotations(
         self, joints: Int[np.ndarray, " n"], frames: Int[np.ndarray, " m"], rotations: Float[np.ndarray, "m n 3 3"]

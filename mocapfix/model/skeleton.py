@@ -1,4 +1,4 @@
-"""Skeletons: a tree of joints with its lengths, and the 31-joint CMU skeleton that the solver uses.
+"""Skeletons: the one type for trees of joints, their poses, and the 31-joint CMU skeleton that the solver uses.
 
 The rest pose and the joint axes of the CMU skeleton are those of CMU's own motion (a T-pose facing +Z, Y up, every joint's axes
 parallel to the world's), so that CMU motion and mocapfix motion can be compared. Lengths are anatomical and include the thorax
@@ -27,17 +27,87 @@ BODY_SECTIONS: dict[str, tuple[str, ...]] = {
     "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
 }
 """the joints of each section of the body"""
+UNLIMITED_RAD = np.tile([-np.inf, np.inf], (3, 1))
 MIN_WHOLE_BODY_LIMBS = 3  # the number of limbs with markers, besides pelvis and trunk, of a whole body
+
+
+def is_below(joint: int, above: int, parents: Int[np.ndarray, " J"]) -> bool:
+    """Return whether a joint is a descendant of another."""
+    joint = int(parents[joint])
+    while joint >= 0 and joint != above:
+        joint = int(parents[joint])
+    return joint >= 0
+
+
+def list_path(joint: int, above: int, parents: Int[np.ndarray, " J"]) -> list[int]:
+    """Return the joints from the child of `above` (-1: from a root) down to a joint."""
+    path: list[int] = []
+    while joint not in (above, -1):
+        path.append(int(joint))
+        joint = int(parents[joint])
+    return path[::-1]
+
+
+def find_ancestor(joint: int, parents: Int[np.ndarray, " J"], is_candidate: Bool[np.ndarray, " J"]) -> int:
+    """Return the nearest candidate above a joint, -1 if there is none."""
+    joint = int(parents[joint])
+    while joint >= 0 and not is_candidate[joint]:
+        joint = int(parents[joint])
+    return joint
+
+
+def find_common_joint(parents: Int[np.ndarray, " J"], joints: Collection[int]) -> int:
+    """Return the lowest joint that is one of `joints`, or an ancestor, of each of them; -1 if they are below different roots."""
+    paths = [list_path(int(joint), -1, parents) for joint in joints]
+    return next((joint for joint in paths[0][::-1] if all(joint in path for path in paths)), -1)
+
+
+def compose_transforms(
+    parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+    """Compose local positions and rotations along a tree of joints, parents before children, into those in the world."""
+    position_world, rotation_world = positions.copy(), rotations.copy()
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            offset_world = (rotation_world[:, parent] @ positions[:, joint, :, None])[..., 0]
+            position_world[:, joint] = position_world[:, parent] + offset_world
+            rotation_world[:, joint] = rotation_world[:, parent] @ rotations[:, joint]
+    return position_world, rotation_world
+
+
+def compute_local_rotations(
+    world_rotations: Float[np.ndarray, "*batch J 3 3"], parents: Int[np.ndarray, " J"]
+) -> Float[np.ndarray, "*batch J 3 3"]:
+    """Return the rotations of joints relative to their parents; those without one keep their world rotations."""
+    local, below = world_rotations.copy(), np.flatnonzero(parents >= 0)
+    local[..., below, :, :] = world_rotations[..., parents[below], :, :].swapaxes(-1, -2) @ world_rotations[..., below, :, :]
+    return local
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A tree of joints, parents before children."""
+    """A tree of J joints in its rest pose: that of a person, a rig, a character or a file.
 
-    names: tuple[str, ...]  # J joint names; the first is the root
-    parents: Int[np.ndarray, " J"]  # index of each joint's parent, -1 for the root
-    offsets: Float[np.ndarray, "J 3"]  # m: the joint in its parent's axes
-    ends: Float[np.ndarray, "J 3"]  # m: the end site of a leaf joint in the joint's axes, NaN for the others
+    A local rotation maps a joint's axes to those of its parent, a root's to the world's. It includes the rest rotation.
+    """
+
+    names: tuple[str, ...]  # of the joints
+    parents: Int[np.ndarray, " J"]  # index of each joint's parent, -1 for a root; parents come before children
+    offsets: Float[np.ndarray, "J 3"]  # m: each joint in its parent's axes, a root in the world
+    # m: the end of each joint's bone in the joint's axes; NaN where no end is known but that of its children
+    ends: Float[np.ndarray, "J 3"]
+    # local rotations in the rest pose; by default the axes are parallel to the world's
+    rest_rotations: Float[np.ndarray, "J 3 3"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    # unit vectors in the joints' axes about which joints of one degree of freedom turn; NaN, the default, if about any axis
+    hinge_axes: Float[np.ndarray, "J 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    # least and greatest components of each joint's rotation vector from the rest pose, in its parent's axes; of a hinge the
+    # first is its angle. Infinite by default
+    limits_rad: Float[np.ndarray, "J 3 2"] = field(default_factory=lambda: np.zeros((0, 3, 2)))
+
+    def __post_init__(self) -> None:
+        for name, default in (("rest_rotations", np.eye(3)), ("hinge_axes", np.full(3, np.nan)), ("limits_rad", UNLIMITED_RAD)):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.tile(default, (len(self.names), *([1] * default.ndim))))
 
     @property
     def total_length_m(self) -> float:
@@ -46,12 +116,18 @@ class Skeleton:
 
     @property
     def rest_positions(self) -> Float[np.ndarray, "J 3"]:
-        """The joints in the rest pose, in metres, with the root at its offset."""
-        positions = self.offsets.copy()
-        for joint, parent in enumerate(self.parents):
-            if parent >= 0:
-                positions[joint] += positions[parent]
-        return positions
+        """The joints in the rest pose, in metres, with the roots at their offsets."""
+        return self.compute_rest_pose()[0]
+
+    @property
+    def is_leaf(self) -> Bool[np.ndarray, " J"]:
+        """The joints without children."""
+        return ~np.isin(np.arange(len(self.parents)), self.parents)
+
+    def compute_rest_pose(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+        """Compute the positions in metres and the rotations of the joints in the world, in the rest pose."""
+        position, rotation = compose_transforms(self.parents, self.offsets[None], self.rest_rotations[None])
+        return position[0], rotation[0]
 
     def find_joint(self, name: str) -> int:
         """Return the index of a joint. Raises ValueError for an unknown name."""
@@ -138,17 +214,6 @@ def find_carriers(parents: Int[np.ndarray, " J"], free_joints: Bool[np.ndarray, 
         if not free_joints[joint]:
             carriers[joint] = carriers[parents[joint]]
     return carriers
-
-
-def find_common_joint(parents: Int[np.ndarray, " J"], joints: Collection[int]) -> int:
-    """Return the lowest joint that is one of `joints`, or an ancestor, of each of them."""
-    paths: list[list[int]] = []
-    for joint in joints:
-        path = [int(joint)]
-        while parents[path[-1]] >= 0:
-            path.append(int(parents[path[-1]]))
-        paths.append(path)
-    return next(joint for joint in paths[0] if all(joint in path for path in paths))
 
 
 def load_cmu31_skeleton() -> Skeleton:

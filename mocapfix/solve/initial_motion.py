@@ -19,13 +19,13 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import BodyModel, Skeleton
+from mocapfix.model.skeleton import BodyModel, Skeleton, compute_local_rotations
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.hybrik import MIN_JOINT_DISTANCE_M, MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
-from mocapfix.solve.kinematics import compute_local_rotations, compute_world_poses
+from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames

@@ -3,7 +3,7 @@
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_marker_frames, compute_world_frames
 from mocapfix.model.motion import Motion
@@ -33,15 +33,6 @@ def compute_tree_poses(
     position, rotation = np.empty(local_rotations.shape[:3]), np.empty(local_rotations.shape)
     run_over_frames(compute_world_frames, len(root_position), tree, root_position, local_rotations, position, rotation)
     return position, rotation
-
-
-def compute_local_rotations(
-    world_rotations: Float[np.ndarray, "*batch J 3 3"], parents: Int[np.ndarray, " J"]
-) -> Float[np.ndarray, "*batch J 3 3"]:
-    """Return the rotations of joints relative to their parents; those without one keep their world rotations."""
-    local, below = world_rotations.copy(), np.flatnonzero(parents >= 0)
-    local[..., below, :, :] = world_rotations[..., parents[below], :, :].swapaxes(-1, -2) @ world_rotations[..., below, :, :]
-    return local
 
 
 def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:

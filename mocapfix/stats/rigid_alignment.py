@@ -1,4 +1,4 @@
-"""Rigid alignment of point clouds over a take: cross-covariances, rotations, Procrustes alignment, transforms along a tree."""
+"""Rigid alignment of point clouds over a take: cross-covariances, rotations, Procrustes alignment."""
 
 from typing import NamedTuple
 
@@ -141,19 +141,6 @@ def compute_common_shape(
     positions -= shape
     positions[~use] = 0.0
     return shape, np.nan_to_num(np.einsum("tma,tma->ma", positions, positions) / count).mean(1)
-
-
-def compose_transforms(
-    parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]
-) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
-    """Compose local positions and rotations along a tree of joints, parents before children, into those in the world."""
-    position_world, rotation_world = positions.copy(), rotations.copy()
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            offset_world = (rotation_world[:, parent] @ positions[:, joint, :, None])[..., 0]
-            position_world[:, joint] = position_world[:, parent] + offset_world
-            rotation_world[:, joint] = rotation_world[:, parent] @ rotations[:, joint]
-    return position_world, rotation_world
 
 
 def compute_lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:

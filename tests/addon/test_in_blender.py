@@ -62,16 +62,16 @@ def takes(tmp_path_factory) -> Path:
 def build_character_bones() -> list[tuple[str, str | None, list[float], list[float]]]:
     """Return Mixamo's bones in centimetres, Y up, with shorter legs: names, parents, heads and tails."""
     character = load_character_preset("mixamo")
-    heads, rotations = character.compute_rest_pose()
-    tails = heads + np.einsum("jab,jb->ja", rotations, np.nan_to_num(character.tails, nan=0.03))
-    hip = heads[character.find_bone("mixamorig:LeftUpLeg"), 1]
+    heads, rotations = character.skeleton.compute_rest_pose()
+    tails = heads + np.einsum("jab,jb->ja", rotations, np.nan_to_num(character.skeleton.ends, nan=0.03))
+    hip = heads[character.skeleton.find_joint("mixamorig:LeftUpLeg"), 1]
     for points in (heads, tails):
         points[:, 1] = np.where(points[:, 1] < hip, points[:, 1] * LEG_LENGTH, points[:, 1] - hip * (1 - LEG_LENGTH))
         points *= 100.0
-    parents = [character.names[parent] if parent >= 0 else None for parent in character.parents]
+    parents = [character.skeleton.names[parent] if parent >= 0 else None for parent in character.skeleton.parents]
     return [
         (name, parent, head.tolist(), (tail if np.linalg.norm(tail - head) > 0.1 else head + [0, 3, 0]).tolist())
-        for name, parent, head, tail in zip(character.names, parents, heads, tails, strict=True)
+        for name, parent, head, tail in zip(character.skeleton.names, parents, heads, tails, strict=True)
     ]
 
 

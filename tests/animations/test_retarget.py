@@ -20,8 +20,7 @@ from mocapfix.animations.joint_mapping import (
 )
 from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.stats.rigid_alignment import compose_transforms
+from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
 from tests.captures import CAPTURES
 
 FILES = sorted(CAPTURES.glob("*/*.bvh")) + sorted(CAPTURES.glob("*/*.amc"))

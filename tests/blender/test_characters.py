@@ -48,12 +48,12 @@ def load(name: str, folder: Path) -> Character:
         return build_figure_character()
     (folder / f"{name}.source").write_bytes(USER_FILES[name]())
     character = read_character(folder / f"{name}.source")
-    return character if character.mapping.bones else replace(character, mapping=map_figure(character.names))
+    return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 
 def find_bvh_unit(character: Character) -> float:
     """Return the unit of the position of the pelvis."""
-    parent = character.parents[character.mapping.bones["pelvis"][0]]
+    parent = character.skeleton.parents[character.mapping.bones["pelvis"][0]]
     return float(character.scales[parent]) if parent >= 0 else character.root_scale
 
 
@@ -110,7 +110,7 @@ def test_heads_of_bones_are_where_the_motion_has_them(opened, written, file):
     segments = {bone for chain in each.character.mapping.bones.values() for bone in chain}
     for frame, heads in zip(FRAMES, opened[file]["heads"], strict=True):
         compared = 0
-        for bone, name in enumerate(each.character.names):
+        for bone, name in enumerate(each.character.skeleton.names):
             if name not in heads:
                 assert bone not in segments, name
                 continue

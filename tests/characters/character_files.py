@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import BoneMapping, Character, CharacterMotion
 from mocapfix.io.gltf import GlbContent, build_glb, parse_glb
+from mocapfix.model.skeleton import Skeleton
 from tests.io.read_back import smooth_rotations
 
 SIDES = (("Left", 1.0), ("Right", -1.0))
@@ -209,27 +210,34 @@ def build_figure_character(scale: float = 0.01) -> Character:
     tails[FIGURE.names.index("HeadTop_End")] = [0, 0.05, 0]
     return Character(
         name="figure",
-        names=FIGURE.names,
-        parents=FIGURE.parents,
-        rest_positions=np.einsum("jba,jb->ja", above, FIGURE.heads - starts),
-        rest_rotations=above.swapaxes(1, 2) @ FIGURE.axes,
-        tails=tails,
+        skeleton=Skeleton(
+            names=FIGURE.names,
+            parents=FIGURE.parents,
+            offsets=np.einsum("jba,jb->ja", above, FIGURE.heads - starts),
+            ends=tails,
+            rest_rotations=above.swapaxes(1, 2) @ FIGURE.axes,
+        ),
         mapping=map_figure(FIGURE.names, ""),
         scales=np.full(len(FIGURE.names), scale),
         root_scale=scale,
     )
 
 
+def change_bones(character: Character, **fields: Any) -> Character:
+    """Return a character with other fields of its skeleton."""
+    return replace(character, skeleton=replace(character.skeleton, **fields))
+
+
 def build_motion(character: Character, frame_count: int = 40, rate: float = 60.0, seed: int = 0) -> CharacterMotion:
     """Return a motion that turns the mapped bones by up to a radian and moves the pelvis by some decimetres."""
-    turned = smooth_rotations(seed, frame_count, len(character.names), swing=1.0)
+    turned = smooth_rotations(seed, frame_count, len(character.skeleton.names), swing=1.0)
     mapped = {bone for chain in character.mapping.bones.values() for bone in chain}
-    rest = np.tile(character.rest_rotations, (frame_count, 1, 1, 1))
-    is_mapped = np.isin(np.arange(len(character.names)), list(mapped))
+    rest = np.tile(character.skeleton.rest_rotations, (frame_count, 1, 1, 1))
+    is_mapped = np.isin(np.arange(len(character.skeleton.names)), list(mapped))
     local_rotations = np.where(is_mapped[:, None, None], rest @ turned, rest)
     pelvis = character.mapping.bones["pelvis"][0]
     time = np.linspace(0, 1, frame_count)[:, None]
-    position = character.rest_positions[pelvis] + 0.2 * np.sin(2 * np.pi * time * [1, 2, 1] + [0, 1, 2])
+    position = character.skeleton.offsets[pelvis] + 0.2 * np.sin(2 * np.pi * time * [1, 2, 1] + [0, 1, 2])
     return CharacterMotion(position, np.ascontiguousarray(local_rotations), rate)
 
 
@@ -264,9 +272,9 @@ def rebuild(content: GlbContent, **changes: Any) -> bytes:
 
 def write_character_yaml(target: Path, character: Character) -> None:
     """Write a character as YAML that `read_character_yaml` reads, with the axes of the bones as quaternions."""
-    heads, rotations = character.compute_rest_pose()
-    tails = heads + np.einsum("jab,jb->ja", rotations, character.tails)
-    names, parents = character.names, character.parents.tolist()
+    heads, rotations = character.skeleton.compute_rest_pose()
+    tails = heads + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
+    names, parents = character.skeleton.names, character.skeleton.parents.tolist()
     bones: list[dict[str, Any]] = []
     for bone, name in enumerate(names):
         entry: dict[str, Any] = {"name": name, "parent": names[parents[bone]] if parents[bone] >= 0 else None}
@@ -280,7 +288,11 @@ def write_character_yaml(target: Path, character: Character) -> None:
         {segment: [names[bone] for bone in chain] for segment, chain in group.items()}
         for group in (character.mapping.bones, character.mapping.twists)
     )
-    limits = {names[bone]: dict(zip("xyz", limit.tolist(), strict=True)) for bone, limit in character.limits_deg.items()}
+    limits_deg = np.rad2deg(character.skeleton.limits_rad)
+    limits = {
+        names[bone]: dict(zip("xyz", limits_deg[bone].tolist(), strict=True))
+        for bone in np.flatnonzero(np.isfinite(limits_deg).all((1, 2)))
+    }
     data = {"kind": "character", "name": character.name, "unit_m": float(character.root_scale), "bones": bones}
     data |= {"file_rotation": format_quaternion(character.rotation_y_up_file), "feet_flat": bool(character.has_feet_flat)}
     data |= {"segments": segments, "twists": twists, "limits": limits}

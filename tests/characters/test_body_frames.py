@@ -10,6 +10,7 @@ from mocapfix.characters.body_frames import LIMB_DIRECTIONS, build_body_frame
 from mocapfix.characters.character import SIDES
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import change_bones
 from tests.characters.walking_body import load_walk, scale_limbs, turn_axes
 
 
@@ -35,9 +36,9 @@ def test_standard_axes_do_not_depend_on_the_axes_of_the_bones():
 def test_figure_may_face_any_way(angle_deg):
     character, _ = load_walk()
     turn = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
-    positions, rotations = character.rest_positions.copy(), character.rest_rotations.copy()
+    positions, rotations = character.skeleton.offsets.copy(), character.skeleton.rest_rotations.copy()
     positions[0], rotations[0] = turn @ positions[0], turn @ rotations[0]
-    frame = build_body_frame(replace(character, rest_positions=positions, rest_rotations=rotations))
+    frame = build_body_frame(change_bones(character, offsets=positions, rest_rotations=rotations))
     np.testing.assert_allclose(frame.facing, turn, atol=1e-9)
     reference = build_body_frame(character)
     for segment, bone in frame.segment_bones.items():
@@ -54,12 +55,12 @@ def test_measures_follow_the_bones():
 
 def pose_rest(character, turns: dict[str, np.ndarray]):
     """Return the same figure with another rest pose: bones turned in the world, with all that they carry."""
-    rotations = character.rest_rotations.copy()
-    _, world = character.compute_rest_pose()
+    rotations = character.skeleton.rest_rotations.copy()
+    _, world = character.skeleton.compute_rest_pose()
     for segment, turn in turns.items():
         bone = character.mapping.bones[segment][0]
         rotations[bone] = rotations[bone] @ world[bone].T @ turn @ world[bone]
-    return replace(character, rest_rotations=rotations)
+    return change_bones(character, rest_rotations=rotations)
 
 
 def test_an_a_pose_and_feet_that_point_outwards_have_the_same_standard_pose():
@@ -81,24 +82,25 @@ def test_an_a_pose_and_feet_that_point_outwards_have_the_same_standard_pose():
 def test_ball_height_is_that_of_the_rest_pose_on_the_floor(height_m, expected_m):
     character = load_character_preset("mixamo")
     frame = build_body_frame(character)
-    lowered = character.rest_positions.copy()
+    lowered = character.skeleton.offsets.copy()
     lowered[0, 1] += height_m - frame.find_head("left_toe")[1]
-    assert build_body_frame(replace(character, rest_positions=lowered)).ball_height_m == pytest.approx(expected_m, abs=1e-6)
+    assert build_body_frame(change_bones(character, offsets=lowered)).ball_height_m == pytest.approx(expected_m, abs=1e-6)
 
 
 def test_figure_that_does_not_stand_on_the_floor_has_an_estimated_ball_height():
     character = load_character_preset("mixamo")
-    raised = character.rest_positions.copy()
+    raised = character.skeleton.offsets.copy()
     raised[0, 1] += 1.0
-    frame = build_body_frame(replace(character, rest_positions=raised))
+    frame = build_body_frame(change_bones(character, offsets=raised))
     assert frame.ball_height_m == pytest.approx(0.03 * frame.leg_length_m)
 
 
 def test_foot_without_toes_has_an_estimated_ball():
     character, _ = load_walk()
     bones = {segment: chain for segment, chain in character.mapping.bones.items() if not segment.endswith("toe")}
-    tails = np.full_like(character.tails, np.nan)
-    frame = build_body_frame(replace(character, tails=tails, mapping=replace(character.mapping, bones=bones)))
+    tails = np.full_like(character.skeleton.ends, np.nan)
+    mapping = replace(character.mapping, bones=bones)
+    frame = build_body_frame(replace(change_bones(character, ends=tails), mapping=mapping))
     ball = frame.compute_ball("left")
     assert ball[2] == pytest.approx(0.15 * frame.leg_length_m)
     assert ball[1] < 0

@@ -2,7 +2,6 @@
 
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,9 @@ from mocapfix.characters.bone_mapping import find_segments_by_name, map_bones
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import change_bones
 
 # Bones that characters have besides those of the body.
 EXTRA_PARTS = ("tail", "skirt", "hair", "breasts", "weapon", "wings", "cape", "face", "ik", "sleeves", "root")
@@ -29,17 +30,16 @@ def build_character(names: list[str], parents: list[int], positions: np.ndarray)
     offsets = positions - np.where(np.array(parents)[:, None] >= 0, positions[parents], 0.0)
     count = len(names)
     return Character(
-        "test", tuple(names), np.array(parents), offsets, np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), np.nan),
-        BoneMapping({}), np.ones(count),
-    )  # fmt: skip
+        "test", Skeleton(tuple(names), np.array(parents), offsets, np.full((count, 3), np.nan)), BoneMapping({}), np.ones(count)
+    )
 
 
 class Figure:
     """The bones of a preset, to which others are added."""
 
     def __init__(self, preset: Character) -> None:
-        self.names, self.parents = list(preset.names), preset.parents.tolist()
-        self.positions = list(preset.compute_rest_pose()[0])
+        self.names, self.parents = list(preset.skeleton.names), preset.skeleton.parents.tolist()
+        self.positions = list(preset.skeleton.compute_rest_pose()[0])
         self.bones = preset.mapping.bones
 
     def add(self, name: str, parent: int, *points: np.ndarray | list[float]) -> None:
@@ -144,7 +144,7 @@ def test_names_give_the_segments_and_twist_bones_of_every_preset(name: str):
 @pytest.mark.parametrize("name", CHARACTER_PRESETS)
 def test_unknown_names_give_the_same_segments_and_twist_bones(name: str):
     preset = load_character_preset(name)
-    mapping = map_bones(replace(preset, names=tuple(f"bone_{i:03d}" for i in range(len(preset.names)))))
+    mapping = map_bones(change_bones(preset, names=tuple(f"bone_{i:03d}" for i in range(len(preset.skeleton.names)))))
     assert mapping.bones == preset.mapping.bones
     assert mapping.twists == preset.mapping.twists
     assert mapping.reason.startswith("By the shape of the skeleton: ")
@@ -167,7 +167,7 @@ def test_unknown_names_give_the_same_segments_and_twist_bones(name: str):
 )
 def test_prefixes_and_separators_are_ignored(name: str, pattern: str, replacement: str):
     preset = load_character_preset(name)
-    renamed = replace(preset, names=tuple(re.sub(pattern, replacement, bone) for bone in preset.names))
+    renamed = change_bones(preset, names=tuple(re.sub(pattern, replacement, bone) for bone in preset.skeleton.names))
     mapping = map_bones(renamed)
     assert " names: " in mapping.reason
     assert mapping.bones == preset.mapping.bones
@@ -189,7 +189,7 @@ def test_sides_are_recognised_in_many_spellings(spell):  # pyright: ignore
         "clavicle": "shoulder", "toe": "toe",
     }  # fmt: skip
     preset = load_character_preset("humanik")
-    names = [f"extra{i}" for i in range(len(preset.names))]
+    names = [f"extra{i}" for i in range(len(preset.skeleton.names))]
     for segment, chain in preset.mapping.bones.items():
         side, _, part = segment.partition("_")
         if part:
@@ -198,7 +198,7 @@ def test_sides_are_recognised_in_many_spellings(spell):  # pyright: ignore
         for bone, new in zip(preset.mapping.bones[segment], renamed, strict=True):
             names[bone] = new
     names[preset.mapping.bones["head"][0]] = "head"
-    named = find_segments_by_name(names, preset.parents)
+    named = find_segments_by_name(names, preset.skeleton.parents)
     assert named
     assert dict(named.bones) == dict(preset.mapping.bones)
 
@@ -206,11 +206,11 @@ def test_sides_are_recognised_in_many_spellings(spell):  # pyright: ignore
 def test_unreal_engine_4_mannequin_is_found_by_its_names():
     """It has three vertebrae and one neck; `calf_twist_01_l` is beside the shin."""
     preset = load_character_preset("unreal")
-    keep = [bone for bone, name in enumerate(preset.names) if name not in ("spine_04", "spine_05", "neck_02")]
+    keep = [bone for bone, name in enumerate(preset.skeleton.names) if name not in ("spine_04", "spine_05", "neck_02")]
     figure = Figure(preset)
     place = {bone: new for new, bone in enumerate(keep)} | {-1: -1}
     above = {bone: next(b for b in walk_up(preset, bone) if b in place) for bone in keep}
-    names = [preset.names[bone] for bone in keep]
+    names = [preset.skeleton.names[bone] for bone in keep]
     character = build_character(names, [place[above[bone]] for bone in keep], np.array(figure.positions)[keep])
     mapping = map_bones(character)
     assert [names[bone] for bone in mapping.bones["spine"]] == ["spine_01", "spine_02", "spine_03"]
@@ -222,7 +222,7 @@ def walk_up(character: Character, bone: int) -> list[int]:
     """Return the bones above a bone, and -1 at the end."""
     above: list[int] = []
     while bone >= 0:
-        bone = int(character.parents[bone])
+        bone = int(character.skeleton.parents[bone])
         above.append(bone)
     return above
 
@@ -235,10 +235,10 @@ def test_reason_says_how_many_bones_have_a_segment():
 def test_feet_without_toes_are_taken_to_face_forward():
     preset = load_character_preset("smpl")
     toes = {f"{side}_foot" for side in ("left", "right")}
-    keep = [bone for bone, name in enumerate(preset.names) if name not in toes]
+    keep = [bone for bone, name in enumerate(preset.skeleton.names) if name not in toes]
     place = {bone: new for new, bone in enumerate(keep)} | {-1: -1}
-    positions = preset.compute_rest_pose()[0][keep]
-    parents = [place[int(preset.parents[bone])] for bone in keep]
+    positions = preset.skeleton.compute_rest_pose()[0][keep]
+    parents = [place[int(preset.skeleton.parents[bone])] for bone in keep]
     mapping = map_bones(build_character([f"b{i}" for i in keep], parents, positions))
     assert mapping.reason == "By the shape of the skeleton, taken to face +Z: 20 of 22 bones."
     assert set(SEGMENTS) - set(mapping.bones) == {"left_toe", "right_toe"}
@@ -267,7 +267,7 @@ def test_animal_on_four_legs_is_refused_by_names_and_by_shape():
     with pytest.raises(SceneError, match="stands on four legs"):
         map_bones(animal)
     with pytest.raises(SceneError, match=r"test: .*it stands on four legs.*--character-map"):
-        map_bones(replace(animal, names=tuple(f"b{i}" for i in range(len(animal.names)))))
+        map_bones(change_bones(animal, names=tuple(f"b{i}" for i in range(len(animal.skeleton.names)))))
 
 
 def test_generated_rigify_rig_is_refused():
@@ -286,20 +286,20 @@ def test_generated_rigify_rig_is_refused():
 
 def test_skeleton_that_lies_down_is_refused():
     preset = load_character_preset("vrm")
-    positions = preset.compute_rest_pose()[0] @ Rotation.from_euler("x", 90, degrees=True).as_matrix().T
+    positions = preset.skeleton.compute_rest_pose()[0] @ Rotation.from_euler("x", 90, degrees=True).as_matrix().T
     with pytest.raises(ValueError, match="legs"):
-        find_segments_by_shape(preset.parents, positions)
+        find_segments_by_shape(preset.skeleton.parents, positions)
 
 
 def test_bent_trunk_is_refused():
     preset = load_character_preset("vrm")
-    positions = preset.compute_rest_pose()[0]
-    chest = preset.find_bone("spine")
-    above = [bone for bone in range(len(preset.names)) if chest in (bone, *walk_up(preset, bone))]
+    positions = preset.skeleton.compute_rest_pose()[0]
+    chest = preset.skeleton.find_joint("spine")
+    above = [bone for bone in range(len(preset.skeleton.names)) if chest in (bone, *walk_up(preset, bone))]
     turn = Rotation.from_euler("x", 80, degrees=True).as_matrix()
     positions[above] = (positions[above] - positions[chest]) @ turn.T + positions[chest]
     with pytest.raises(ValueError, match="not upright"):
-        find_segments_by_shape(preset.parents, positions)
+        find_segments_by_shape(preset.skeleton.parents, positions)
 
 
 @given(count=st.integers(1, 40), seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([0.0, 1e-9, 1.0]))

@@ -18,21 +18,21 @@ def motion() -> Motion:
 def test_the_rest_pose_is_that_of_the_offsets(tmp_path, motion):
     write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
     character = read_character(tmp_path / "walk.bvh")
-    assert set(character.names) == set(SKELETON.names)
-    positions, rotations = character.compute_rest_pose()
+    assert set(character.skeleton.names) == set(SKELETON.names)
+    positions, rotations = character.skeleton.compute_rest_pose()
     expected = SKELETON.rest_positions - SKELETON.rest_positions[0]
-    for bone, name in enumerate(character.names):
+    for bone, name in enumerate(character.skeleton.names):
         joint = SKELETON.find_joint(name)
         np.testing.assert_allclose(positions[bone], expected[joint], atol=1e-6)
         parent = SKELETON.parents[joint]
-        assert parent < 0 or character.names[character.parents[bone]] == SKELETON.names[parent]
+        assert parent < 0 or character.skeleton.names[character.skeleton.parents[bone]] == SKELETON.names[parent]
     np.testing.assert_allclose(rotations, np.tile(np.eye(3), (len(rotations), 1, 1)))
     np.testing.assert_allclose(character.scales, 0.01)
     assert character.root_scale == 0.01
-    hand = character.find_bone("LeftHandIndex1")
-    np.testing.assert_allclose(character.tails[hand], SKELETON.ends[SKELETON.find_joint("LeftHandIndex1")], atol=1e-6)
-    knee = character.find_bone("LeftLeg")
-    np.testing.assert_allclose(character.tails[knee], SKELETON.offsets[SKELETON.find_joint("LeftFoot")], atol=1e-6)
+    hand = character.skeleton.find_joint("LeftHandIndex1")
+    np.testing.assert_allclose(character.skeleton.ends[hand], SKELETON.ends[SKELETON.find_joint("LeftHandIndex1")], atol=1e-6)
+    knee = character.skeleton.find_joint("LeftLeg")
+    np.testing.assert_allclose(character.skeleton.ends[knee], SKELETON.offsets[SKELETON.find_joint("LeftFoot")], atol=1e-6)
     assert character.source is not None
     assert character.source.kind == "bvh"
 
@@ -71,16 +71,16 @@ Frame Time: 0.01
 def test_a_file_with_z_up_stands_with_y_up(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP, encoding="utf-8")
     character = read_character(tmp_path / "figure.bvh")
-    positions, rotations = character.compute_rest_pose()
+    positions, rotations = character.skeleton.compute_rest_pose()
     np.testing.assert_allclose(positions, [[0, 0.9, 0], [0.02, 1.5, 0], [0, 0.1, 0.1]], atol=1e-9)
-    foot = character.find_bone("Foot")
-    np.testing.assert_allclose(character.tails[foot], [0, -0.15, 0])  # in the bone's own axes
-    np.testing.assert_allclose(rotations[foot] @ character.tails[foot], [-0.15, 0, 0], atol=1e-9)
+    foot = character.skeleton.find_joint("Foot")
+    np.testing.assert_allclose(character.skeleton.ends[foot], [0, -0.15, 0])  # in the bone's own axes
+    np.testing.assert_allclose(rotations[foot] @ character.skeleton.ends[foot], [-0.15, 0, 0], atol=1e-9)
 
 
 def test_repeated_names_become_unique(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"), encoding="utf-8")
-    assert read_character(tmp_path / "figure.bvh").names == ("Hips", "Head", "Head#2")
+    assert read_character(tmp_path / "figure.bvh").skeleton.names == ("Hips", "Head", "Head#2")
 
 
 def test_a_damaged_file_is_refused(tmp_path):
@@ -105,5 +105,5 @@ def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
     lines = [(text[:knee] + changed).partition("Frame Time")[0] + "Frame Time" + header, *rows]
     (tmp_path / "positions.bvh").write_text("\n".join(lines), encoding="utf-8")
     found = read_character(tmp_path / "positions.bvh")
-    np.testing.assert_allclose(found.rest_positions, plain.rest_positions, atol=1e-9)
-    np.testing.assert_allclose(found.tails, plain.tails, atol=1e-9)
+    np.testing.assert_allclose(found.skeleton.offsets, plain.skeleton.offsets, atol=1e-9)
+    np.testing.assert_allclose(found.skeleton.ends, plain.skeleton.ends, atol=1e-9)

@@ -7,6 +7,7 @@ from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.character_files import write_character_bvh
 from mocapfix.characters.load_character import read_character
 from mocapfix.errors import WriteError
+from mocapfix.model.skeleton import Skeleton
 from tests.characters.character_files import (
     FIGURE,
     PREFIX,
@@ -14,6 +15,7 @@ from tests.characters.character_files import (
     build_mixamo_glb,
     build_motion,
     build_vrm,
+    change_bones,
     map_figure,
 )
 from tests.io.read_back import Bvh
@@ -22,7 +24,7 @@ from tests.io.read_back import Bvh
 def read_figure(folder, data, name="figure.glb"):
     (folder / name).write_bytes(data)
     character = read_character(folder / name)
-    return character if character.mapping.bones else replace(character, mapping=map_figure(character.names))
+    return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 
 def read_world_positions(bvh):
@@ -53,7 +55,7 @@ def check_positions(bvh, character, motion, unit_m):
     expected = compute_character_poses(character, motion)[0]
     found = read_world_positions(bvh) * unit_m
     for joint, name in enumerate(bvh.names):
-        np.testing.assert_allclose(found[:, joint], expected[:, character.find_bone(name)], atol=2e-6, err_msg=name)
+        np.testing.assert_allclose(found[:, joint], expected[:, character.skeleton.find_joint(name)], atol=2e-6, err_msg=name)
 
 
 @pytest.mark.parametrize(("scale", "unit_m"), [(0.01, 0.01), (1.0, 1.0), (0.0254, 0.0254), (0.37, 0.01)])
@@ -79,30 +81,32 @@ def test_in_the_rest_pose_all_angles_are_zero_and_offsets_are_the_figure(tmp_pat
     character = read_figure(tmp_path, build_vrm(1), "figure.vrm")
     pelvis = character.mapping.bones["pelvis"][0]
     motion = build_motion(character, 3)
-    motion.local_rotations[:] = character.rest_rotations
-    motion.pelvis_position[:] = character.rest_positions[pelvis]
+    motion.local_rotations[:] = character.skeleton.rest_rotations
+    motion.pelvis_position[:] = character.skeleton.offsets[pelvis]
     bvh = write(tmp_path, character, motion)
     np.testing.assert_allclose(bvh.rows[:, 3:], 0, atol=1e-5)
     read = read_character(tmp_path / "out.bvh")
-    rest = read.compute_rest_pose()[0]
+    rest = read.skeleton.compute_rest_pose()[0]
     pelvis_shift = FIGURE.heads[0]  # the position of the root is in its channels
-    ours = character.compute_rest_pose()[0]
-    for bone, name in enumerate(read.names):
-        np.testing.assert_allclose(rest[bone] + pelvis_shift, ours[character.find_bone(name)], atol=1e-5)
+    ours = character.skeleton.compute_rest_pose()[0]
+    for bone, name in enumerate(read.skeleton.names):
+        np.testing.assert_allclose(rest[bone] + pelvis_shift, ours[character.skeleton.find_joint(name)], atol=1e-5)
 
 
 def test_a_root_above_the_pelvis_is_kept_and_the_pelvis_moves(tmp_path):
     figure = build_figure_character()
-    count = len(figure.names)
+    count = len(figure.skeleton.names)
     character = replace(
         figure,
-        names=("root", *figure.names, "ik target"),
-        parents=np.concatenate([[-1], figure.parents + 1, [0]]),
-        rest_positions=np.concatenate([[[0.1, 0, 0]], figure.rest_positions, [[1, 0, 0]]]),
-        rest_rotations=np.concatenate([np.eye(3)[None], figure.rest_rotations, np.eye(3)[None]]),
-        tails=np.full((count + 2, 3), np.nan),
+        skeleton=Skeleton(
+            names=("root", *figure.skeleton.names, "ik target"),
+            parents=np.concatenate([[-1], figure.skeleton.parents + 1, [0]]),
+            offsets=np.concatenate([[[0.1, 0, 0]], figure.skeleton.offsets, [[1, 0, 0]]]),
+            ends=np.full((count + 2, 3), np.nan),
+            rest_rotations=np.concatenate([np.eye(3)[None], figure.skeleton.rest_rotations, np.eye(3)[None]]),
+        ),
         scales=np.full(count + 2, 0.01),
-        mapping=map_figure(("root", *figure.names), ""),
+        mapping=map_figure(("root", *figure.skeleton.names), ""),
     )
     motion = build_motion(character)
     bvh = write(tmp_path, character, motion)
@@ -115,22 +119,26 @@ def test_a_root_above_the_pelvis_is_kept_and_the_pelvis_moves(tmp_path):
 
 def test_several_roots_get_one_above_them(tmp_path):
     figure = build_figure_character()
-    count = len(figure.names)
+    count = len(figure.skeleton.names)
     character = replace(
         figure,
-        names=("floor prop", *figure.names),
-        parents=np.concatenate([[-1], np.where(figure.parents < 0, -1, figure.parents + 1)]),
-        rest_positions=np.concatenate([[[0.3, 0, 1]], figure.rest_positions]),
-        rest_rotations=np.concatenate([np.eye(3)[None], figure.rest_rotations]),
-        tails=np.full((count + 1, 3), np.nan),
+        skeleton=Skeleton(
+            names=("floor prop", *figure.skeleton.names),
+            parents=np.concatenate([[-1], np.where(figure.skeleton.parents < 0, -1, figure.skeleton.parents + 1)]),
+            offsets=np.concatenate([[[0.3, 0, 1]], figure.skeleton.offsets]),
+            ends=np.full((count + 1, 3), np.nan),
+            rest_rotations=np.concatenate([np.eye(3)[None], figure.skeleton.rest_rotations]),
+        ),
         scales=np.full(count + 1, 0.01),
-        mapping=map_figure(("floor prop", *figure.names), ""),
+        mapping=map_figure(("floor prop", *figure.skeleton.names), ""),
     )
     motion = build_motion(character)
     bvh = write(tmp_path, character, motion)
     assert bvh.names[:3] == ["figure", "floor_prop", "Hips"]
     found, expected = read_world_positions(bvh) * 0.01, compute_character_poses(character, motion)[0]
-    np.testing.assert_allclose(found[:, bvh.names.index("LeftFoot")], expected[:, character.find_bone("LeftFoot")], atol=2e-6)
+    np.testing.assert_allclose(
+        found[:, bvh.names.index("LeftFoot")], expected[:, character.skeleton.find_joint("LeftFoot")], atol=2e-6
+    )
     np.testing.assert_allclose(found[:, 1], np.tile([0.3, 0, 1], (40, 1)), atol=2e-6)
 
 
@@ -145,7 +153,7 @@ def test_last_bones_have_ends(tmp_path):
 
 def test_names_in_other_scripts_are_kept(tmp_path):
     figure = build_figure_character()
-    character = replace(figure, names=("\u8170 \u9aa8{1}", *figure.names[1:]))
+    character = change_bones(figure, names=("\u8170 \u9aa8{1}", *figure.skeleton.names[1:]))
     assert write(tmp_path, character, build_motion(character)).names[0] == "\u8170_\u9aa8_1_"
 
 

@@ -12,13 +12,13 @@ from mocapfix.characters.load_character import check_lengths, load_character, lo
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
-from tests.characters.character_files import FIGURE, PREFIX, build_mixamo_glb, edit_glb, node_of
+from tests.characters.character_files import FIGURE, PREFIX, build_mixamo_glb, change_bones, edit_glb, node_of
 
 
 def rest_motion(character) -> CharacterMotion:
     """Return one frame of the rest pose."""
     pelvis = character.mapping.bones["pelvis"][0]
-    return CharacterMotion(character.rest_positions[pelvis][None], character.rest_rotations[None], 30.0)
+    return CharacterMotion(character.skeleton.offsets[pelvis][None], character.skeleton.rest_rotations[None], 30.0)
 
 
 @pytest.mark.parametrize("name", CHARACTER_PRESETS)
@@ -35,8 +35,8 @@ def test_bones_of_a_file_are_mapped_by_their_names(tmp_path, suffix, write):
     character = load_character(path)
     assert character.name == "my-hero"
     for segment in REQUIRED_SEGMENTS:
-        names = [character.names[bone] for bone in character.mapping.bones[segment]]
-        assert names == [preset.names[bone] for bone in preset.mapping.bones[segment]]
+        names = [character.skeleton.names[bone] for bone in character.mapping.bones[segment]]
+        assert names == [preset.skeleton.names[bone] for bone in preset.mapping.bones[segment]]
 
 
 def test_an_edited_mapping_is_used_in_place_of_the_own_one(tmp_path):
@@ -57,10 +57,10 @@ def test_unknown_names_and_files_are_refused(tmp_path):
 
 def test_a_limb_without_length_is_refused():
     character = build_cmu31_character(load_cmu31_skeleton())
-    positions = character.rest_positions.copy()
+    positions = character.skeleton.offsets.copy()
     positions[character.mapping.bones["left_foot"][0]] = 0
     with pytest.raises(SceneError, match=r"hero: the bones 'LeftLeg' and 'LeftFoot' \(left shin\) are at one place"):
-        check_lengths(replace(character, rest_positions=positions), "hero")
+        check_lengths(change_bones(character, offsets=positions), "hero")
 
 
 def test_the_first_skeleton_that_forms_a_body_is_taken(tmp_path):
@@ -75,11 +75,11 @@ def test_the_first_skeleton_that_forms_a_body_is_taken(tmp_path):
 
     path = tmp_path / "roped.glb"
     path.write_bytes(edit_glb(build_mixamo_glb(), edit))
-    assert read_character_skeletons(path)[0].names[0] == "rope 0"
+    assert read_character_skeletons(path)[0].skeleton.names[0] == "rope 0"
     character = load_character(path)
-    assert character.names[character.mapping.bones["pelvis"][0]] == f"{PREFIX}Hips"
+    assert character.skeleton.names[character.mapping.bones["pelvis"][0]] == f"{PREFIX}Hips"
     write_mapping_file(tmp_path / "map.yaml", character)
-    assert load_character(path, tmp_path / "map.yaml").names == character.names
+    assert load_character(path, tmp_path / "map.yaml").skeleton.names == character.skeleton.names
 
 
 def test_what_is_wrong_with_the_largest_skeleton_is_stated(tmp_path):

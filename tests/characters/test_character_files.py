@@ -73,7 +73,7 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
     """The files hold what retargeting gives with both, and neither of them is without effect."""
     source, motion = load_walk()
     rest = load_cmu31_skeleton()
-    skeleton = Skeleton(rest.names, rest.parents, source.rest_positions, rest.ends)
+    skeleton = Skeleton(rest.names, rest.parents, source.skeleton.offsets, rest.ends)
     solved = motion_of(motion.local_rotations, motion.pelvis_position)
     contacts = build_contacts(skeleton, solved, RATE)
     raised = replace(contacts, floor=replace(contacts.floor, level_heights_m=(0.1,)), held_feet=HeldFeet(mode, 0.0))

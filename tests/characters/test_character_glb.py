@@ -51,7 +51,7 @@ const fs = require("fs");
 def read_figure(folder, data=GLB, name="figure.glb"):
     (folder / name).write_bytes(data)
     character = read_character(folder / name)
-    return character if character.mapping.bones else replace(character, mapping=map_figure(character.names))
+    return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 
 def compute_worlds(document, binary, animation, times):
@@ -149,7 +149,7 @@ def test_side_files_become_one_glb(tmp_path):
     document["buffers"][0]["uri"] = "side.bin"
     (tmp_path / "figure.gltf").write_text(json.dumps(document), encoding="utf-8")
     character = read_character(tmp_path / "figure.gltf")
-    character = replace(character, mapping=map_figure(character.names))
+    character = replace(character, mapping=map_figure(character.skeleton.names))
     (tmp_path / "side.bin").unlink()
     motion = build_motion(character)
     write_character_glb(tmp_path / "out.glb", character, motion, "walk")
@@ -166,7 +166,7 @@ def test_a_character_without_mesh_gets_a_test_skin(tmp_path):
     document = check_written_poses(tmp_path / "out.glb", character, motion, range(len(FIGURE.names)))
     binary = split_glb((tmp_path / "out.glb").read_bytes())[1]
     inverse = read_accessor(document, binary, document["skins"][0]["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
-    rest_positions, rest_rotations = character.compute_rest_pose()
+    rest_positions, rest_rotations = character.skeleton.compute_rest_pose()
     np.testing.assert_allclose(inverse[:, :3, :3] @ rest_rotations, np.tile(np.eye(3), (len(inverse), 1, 1)), atol=1e-6)
     np.testing.assert_allclose((inverse[:, :3, :3] @ rest_positions[..., None])[..., 0] + inverse[:, :3, 3], 0, atol=1e-6)
     corners = read_accessor(document, binary, document["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
@@ -176,7 +176,7 @@ def test_a_character_without_mesh_gets_a_test_skin(tmp_path):
 def test_rotations_that_do_not_change_have_one_key_and_resting_bones_none(tmp_path):
     character = read_figure(tmp_path)
     motion = build_motion(character)
-    held = character.find_bone(f"{PREFIX}LeftArm")
+    held = character.skeleton.find_joint(f"{PREFIX}LeftArm")
     motion.local_rotations[:, held] = motion.local_rotations[7, held]
     write_character_glb(tmp_path / "out.glb", character, motion, "walk")
     document = json.loads(split_glb((tmp_path / "out.glb").read_bytes())[0])
@@ -190,9 +190,9 @@ def test_rotations_that_do_not_change_have_one_key_and_resting_bones_none(tmp_pa
         counts[channel["target"]["node"], channel["target"]["path"]] = accessor["count"]
     assert counts.pop((nodes[held], "rotation")) == 1
     assert set(counts.values()) == {motion.frame_count}
-    unmapped = character.find_bone(f"{PREFIX}LeftHandIndex1")
+    unmapped = character.skeleton.find_joint(f"{PREFIX}LeftHandIndex1")
     assert (nodes[unmapped], "rotation") not in counts
-    assert (nodes[character.find_bone(f"{PREFIX}Hips")], "translation") in counts
+    assert (nodes[character.skeleton.find_joint(f"{PREFIX}Hips")], "translation") in counts
 
 
 def test_a_missing_folder_is_refused(tmp_path):

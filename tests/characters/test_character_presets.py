@@ -56,9 +56,9 @@ def test_unknown_preset_lists_the_presets():
 
 
 def test_bones_are_unique_and_below_their_parents(preset: Character):
-    assert len(set(preset.names)) == len(preset.names)
-    assert all(parent < bone for bone, parent in enumerate(preset.parents))
-    assert (preset.parents < 0).sum() == 1
+    assert len(set(preset.skeleton.names)) == len(preset.skeleton.names)
+    assert all(parent < bone for bone, parent in enumerate(preset.skeleton.parents))
+    assert (preset.skeleton.parents < 0).sum() == 1
     assert preset.name in CHARACTER_PRESETS
     assert preset.source
     assert preset.source.kind == "yaml"
@@ -67,7 +67,7 @@ def test_bones_are_unique_and_below_their_parents(preset: Character):
 @pytest.mark.parametrize("chains", [ARM_CHAINS, LEG_CHAINS], ids=["arms", "legs"])
 def test_chains_have_the_names_of_the_program(preset: Character, chains: dict[str, str]):
     for upper, lower in pairwise(chains[preset.name].split()):
-        assert preset.names[preset.parents[preset.find_bone(lower)]] == upper
+        assert preset.skeleton.names[preset.skeleton.parents[preset.skeleton.find_joint(lower)]] == upper
 
 
 def test_spine_and_neck_counts_are_those_of_the_program(preset: Character):
@@ -77,7 +77,7 @@ def test_spine_and_neck_counts_are_those_of_the_program(preset: Character):
 
 
 def test_left_and_right_are_mirrored(preset: Character):
-    positions, _ = preset.compute_rest_pose()
+    positions, _ = preset.skeleton.compute_rest_pose()
     for group in (preset.mapping.bones, preset.mapping.twists):
         for segment, bones in group.items():
             if segment.startswith("left_"):
@@ -89,8 +89,8 @@ def test_left_and_right_are_mirrored(preset: Character):
 
 
 def test_figure_stands_on_the_floor_and_faces_forward(preset: Character):
-    positions, rotations = preset.compute_rest_pose()
-    tails = positions + np.einsum("jab,jb->ja", rotations, preset.tails)
+    positions, rotations = preset.skeleton.compute_rest_pose()
+    tails = positions + np.einsum("jab,jb->ja", rotations, preset.skeleton.ends)
     height_m = np.nanmax(np.r_[positions[:, 1], tails[:, 1]])
     assert MIN_HEIGHT_M < height_m < MAX_HEIGHT_M
     bones = preset.mapping.bones
@@ -118,7 +118,7 @@ def test_units_and_up_axes_are_those_of_the_program(preset: Character):
 
 
 def test_axes_are_right_handed_and_follow_the_convention(preset: Character):
-    positions, rotations = preset.compute_rest_pose()
+    positions, rotations = preset.skeleton.compute_rest_pose()
     assert np.allclose(rotations @ rotations.swapaxes(-1, -2), np.eye(3), atol=1e-8)
     assert np.allclose(np.linalg.det(rotations), 1)
     if preset.name in WORLD_AXES:
@@ -138,30 +138,30 @@ def test_axes_are_right_handed_and_follow_the_convention(preset: Character):
 
 def test_unreal_right_side_is_the_left_mirrored_and_negated():
     unreal = load_character_preset("unreal")
-    _, rotations = unreal.compute_rest_pose()
-    for left, name in enumerate(unreal.names):
+    _, rotations = unreal.skeleton.compute_rest_pose()
+    for left, name in enumerate(unreal.skeleton.names):
         if name.endswith("_l"):
-            right = rotations[unreal.find_bone(f"{name[:-2]}_r")]
+            right = rotations[unreal.skeleton.find_joint(f"{name[:-2]}_r")]
             assert np.allclose(right, -np.diag([-1, 1, 1]) @ rotations[left], atol=1e-6)
 
 
 def test_limits_contain_the_rest_pose_and_bend_the_right_way(preset: Character):
-    positions, rotations = preset.compute_rest_pose()
+    positions, rotations = preset.skeleton.compute_rest_pose()
     bones = preset.mapping.bones
-    assert {bones[f"{side}_{name}"][0] for side in SIDES for name in ("forearm", "shin", "foot", "toe")} <= set(preset.limits_deg)
-    for limit in preset.limits_deg.values():
-        assert limit.shape == (3, 2)
-        assert (limit[:, 0] <= 0).all()
-        assert (limit[:, 1] >= 0).all()
+    limits_rad = preset.skeleton.limits_rad
+    limited = set(np.flatnonzero(np.isfinite(limits_rad).all((1, 2))).tolist())
+    assert {bones[f"{side}_{name}"][0] for side in SIDES for name in ("forearm", "shin", "foot", "toe")} <= limited
+    assert (limits_rad[..., 0] <= 0).all()
+    assert (limits_rad[..., 1] >= 0).all()
     for side in SIDES:
         arm, forearm, hand = (bones[f"{side}_{name}"][0] for name in ("upper_arm", "forearm", "hand"))
         axis_elbow = np.cross(positions[hand] - positions[forearm], [0.0, 0.0, 1.0])
         for bone, axis in ((bones[f"{side}_shin"][0], np.array([1.0, 0, 0])), (forearm, axis_elbow / np.linalg.norm(axis_elbow))):
-            axis_parent = rotations[preset.parents[bone]].T @ axis
-            limit = preset.limits_deg[bone]
+            axis_parent = rotations[preset.skeleton.parents[bone]].T @ axis
+            limit = np.rad2deg(limits_rad[bone])
             assert is_inside(limit, 120 * axis_parent)
             assert not is_inside(limit, -40 * axis_parent)
-        assert arm not in preset.limits_deg
+        assert arm not in limited
 
 
 def is_inside(limit_deg: np.ndarray, rotation_vector_deg: np.ndarray) -> bool:
@@ -170,20 +170,20 @@ def is_inside(limit_deg: np.ndarray, rotation_vector_deg: np.ndarray) -> bool:
 
 def test_bent_knee_moves_the_foot_backwards_and_bent_elbow_the_hand_forwards(preset: Character):
     """The limits' greatest angle of the hinge, applied as the rotation vector says, bends the joint anatomically."""
-    positions, rotations = preset.compute_rest_pose()
+    positions, rotations = preset.skeleton.compute_rest_pose()
     for name, end, sign in (("left_shin", "left_foot", -1), ("left_forearm", "left_hand", 1)):
         bone, last = preset.mapping.bones[name][0], preset.mapping.bones[end][0]
-        limit = preset.limits_deg[bone]
+        limit = np.rad2deg(preset.skeleton.limits_rad[bone])
         hinge = int(np.abs(limit).max(1).argmax())
         angle = limit[hinge][np.abs(limit[hinge]).argmax()]
         vector_parent = np.eye(3)[hinge] * np.deg2rad(np.sign(angle) * 90)
-        turn_world = rotations[preset.parents[bone]] @ Rotation.from_rotvec(vector_parent).as_matrix()
-        moved = turn_world @ rotations[preset.parents[bone]].T @ (positions[last] - positions[bone])
+        turn_world = rotations[preset.skeleton.parents[bone]] @ Rotation.from_rotvec(vector_parent).as_matrix()
+        moved = turn_world @ rotations[preset.skeleton.parents[bone]].T @ (positions[last] - positions[bone])
         assert sign * moved[2] > 0.7 * np.linalg.norm(moved)
 
 
 def test_twist_bones_lie_between_the_ends_of_their_segment(preset: Character):
-    positions, _ = preset.compute_rest_pose()
+    positions, _ = preset.skeleton.compute_rest_pose()
     following = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
     for segment, twists in preset.mapping.twists.items():
         side, _, name = segment.partition("_")

@@ -13,6 +13,7 @@ from mocapfix.characters.character_yaml import read_character_yaml
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import write_character_yaml
 
@@ -25,16 +26,16 @@ def write_file(path: Path, text: str) -> Path:
 
 
 def assert_characters_equal(read: Character, written: Character) -> None:
-    assert (read.name, read.names) == (written.name, written.names)
-    assert read.parents.tolist() == written.parents.tolist()
-    for name in ("rest_positions", "rest_rotations", "tails", "scales", "rotation_y_up_file"):
-        assert np.allclose(getattr(read, name), getattr(written, name), atol=1e-6, equal_nan=True), name
+    assert (read.name, read.skeleton.names) == (written.name, written.skeleton.names)
+    assert read.skeleton.parents.tolist() == written.skeleton.parents.tolist()
+    for name in ("offsets", "rest_rotations", "ends", "limits_rad"):
+        assert np.allclose(getattr(read.skeleton, name), getattr(written.skeleton, name), atol=1e-6, equal_nan=True), name
+    assert np.allclose(read.scales, written.scales, atol=1e-6)
+    assert np.allclose(read.rotation_y_up_file, written.rotation_y_up_file, atol=1e-6)
     assert read.root_scale == written.root_scale
     assert read.has_feet_flat == written.has_feet_flat
     assert dict(read.mapping.bones) == dict(written.mapping.bones)
     assert dict(read.mapping.twists) == dict(written.mapping.twists)
-    assert read.limits_deg.keys() == written.limits_deg.keys()
-    assert all(np.array_equal(read.limits_deg[bone], limit) for bone, limit in written.limits_deg.items())
 
 
 @pytest.mark.parametrize("name", CHARACTER_PRESETS)
@@ -52,18 +53,22 @@ def test_any_armature_is_read_back(seed: int, count: int, tmp_path_factory: pyte
     tails = rng.normal(0, 0.3, (count, 3))
     tails[rng.random(count) < 0.3] = np.nan
     parents = np.array([-1, *(int(rng.integers(-1, bone)) for bone in range(1, count))])
+    limits_rad = np.tile(UNLIMITED_RAD, (count, 1, 1))
+    limits_rad[0] = np.deg2rad([[-10.0, 20.5], [0.0, 0.0], [-5.25, 170.0]])
     character = Character(
         name="armature",
-        names=tuple(f"Bone {'Ä:.' * (i % 2)}{i}" for i in range(count)),
-        parents=parents,
-        rest_positions=rng.normal(0, 0.5, (count, 3)),
-        rest_rotations=Rotation.random(count, rng=rng).as_matrix(),
-        tails=tails,
+        skeleton=Skeleton(
+            names=tuple(f"Bone {'Ä:.' * (i % 2)}{i}" for i in range(count)),
+            parents=parents,
+            offsets=rng.normal(0, 0.5, (count, 3)),
+            ends=tails,
+            rest_rotations=Rotation.random(count, rng=rng).as_matrix(),
+            limits_rad=limits_rad,
+        ),
         mapping=BoneMapping({}),
         scales=rng.choice([0.01, 0.5], count),
         root_scale=0.01,
         rotation_y_up_file=Rotation.random(rng=rng).as_matrix(),
-        limits_deg={0: np.array([[-10.0, 20.5], [0.0, 0.0], [-5.25, 170.0]])},
         has_feet_flat=bool(seed % 2),
     )
     path = tmp_path_factory.mktemp("character") / "armature.yaml"
@@ -94,12 +99,12 @@ bones:
 
 def test_axes_follow_the_rule_of_the_file_and_of_the_bone(tmp_path: Path):
     character = read_character_yaml(write_file(tmp_path / "axes.yaml", AXES_FILE))
-    positions, rotations = character.compute_rest_pose()
+    positions, rotations = character.skeleton.compute_rest_pose()
     assert np.allclose(positions, [[0, 1, 0], [0, 3, 0], [1, 1, 0], [1, 1, 1]])
     assert np.allclose(rotations[0] @ [-1, 0, 0], [0, 1, 0])  # along the bone, to the first child
     assert np.allclose(rotations[0] @ [0, 0, 1], [0, 0, 1])
     assert np.allclose(rotations[1], rotations[0])  # no tail: as the parent
-    assert np.isnan(character.tails[1]).all()
+    assert np.isnan(character.skeleton.ends[1]).all()
     assert np.allclose(rotations[2] @ [0, 1, 0], [1, 0, 0])
     assert np.allclose(rotations[2] @ [1, 0, 0], np.array([0, -3, 0.1]) / np.hypot(3, 0.1))
     assert np.allclose(rotations[3], Rotation.from_euler("z", 90, degrees=True).as_matrix())

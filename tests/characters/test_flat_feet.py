@@ -24,7 +24,7 @@ INCLINATION_DEG = 8.0
 def standing():
     """The average body standing: feet inclined by 8 degrees, balls 50 mm above a floor at 0.1 m; and its contacts."""
     character, motion = load_walk()
-    local = np.tile(character.rest_rotations, (FRAMES, 1, 1, 1))
+    local = np.tile(character.skeleton.rest_rotations, (FRAMES, 1, 1, 1))
     for side, spread_deg in (("left", -20.0), ("right", 20.0)):
         bones = character.mapping.bones
         local[:, bones[f"{side}_thigh"][0]] = Rotation.from_euler("z", spread_deg, degrees=True).as_matrix()

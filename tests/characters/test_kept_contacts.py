@@ -23,7 +23,7 @@ def contacts():
     character, motion = load_walk()
     zeros = np.zeros(motion.frame_count, int)
     skeleton = load_cmu31_skeleton()
-    skeleton = type(skeleton)(skeleton.names, skeleton.parents, character.rest_positions, skeleton.ends)
+    skeleton = type(skeleton)(skeleton.names, skeleton.parents, character.skeleton.offsets, skeleton.ends)
     solved = Motion(motion.pelvis_position, motion.local_rotations, zeros, zeros, np.zeros((0, 0)), np.zeros((0, 0)))
     return build_contacts(skeleton, solved, RATE)
 

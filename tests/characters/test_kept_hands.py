@@ -49,7 +49,7 @@ def test_target_out_of_reach_is_moved_towards_the_shoulder():
 def pose_t(frames: int = 1):
     """Return the average body in its rest pose: a T-pose, its hands far from everything."""
     character, motion = load_walk()
-    rest = np.tile(character.rest_rotations, (frames, 1, 1, 1))
+    rest = np.tile(character.skeleton.rest_rotations, (frames, 1, 1, 1))
     return character, CharacterMotion(np.tile([0.0, 1.0, 0.0], (frames, 1)), rest, motion.rate)
 
 

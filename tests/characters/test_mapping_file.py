@@ -10,6 +10,7 @@ from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import change_bones
 
 
 @pytest.fixture
@@ -56,8 +57,8 @@ def test_edited_bone_is_used(daz: Character, tmp_path: Path):
         text.replace("pelvis: [hip]", "pelvis: hip").replace("[spine1, spine2, ", "[spine2, "), encoding="utf-8"
     )
     mapping = read_mapping_file(tmp_path / "a.yaml", daz)
-    assert mapping.bones["pelvis"] == (daz.find_bone("hip"),)
-    assert [daz.names[bone] for bone in mapping.bones["spine"]] == ["spine2", "spine3", "spine4"]
+    assert mapping.bones["pelvis"] == (daz.skeleton.find_joint("hip"),)
+    assert [daz.skeleton.names[bone] for bone in mapping.bones["spine"]] == ["spine2", "spine3", "spine4"]
 
 
 @pytest.mark.parametrize(
@@ -92,8 +93,8 @@ def test_wrong_entry_is_explained_with_file_and_key(old: str, new: str, message:
 
 
 def test_names_with_line_breaks_stay_in_comments(daz: Character, tmp_path: Path):
-    names = tuple("strange\nname: [" if name == "l_pectoral" else name for name in daz.names)
-    write_mapping_file(tmp_path / "a.yaml", replace(daz, names=names, name="two\nlines"))
+    names = tuple("strange\nname: [" if name == "l_pectoral" else name for name in daz.skeleton.names)
+    write_mapping_file(tmp_path / "a.yaml", replace(change_bones(daz, names=names), name="two\nlines"))
     assert dict(read_mapping_file(tmp_path / "a.yaml", daz).bones) == dict(daz.mapping.bones)
 
 

@@ -33,28 +33,28 @@ def read(folder, data, name="figure.glb"):
 
 def check_rest_pose(character, names):
     """Check heads and axes of the figure's bones in the world, and their tree."""
-    positions, rotations = character.compute_rest_pose()
-    bones = [character.find_bone(name) for name in names]
+    positions, rotations = character.skeleton.compute_rest_pose()
+    bones = [character.skeleton.find_joint(name) for name in names]
     np.testing.assert_allclose(positions[bones], FIGURE.heads, atol=1e-6)
     np.testing.assert_allclose(rotations[bones], FIGURE.axes, atol=1e-6)
     for bone, parent in zip(bones, FIGURE.parents, strict=True):
-        assert parent < 0 or character.parents[bone] == bones[parent]
-    assert (character.parents < np.arange(len(character.parents))).all()
+        assert parent < 0 or character.skeleton.parents[bone] == bones[parent]
+    assert (character.skeleton.parents < np.arange(len(character.skeleton.parents))).all()
 
 
 def test_a_mixamo_character_has_its_rest_pose_in_metres(tmp_path):
     character = read(tmp_path, GLB)
     check_rest_pose(character, [f"{PREFIX}{name}" for name in FIGURE.names])
     assert character.name == "figure"
-    assert character.names[:2] == ("Armature", f"{PREFIX}Hips")
-    assert len(character.names) == COUNT + 1  # not the mesh
+    assert character.skeleton.names[:2] == ("Armature", f"{PREFIX}Hips")
+    assert len(character.skeleton.names) == COUNT + 1  # not the mesh
     np.testing.assert_allclose(character.scales, 0.01)
     assert character.root_scale == 1.0
     assert character.source is not None
     assert character.source.kind == "gltf"
     assert character.source.data == GLB
     names = parse_glb(tmp_path, GLB).document["nodes"]
-    assert [names[node]["name"] for node in character.source.nodes] == list(character.names)
+    assert [names[node]["name"] for node in character.source.nodes] == list(character.skeleton.names)
     assert not character.mapping.bones
 
 
@@ -62,9 +62,9 @@ def test_tails_are_at_the_farther_children(tmp_path):
     character = read(tmp_path, GLB)
     for name, child in (("LeftUpLeg", "LeftLeg"), ("Head", "HeadTop_End"), ("RightToeBase", "RightToe_End")):
         bone, end = FIGURE.names.index(name), FIGURE.names.index(child)
-        tail = character.tails[character.find_bone(f"{PREFIX}{name}")]
+        tail = character.skeleton.ends[character.skeleton.find_joint(f"{PREFIX}{name}")]
         np.testing.assert_allclose(FIGURE.heads[bone] + FIGURE.axes[bone] @ tail, FIGURE.heads[end], atol=1e-6)
-    assert np.isnan(character.tails[character.find_bone(f"{PREFIX}HeadTop_End")]).all()
+    assert np.isnan(character.skeleton.ends[character.skeleton.find_joint(f"{PREFIX}HeadTop_End")]).all()
 
 
 def test_joints_that_are_no_longer_joints_are_tails(tmp_path):
@@ -75,8 +75,8 @@ def test_joints_that_are_no_longer_joints_are_tails(tmp_path):
         document["skins"][0]["joints"].remove(end)
 
     character = read(tmp_path, edit_glb(GLB, edit))
-    assert f"{PREFIX}LeftToe_End" not in character.names
-    assert np.linalg.norm(character.tails[character.find_bone(f"{PREFIX}LeftToeBase")]) == pytest.approx(0.07)
+    assert f"{PREFIX}LeftToe_End" not in character.skeleton.names
+    assert np.linalg.norm(character.skeleton.ends[character.skeleton.find_joint(f"{PREFIX}LeftToeBase")]) == pytest.approx(0.07)
 
 
 @pytest.mark.parametrize("version", [0, 1])
@@ -85,7 +85,7 @@ def test_a_vrm_names_the_segments(tmp_path, version):
     check_rest_pose(character, [f"J_{node_of(bone)}" for bone in range(COUNT)])
     for segment, bones in SEGMENTS.items():
         expected = [f"J_{node_of(FIGURE.names.index(bone))}" for bone in bones]
-        assert [character.names[bone] for bone in character.mapping.bones[segment]] == expected
+        assert [character.skeleton.names[bone] for bone in character.mapping.bones[segment]] == expected
     assert "VRM" in character.mapping.reason
     assert not character.mapping.missing_segments
 
@@ -96,7 +96,7 @@ def test_bones_between_humanoid_bones_belong_to_the_upper_segment(tmp_path):
         del bones["chest"], bones["upperChest"]
 
     character = read(tmp_path, edit_glb(build_vrm(1), edit))
-    spine = [character.names[bone] for bone in character.mapping.bones["spine"]]
+    spine = [character.skeleton.names[bone] for bone in character.mapping.bones["spine"]]
     assert spine == [f"J_{node_of(FIGURE.names.index(name))}" for name in ("Spine", "Spine1", "Spine2")]
 
 
@@ -123,7 +123,7 @@ def test_twist_bones_of_a_vrm_are_found(tmp_path, version):
         add_bone_beside_the_shin(document, "twist near", 0.4)
 
     character = read(tmp_path, edit_glb(build_vrm(version), edit), "avatar.vrm")
-    assert {key: [character.names[bone] for bone in chain] for key, chain in character.mapping.twists.items()} == {
+    assert {key: [character.skeleton.names[bone] for bone in chain] for key, chain in character.mapping.twists.items()} == {
         "left_thigh": ["twist near", "twist far"]
     }
 
@@ -138,7 +138,7 @@ def test_springs_of_a_vrm_are_no_twist_bones(tmp_path, version):
             document["extensions"]["VRMC_springBone"] = {"springs": [{"name": "skirt", "joints": [{"node": node}]}]}
 
     character = read(tmp_path, edit_glb(build_vrm(version), edit), "avatar.vrm")
-    assert "skirt" in character.names
+    assert "skirt" in character.skeleton.names
     assert not character.mapping.twists
 
 
@@ -193,7 +193,7 @@ def test_scales_along_the_tree_are_multiplied_out(tmp_path):
 
     character = read(tmp_path, edit_glb(GLB, edit))
     check_rest_pose(character, [f"{PREFIX}{name}" for name in FIGURE.names])
-    assert character.scales[character.find_bone(f"{PREFIX}LeftToeBase")] == pytest.approx(0.02)
+    assert character.scales[character.skeleton.find_joint(f"{PREFIX}LeftToeBase")] == pytest.approx(0.02)
 
 
 def test_of_several_skeletons_the_largest_comes_first(tmp_path):
@@ -209,8 +209,8 @@ def test_of_several_skeletons_the_largest_comes_first(tmp_path):
 
     (tmp_path / "two.glb").write_bytes(edit_glb(GLB, edit))
     skeletons = read_character_skeletons(tmp_path / "two.glb")
-    assert [len(each.names) for each in skeletons] == [COUNT + 1, 3]
-    assert skeletons[1].names == ("prop 0", "prop 1", "prop 2")
+    assert [len(each.skeleton.names) for each in skeletons] == [COUNT + 1, 3]
+    assert skeletons[1].skeleton.names == ("prop 0", "prop 1", "prop 2")
 
 
 def test_nodes_without_skin_are_bones(tmp_path):
@@ -226,7 +226,7 @@ def test_unnamed_and_repeated_names_become_unique(tmp_path):
         document["nodes"][node_of(3)].pop("name")
         document["nodes"][node_of(4)]["name"] = document["nodes"][node_of(5)]["name"] = "twin"
 
-    names = read(tmp_path, edit_glb(GLB, edit)).names
+    names = read(tmp_path, edit_glb(GLB, edit)).skeleton.names
     assert len(set(names)) == len(names)
     assert f"node {node_of(3)}" in names
 

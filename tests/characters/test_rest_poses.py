@@ -14,18 +14,19 @@ from mocapfix.characters.load_character import are_soles_flat, check_sides, desc
 from mocapfix.errors import SceneError
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import change_bones
 
 SOLVED = build_cmu31_character(load_cmu31_skeleton())
 
 
 def turn(character: Character, segment: str, axis: str, degrees: float) -> Character:
     """Return the character with a segment, and what it carries, turned about an axis of the world in its rest pose."""
-    _, world = character.compute_rest_pose()
+    _, world = character.skeleton.compute_rest_pose()
     bone = character.mapping.bones[segment][0]
-    above = world[character.parents[bone]]
-    rotations = character.rest_rotations.copy()
+    above = world[character.skeleton.parents[bone]]
+    rotations = character.skeleton.rest_rotations.copy()
     rotations[bone] = above.T @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix() @ world[bone]
-    return replace(character, rest_rotations=rotations)
+    return change_bones(character, rest_rotations=rotations)
 
 
 def turn_both(character: Character, segment: str, axis: str, degrees: float) -> Character:
@@ -38,10 +39,10 @@ def turn_both(character: Character, segment: str, axis: str, degrees: float) -> 
 def face(character: Character, degrees: float) -> Character:
     """Return the character facing another direction."""
     turned = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
-    positions, rotations = character.rest_positions.copy(), character.rest_rotations.copy()
-    for bone in np.flatnonzero(character.parents < 0):
+    positions, rotations = character.skeleton.offsets.copy(), character.skeleton.rest_rotations.copy()
+    for bone in np.flatnonzero(character.skeleton.parents < 0):
         positions[bone], rotations[bone] = turned @ positions[bone], turned @ rotations[bone]
-    return replace(character, rest_positions=positions, rest_rotations=rotations)
+    return change_bones(character, offsets=positions, rest_rotations=rotations)
 
 
 def swap_sides(character: Character, *segments: str) -> Character:
@@ -104,12 +105,12 @@ def test_a_lying_rest_pose_is_described_and_shows_no_swapped_sides():
     """Some BVH files have offsets of no pose at all: the trunk lies, and the legs do not face where the arms do."""
     character = load_character_preset("mixamo")
     bones = character.mapping.bones
-    _, world = character.compute_rest_pose()
-    above = world[character.parents[bones["spine"][0]]]
-    rotations = character.rest_rotations.copy()
+    _, world = character.skeleton.compute_rest_pose()
+    above = world[character.skeleton.parents[bones["spine"][0]]]
+    rotations = character.skeleton.rest_rotations.copy()
     lying = Rotation.from_euler("yx", [180, 60], degrees=True).as_matrix()
     rotations[bones["spine"][0]] = above.T @ lying @ world[bones["spine"][0]]
-    character = replace(character, rest_rotations=rotations)
+    character = change_bones(character, rest_rotations=rotations)
     check_sides(character, "a file")
     assert re.search(r"\(trunk \d\d degrees from the vertical\)", describe_posed_limbs(character))
 

@@ -18,6 +18,7 @@ from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import build_retarget_problem, retarget_motion, solve_retarget_problem
 from mocapfix.contacts.contacts import Floor, build_no_contacts
 from mocapfix.options import CHARACTER_PRESETS
+from tests.characters.character_files import change_bones
 from tests.characters.walking_body import load_walk, scale_limbs, turn_axes
 
 TURNED = ("Hips", "Spine", "Spine1", "Head", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
@@ -25,7 +26,7 @@ TURNED = ("Hips", "Spine", "Spine1", "Head", "Arm", "ForeArm", "Hand", "UpLeg", 
 
 def compute_errors(character, motion, other) -> tuple[float, float]:
     """Return the mean distance in mm and the mean angle in degrees between the joints of two motions."""
-    joints = [k for k, name in enumerate(character.names) if name.removeprefix("Left").removeprefix("Right") in TURNED]
+    joints = [k for k, name in enumerate(character.skeleton.names) if name.removeprefix("Left").removeprefix("Right") in TURNED]
     (position, rotation), (second, turned) = (compute_character_poses(character, each) for each in (motion, other))
     trace = np.einsum("tjab,tjab->tj", rotation[:, joints], turned[:, joints])
     angle = np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
@@ -63,8 +64,8 @@ def test_bones_outside_the_body_keep_their_rest_pose():
     character, motion = load_walk()
     target = load_character_preset("mixamo")
     there = retarget_motion(character, motion, target)
-    thumb = next(bone for bone, name in enumerate(target.names) if "Thumb1" in name)
-    assert (there.local_rotations[:, thumb] == target.rest_rotations[thumb]).all()
+    thumb = next(bone for bone, name in enumerate(target.skeleton.names) if "Thumb1" in name)
+    assert (there.local_rotations[:, thumb] == target.skeleton.rest_rotations[thumb]).all()
 
 
 @pytest.mark.parametrize(("legs", "arms"), [(0.7, 1.0), (1.3, 1.0), (1.0, 1.3)])
@@ -120,17 +121,17 @@ def test_body_of_the_required_segments_alone():
 def test_bones_above_the_pelvis_may_be_anywhere():
     character, motion = load_walk()
     target = load_character_preset("unreal")
-    root = target.find_bone("root")
-    positions, rotations = target.rest_positions.copy(), target.rest_rotations.copy()
+    root = target.skeleton.find_joint("root")
+    positions, rotations = target.skeleton.offsets.copy(), target.skeleton.rest_rotations.copy()
     turn = Rotation.from_euler("xyz", [-90, 20, 10], degrees=True).as_matrix()
     pelvis = target.mapping.bones["pelvis"][0]
-    assert target.parents[pelvis] == root
-    old = target.compute_rest_pose()
+    assert target.skeleton.parents[pelvis] == root
+    old = target.skeleton.compute_rest_pose()
     positions[root], rotations[root] = [0.5, -0.2, 0.3], turn
     positions[pelvis] = turn.T @ (old[0][pelvis] - positions[root])
     rotations[pelvis] = turn.T @ old[1][pelvis]
-    moved = replace(target, rest_positions=positions, rest_rotations=rotations)
-    below = [bone for bone in range(len(target.names)) if bone != root]
+    moved = change_bones(target, offsets=positions, rest_rotations=rotations)
+    below = [bone for bone in range(len(target.skeleton.names)) if bone != root]
     first, second = (
         compute_character_poses(each, retarget_motion(character, motion, each))[0][:, below] for each in (target, moved)
     )

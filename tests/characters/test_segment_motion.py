@@ -71,7 +71,7 @@ def test_segments_do_not_depend_on_the_axes_of_the_bones():
     turns = np.swapaxes(build_body_frame(character).rest_rotation, 1, 2) @ build_body_frame(turned).rest_rotation
     world = rotation @ turns
     local = world.copy()
-    local[:, 1:] = np.swapaxes(world[:, turned.parents[1:]], 2, 3) @ world[:, 1:]
+    local[:, 1:] = np.swapaxes(world[:, turned.skeleton.parents[1:]], 2, 3) @ world[:, 1:]
     same = CharacterMotion(position[:, 0], local, motion.rate)
     first = compute_segment_motion(build_body_frame(character), motion)
     second = compute_segment_motion(build_body_frame(turned), same)

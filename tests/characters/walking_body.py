@@ -1,6 +1,5 @@
 """A walk with gestures of the average body, and characters of other proportions, for the tests of retargeting."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion
 from mocapfix.synthetic import compose_take
+from tests.characters.character_files import change_bones
 
 SECONDS = 4.0
 RATE = 60.0
@@ -22,20 +22,20 @@ def load_walk() -> tuple[Character, CharacterMotion]:
 
 def scale_limbs(character: Character, legs: float = 1.0, arms: float = 1.0) -> Character:
     """Return the character with longer or shorter thighs and shins, upper arms and forearms."""
-    bones, positions = character.mapping.bones, character.rest_positions.copy()
+    bones, positions = character.mapping.bones, character.skeleton.offsets.copy()
     for side in ("left", "right"):
         for segment, factor in (("shin", legs), ("foot", legs), ("forearm", arms), ("hand", arms)):
             positions[bones[f"{side}_{segment}"][0]] *= factor
-    return replace(character, rest_positions=positions)
+    return change_bones(character, offsets=positions)
 
 
 def turn_axes(character: Character, rng: np.random.Generator) -> Character:
     """Return the same figure whose bones have other axes of their own."""
-    turns = Rotation.random(len(character.names), rng=rng).as_matrix()
-    rotations, positions = character.rest_rotations.copy(), character.rest_positions.copy()
-    for bone, parent in enumerate(character.parents):
+    turns = Rotation.random(len(character.skeleton.names), rng=rng).as_matrix()
+    rotations, positions = character.skeleton.rest_rotations.copy(), character.skeleton.offsets.copy()
+    for bone, parent in enumerate(character.skeleton.parents):
         above = turns[parent] if parent >= 0 else np.eye(3)
-        rotations[bone] = above.T @ character.rest_rotations[bone] @ turns[bone]
-        positions[bone] = above.T @ character.rest_positions[bone]
-    tails = np.einsum("jba,jb->ja", turns, character.tails)
-    return replace(character, rest_rotations=rotations, rest_positions=positions, tails=tails)
+        rotations[bone] = above.T @ character.skeleton.rest_rotations[bone] @ turns[bone]
+        positions[bone] = above.T @ character.skeleton.offsets[bone]
+    tails = np.einsum("jba,jb->ja", turns, character.skeleton.ends)
+    return change_bones(character, rest_rotations=rotations, offsets=positions, ends=tails)

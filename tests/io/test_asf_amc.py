@@ -16,9 +16,8 @@ from mocapfix.io.asf_amc import get_bone_axes_deg, get_cmu_bone_names, read_amc,
 from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.stats.rigid_alignment import compose_transforms
 from tests.asf_files import AMC, ASF, FRAMES
 from tests.captures import CAPTURES, needs_captures
 
@@ -184,7 +183,7 @@ def test_an_asf_alone_is_read_as_its_rest_pose(tmp_path):
     moving = read(tmp_path)
     found = asf_amc.read_amc(tmp_path / "09.asf")
     assert found.frame_count == 1
-    np.testing.assert_allclose(found.compute_world_poses()[0][0], moving.compute_rest_positions())
+    np.testing.assert_allclose(found.compute_world_poses()[0][0], moving.skeleton.rest_positions)
 
 
 def test_the_asf_is_found_in_the_folder_of_the_amc(tmp_path):

@@ -82,7 +82,9 @@ def test_the_pose_follows_from_the_arrays(tmp_path):
         positions.append(own)
         rotations.append(axes)
     np.testing.assert_allclose(np.stack(positions, axis=1), compute_character_poses(character, motion)[0], atol=1e-9)
-    np.testing.assert_allclose(Rotation.from_quat(arrays["rest_rotations"]).as_matrix(), character.rest_rotations, atol=1e-12)
+    np.testing.assert_allclose(
+        Rotation.from_quat(arrays["rest_rotations"]).as_matrix(), character.skeleton.rest_rotations, atol=1e-12
+    )
     assert ((arrays["rotations"][1:] * arrays["rotations"][:-1]).sum(-1) > 0).all()
     segments = dict(zip(arrays["segments"].tolist(), arrays["segment_bones"].tolist(), strict=True))
     assert segments["spine"].split("\n") == ["Spine", "Spine1", "Spine2"]

@@ -8,7 +8,18 @@ import pytest
 
 from mocapfix.errors import SceneError
 from mocapfix.lab.training_poses import mirror_joint_name
-from mocapfix.model.skeleton import load_cmu31_body, load_cmu31_skeleton, load_shape_components, restrict_body
+from mocapfix.model.skeleton import (
+    Skeleton,
+    compute_local_rotations,
+    find_ancestor,
+    find_common_joint,
+    is_below,
+    list_path,
+    load_cmu31_body,
+    load_cmu31_skeleton,
+    load_shape_components,
+    restrict_body,
+)
 
 BODY = load_cmu31_body()
 SKELETON, SHAPES = BODY.skeleton, BODY.shape_components
@@ -163,3 +174,42 @@ def test_whole_body_keeps_its_free_joints_and_is_solved_as_far_as_it_has_markers
 
 def test_body_without_markers_is_not_restricted():
     assert restrict_body(BODY, ()) is BODY
+
+
+def test_joints_turn_about_any_axis_without_limits_unless_they_are_hinges():
+    assert np.isnan(SKELETON.hinge_axes).all()
+    assert np.isinf(SKELETON.limits_rad).all()
+    axes, limits_rad = SKELETON.hinge_axes.copy(), SKELETON.limits_rad.copy()
+    knee = SKELETON.find_joint("LeftLeg")
+    axes[knee], limits_rad[knee] = [1, 0, 0], [[0, 2.5], [0, 0], [0, 0]]
+    robot = replace(SKELETON, hinge_axes=axes, limits_rad=limits_rad)
+    assert np.flatnonzero(np.isfinite(robot.hinge_axes).all(1)).tolist() == [knee]
+    assert robot.limits_rad[knee, 0].tolist() == [0, 2.5]
+
+
+def test_rest_pose_composes_rest_rotations():
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # a quarter turn about Z
+    arm = Skeleton(
+        ("upper arm", "forearm"),
+        np.array([-1, 0]),
+        np.array([[1.0, 2, 3], [0, 0.5, 0]]),
+        np.zeros((2, 3)),
+        np.stack([turn, turn]),
+    )
+    positions, rotations = arm.compute_rest_pose()
+    np.testing.assert_allclose(positions, [[1, 2, 3], [0.5, 2, 3]])
+    np.testing.assert_allclose(rotations, [turn, turn @ turn])
+    np.testing.assert_array_equal(arm.is_leaf, [False, True])
+    np.testing.assert_allclose(compute_local_rotations(rotations, arm.parents), arm.rest_rotations)
+
+
+def test_paths_and_common_joints_of_a_tree():
+    parents = np.array([-1, 0, 1, 1, 3, -1])
+    assert list_path(4, 0, parents) == [1, 3, 4]
+    assert list_path(2, -1, parents) == [0, 1, 2]
+    assert find_common_joint(parents, (2, 4)) == 1
+    assert find_common_joint(parents, (3, 4)) == 3
+    assert find_common_joint(parents, (2, 5)) == -1
+    assert is_below(4, 1, parents)
+    assert not is_below(1, 1, parents)
+    assert find_ancestor(4, parents, np.array([True, False, True, False, True, True])) == 0
