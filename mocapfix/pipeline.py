@@ -68,17 +68,17 @@ def clean(
     """Clean a capture file: detect faults, correct labels, solve the body and fill what is missing.
 
     Args:
-        path: a C3D, TRC, CSV, TSV, BVH or AMC file.
-        options: what to do; see `CleanOptions`.
-        progress: called with the name of each stage when it begins.
-        changed_options: single options by name, in place of those in `options`: `clean(path, prior="none", max_gap_s=2.0)`.
+        path: A C3D, TRC, CSV, TSV, BVH or AMC file.
+        options: What to do; see `CleanOptions`.
+        progress: Called with the name of each stage when it begins.
+        changed_options: Single options by name, in place of those in `options`: `clean(path, prior="none", max_gap_s=2.0)`.
 
     Returns:
         The cleaned take with its faults, changes, subject, motion and report. With several subjects in the file, a result for the
         whole take that holds one result for each subject.
 
     Raises:
-        MocapfixError: with a sentence for a technician. Nothing is written.
+        MocapfixError: With a sentence for a technician. Nothing is written.
     """
     options = options.change(**changed_options)
     timer = StageTimer(report_progress=progress)
@@ -109,12 +109,12 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     """Return a take without labels with those of a marker set, in whose `labelled_file` are the bytes of the labelled file.
 
     Args:
-        path: the take.
+        path: The take.
         options: `options.read` and `options.subject`, which may name a marker set, a subject or a labelled take.
-        progress: called with the name of each stage when it begins.
+        progress: Called with the name of each stage when it begins.
 
     Raises:
-        TakeError: if the take has labels with a meaning, or no person with these markers is found in it.
+        TakeError: If the take has labels with a meaning, or no person with these markers is found in it.
     """
     timer = StageTimer(report_progress=progress)
     with timer("read"):

@@ -127,7 +127,8 @@ class CleaningResult:
         The outputs are the cleaned file, BVH, subject, review file, reports and recording, and the formats in `options`. They are
         written to a temporary folder and moved together, so that no output is missing or incomplete.
 
-        Returns the paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
+        Returns:
+            The paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
 
         Raises:
             WriteError: If a file exists (unless `overwrite`) or cannot be written.

@@ -42,12 +42,12 @@ def calibrate_takes(
     """Calibrate one person's bones and marker offsets from the best frames of one or several takes together.
 
     Args:
-        paths: the takes.
+        paths: The takes.
         options: `options.read` and `options.subject`; the others are not used.
-        mean_pose_prior: the name of the mean pose prior.
+        mean_pose_prior: The name of the mean pose prior.
 
     Raises:
-        TakeError: if there is no take, no marker set fits, marker sets differ, or one of several subjects is to be named.
+        TakeError: If there is no take, no marker set fits, marker sets differ, or one of several subjects is to be named.
     """
     surveys = survey_person(paths, [Path(path).name for path in paths], options.change(**changed_options))
     return calibrate_person(surveys, mean_pose_prior=mean_pose_prior).subject

@@ -4,6 +4,7 @@ import importlib.util
 import re
 from pathlib import Path
 
+import griffe
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -34,3 +35,29 @@ def test_mentioned_modules_exist(page: Path) -> None:
     modules = [path.as_posix() for folder in folders for path in (ROOT / folder).rglob("*.py")]
     mentioned = re.findall(r"`([\w/]+\.py)", page.read_text(encoding="utf-8"))
     assert not [name for name in mentioned if "my_" not in name and not any(module.endswith(f"/{name}") for module in modules)]
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "description"),
+    [
+        ("options.CleanOptions", "fill", "Gap filling."),  # the class of a stage's options
+        ("options.FillOptions", "max_gap_s", "Leave longer gaps empty: `--max-gap SECONDS`."),  # an option
+        ("options.PurposeOptions", "given", "The names of the options that were given"),  # a string below
+        ("model.take.Take", "markers", "Positions, NaN where a sample is missing."),  # the section Attributes
+        ("contacts.contacts.Floor", "slope_z", "The same along Z."),  # a comment behind
+        ("solve.single_pose.SolvedPose", "cost", "Half the sum of squares"),  # comments above
+    ],
+)
+def test_site_describes_the_fields_of_a_class(name: str, field: str, description: str) -> None:
+    module, _, class_name = name.rpartition(".")
+    path, lines = ROOT / "mocapfix" / f"{module.replace('.', '/')}.py", griffe.LinesCollection()
+    text = path.read_text(encoding="utf-8")
+    lines[path] = text.splitlines()
+    extensions = griffe.load_extensions(str(ROOT / "docs" / "describe_fields.py"))
+    loaded = griffe.visit(
+        f"mocapfix.{module}", path, text, extensions=extensions, docstring_parser="google", lines_collection=lines
+    )
+    sections = loaded[class_name].docstring.parsed
+    rows = {row.name: row.description for section in sections if section.kind.value == "attributes" for row in section.value}
+    assert rows[field].startswith(description)
+    assert rows.keys() >= {each for each, member in loaded[class_name].attributes.items() if "property" not in member.labels}

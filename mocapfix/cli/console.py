@@ -108,11 +108,11 @@ def print_failure(error: Exception, name: str) -> None:
     """Print one sentence on an exception, and with --debug its traceback.
 
     Args:
-        error: what was raised.
-        name: the file that was worked on, or the command; messages of mocapfix itself name the file.
+        error: What was raised.
+        name: The file that was worked on, or the command; messages of mocapfix itself name the file.
 
     Raises:
-        BrokenPipeError: if it is one. It is no failure of a take.
+        BrokenPipeError: If it is one. It is no failure of a take.
     """
     if isinstance(error, BrokenPipeError):
         raise error

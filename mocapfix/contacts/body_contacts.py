@@ -249,9 +249,9 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
     """Find the contacts and the events of gait of the solved body, and hold its feet.
 
     Args:
-        body: the solved body.
-        take: the take as it was read, whose file may have force plates and events.
-        mode: one of FEET_MODES.
+        body: The solved body.
+        take: The take as it was read, whose file may have force plates and events.
+        mode: One of FEET_MODES.
     """
     skeleton = body.subject.skeleton
     standing = find_contacts(skeleton, body.motion, body.solved_joint_positions, take.rate)

@@ -32,8 +32,8 @@ MAX_TILT_RESIDUAL_M = 0.03  # largest deviation of nine of ten places from a til
 class Floor:
     """The surfaces on which a person stands."""
 
-    slope_x: float  # slope_x, slope_z: rise in metres per metre along X and Z; 0 for a level floor
-    slope_z: float
+    slope_x: float  # rise in metres per metre along X; 0 for a level floor
+    slope_z: float  # the same along Z
     level_heights_m: tuple[float, ...]  # heights of the levels at the origin, rising; a flat floor has one
 
     @property
@@ -190,9 +190,9 @@ class StandingBody:
     """A body with its contacts, whose standing feet are held.
 
     Attributes:
-        fit: the body.
-        contacts: when its joints are in contact with the floor, and the events of gait.
-        filling_motion: the motion from which lost markers are filled: its standing feet are held also where those of the body
+        fit: The body.
+        contacts: When its joints are in contact with the floor, and the events of gait.
+        filling_motion: The motion from which lost markers are filled: its standing feet are held also where those of the body
             yield to visible markers.
     """
 

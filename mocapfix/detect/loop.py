@@ -59,10 +59,10 @@ def detect_body_faults(
     samples off the body where the other markers show that the body is wrong.
 
     Args:
-        subject_take: the inliers in the order of the subject's K markers, NaN elsewhere.
+        subject_take: The inliers in the order of the subject's K markers, NaN elsewhere.
         solver_mask: (T, K) bool, the samples that the solver used.
-        min_distance_m: smaller distances from the body are not faults.
-        max_spike_duration_s: longer outliers are ghosts, shorter ones spikes.
+        min_distance_m: Smaller distances from the body are not faults.
+        max_spike_duration_s: Longer outliers are ghosts, shorter ones spikes.
 
     Returns:
         Faults ordered by marker and first frame. Markers are indices into the subject's markers.
@@ -186,11 +186,11 @@ def detect_on_trajectories(
     """Detect faults in the trajectories of a take and correct its labels. The corrections of a reviewer come first.
 
     Args:
-        take: the take as it was read.
-        marker_set: its marker set, if it has one.
-        subject: the subject from an earlier calibration, if it is known.
-        review: what a reviewer decided.
-        options: those of detection and `fill.refill`.
+        take: The take as it was read.
+        marker_set: Its marker set, if it has one.
+        subject: The subject from an earlier calibration, if it is known.
+        review: What a reviewer decided.
+        options: Those of detection and `fill.refill`.
     """
     if marker_set and marker_set.point_sd:
         return detect_on_keypoints(take, marker_set, review, options)

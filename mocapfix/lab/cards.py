@@ -69,7 +69,7 @@ def write_card(path: Path, settings: SubjectSettings, data: CardData, training: 
         scores: The section of scores.
 
     Raises:
-        WriteError: if it cannot be written.
+        WriteError: If it cannot be written.
     """
     values = settings.model_dump(exclude={"title", "test_subjects", "held_out_subjects"})
     text = CARD.format(

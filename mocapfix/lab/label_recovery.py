@@ -55,11 +55,11 @@ def place_two_people(
     """Return the markers of two people, of the frames that both have, with a smallest distance between their centres.
 
     Args:
-        first: markers (metres, Y up, NaN where missing) of the first person, who stays in place.
-        second: those of the second person.
-        labels: their labels.
-        distance_m: smallest horizontal distance between the centres of their markers.
-        crossing: turn the second person round, so that both pass each other in the middle of the take; otherwise the second
+        first: Markers (metres, Y up, NaN where missing) of the first person, who stays in place.
+        second: Those of the second person.
+        labels: Their labels.
+        distance_m: Smallest horizontal distance between the centres of their markers.
+        crossing: Turn the second person round, so that both pass each other in the middle of the take; otherwise the second
             person is beside the first.
     """
     frame_count = min(len(first), len(second))

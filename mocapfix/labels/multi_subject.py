@@ -65,8 +65,8 @@ def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, .
     """Return the names of the subjects of whom a take shows the body or a part of it, in the order of its labels.
 
     Args:
-        take: the take. The name is "" for labels without a subject name.
-        marker_set: the marker set that they must match; None: any of the shipped sets.
+        take: The take. The name is "" for labels without a subject name.
+        marker_set: The marker set that they must match; None: any of the shipped sets.
     """
     subject_of_marker, is_visible = np.array(take.marker_subjects, object), take.visible.any(0)
     labels_of_subject = {
@@ -86,11 +86,11 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
     """Return the takes to clean one after the other: the take itself, unless it shows several bodies or parts of bodies.
 
     Args:
-        marker_set: as for `find_bodies`.
-        subject_prefix: the only subject to clean; all other markers are left out.
+        marker_set: As for `find_bodies`.
+        subject_prefix: The only subject to clean; all other markers are left out.
 
     Raises:
-        TakeError: where no subject has that name.
+        TakeError: Where no subject has that name.
     """
     if subject_prefix is not None:
         return (select_subject(take, subject_prefix),)

@@ -77,8 +77,8 @@ def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"
     are exchanged between the persons as long as this agrees better with all evidence. Each tree is assigned by its labels.
 
     Args:
-        relations: the evidence about pairs of tracklets.
-        label_s: how many seconds longer each tracklet has labels of person 0 than of person 1.
+        relations: The evidence about pairs of tracklets.
+        label_s: How many seconds longer each tracklet has labels of person 0 than of person 1.
     """
     evidence, count = relations.limited_evidence, len(label_s)
     weights = csr_array((MAX_PAIR_EVIDENCE + 1 - np.abs(evidence), tuple(relations.pairs.T)), (count, count))
@@ -106,8 +106,8 @@ def _exchange_subtrees(
 
     Args:
         side: 1 or -1 for each tracklet.
-        order: the tracklets of the tree in depth-first order, so that each subtree is an interval of it.
-        parents: the parent of each tracklet in the tree.
+        order: The tracklets of the tree in depth-first order, so that each subtree is an interval of it.
+        parents: The parent of each tracklet in the tree.
     """
     position = np.full(len(side), -1)
     position[order] = np.arange(len(order))

@@ -15,10 +15,10 @@ class SubjectInTake:
     """A calibrated subject, and where its markers are in a take.
 
     Attributes:
-        subject: the calibrated subject.
-        extended_subject: the same with one more marker for every further place of a moved marker: K markers.
-        marker_columns: the column of each of these in `Detected.epochs`, -1 where it has none.
-        take: the samples that the solver uses, of the K markers.
+        subject: The calibrated subject.
+        extended_subject: The same with one more marker for every further place of a moved marker: K markers.
+        marker_columns: The column of each of these in `Detected.epochs`, -1 where it has none.
+        take: The samples that the solver uses, of the K markers.
     """
 
     subject: Subject
@@ -32,10 +32,10 @@ class BodyFit(SubjectInTake):
     """A subject and its motion.
 
     Attributes:
-        motion: its poses, one a frame.
-        joint_positions: metres, Y up.
-        marker_positions: metres: where the body carries its markers.
-        evidence: what the solver needs to know of a solution to improve it; None for a preview, which is not solved.
+        motion: Its poses, one a frame.
+        joint_positions: Metres, Y up.
+        marker_positions: Metres: where the body carries its markers.
+        evidence: What the solver needs to know of a solution to improve it; None for a preview, which is not solved.
     """
 
     motion: Motion

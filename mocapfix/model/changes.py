@@ -286,12 +286,12 @@ class Filled:
     """A take with every gap and faulty sample filled or emptied, before decisions are applied.
 
     Attributes:
-        detected: its faults.
-        take: the filled take.
-        unfilled_reasons: the reason why each sample stays empty, else "".
-        methods: for each filled sample the name of its fill method, else "".
-        body_markers: metres: where the solved body carries the markers; None without a body.
-        rigid_groups: groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
+        detected: Its faults.
+        take: The filled take.
+        unfilled_reasons: The reason why each sample stays empty, else "".
+        methods: For each filled sample the name of its fill method, else "".
+        body_markers: Metres: where the solved body carries the markers; None without a body.
+        rigid_groups: Groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
     """
 
     detected: Detected

@@ -152,13 +152,13 @@ class Detected:
     """The detected faults of a take, and the take with its labels corrected.
 
     Attributes:
-        take: the take with its labels corrected.
-        label_faults: faults of labels, in the order in which they were corrected.
-        sample_faults: faults of samples, found under the corrected labels.
-        replaced_kinds: the kinds of fault whose samples are replaced.
-        body_faults: those of `sample_faults` that only the solved body showed.
-        unconfirmed_shifts: marker shifts that the solved body did not confirm.
-        notes: sentences for the report.
+        take: The take with its labels corrected.
+        label_faults: Faults of labels, in the order in which they were corrected.
+        sample_faults: Faults of samples, found under the corrected labels.
+        replaced_kinds: The kinds of fault whose samples are replaced.
+        body_faults: Those of `sample_faults` that only the solved body showed.
+        unconfirmed_shifts: Marker shifts that the solved body did not confirm.
+        notes: Sentences for the report.
     """
 
     take: Take

@@ -171,8 +171,8 @@ class FaultReview:
     """What a reviewer decided about faults.
 
     Attributes:
-        label_corrections: the faults of labels that the reviewer named, in their order.
-        marked_faults: the faults of samples that the reviewer named.
+        label_corrections: The faults of labels that the reviewer named, in their order.
+        marked_faults: The faults of samples that the reviewer named.
         accepts: False for a fault whose samples are kept, or a marker shift that was declined.
     """
 

@@ -67,7 +67,7 @@ class Motion:
 
     @property
     def frame_count(self) -> int:
-        """T."""
+        """Number of frames."""
         return len(self.root_position)
 
 

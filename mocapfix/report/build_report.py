@@ -339,12 +339,12 @@ def build_report(
     """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
 
     Args:
-        take: the take as it was read.
-        subject: its subject and marker set.
-        standing: the body that was solved; None without a marker set.
-        decided: the cleaned take, its faults and its changes.
-        options: those of the cleaning.
-        stage_seconds: the seconds of each stage.
+        take: The take as it was read.
+        subject: Its subject and marker set.
+        standing: The body that was solved; None without a marker set.
+        decided: The cleaned take, its faults and its changes.
+        options: Those of the cleaning.
+        stage_seconds: The seconds of each stage.
     """
     detected, solve, body_notes = decided.filled.detected, None, list[str]()
     if standing:

@@ -278,9 +278,9 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
     """Return a first pose in closed form for every frame that was not yet solved, or whose samples changed since.
 
     Args:
-        subject: the subject and the samples that the solver uses.
-        solved: the body as it was solved before, if it was.
-        method: one of INIT_METHODS.
+        subject: The subject and the samples that the solver uses.
+        solved: The body as it was solved before, if it was.
+        method: One of INIT_METHODS.
     """
     take, body = subject.take, subject.extended_subject.body_model
     changes = change_all_frames(take.frame_count)

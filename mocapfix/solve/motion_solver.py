@@ -333,11 +333,11 @@ def solve_body(
     Unobserved joints follow interpolations, until `complete_body` finds better poses for them.
 
     Args:
-        subject: the subject and the samples that the solver uses.
-        start: the initial poses.
-        solved: the body as it was solved before, if it was.
-        conditioner: the trained pose prior, if one is used.
-        options: those of the prior and the solve.
+        subject: The subject and the samples that the solver uses.
+        start: The initial poses.
+        solved: The body as it was solved before, if it was.
+        conditioner: The trained pose prior, if one is used.
+        options: Those of the prior and the solve.
     """
     problem = _build_body_problem(subject, conditioner, options)
     motion, evidence = solve_changed_frames(problem, start.motion, start.changes, solved.evidence if solved else None)

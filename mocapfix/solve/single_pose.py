@@ -37,51 +37,51 @@ JOINT_ORIGIN = (0.0, 0.0, 0.0)  # the offset of the joint itself, in metres
 
 @dataclass(frozen=True)
 class PositionConstraint:
-    """A point fixed to a joint is at `position` (3,) m in the world; sd in metres per axis."""
+    """A point fixed to a joint is at a position."""
 
     joint: str
-    position: ConstraintVector
-    sd: float = 0.01
-    offset: ConstraintVector = JOINT_ORIGIN
+    position: ConstraintVector  # metres, in the world
+    sd: float = 0.01  # metres per axis
+    offset: ConstraintVector = JOINT_ORIGIN  # the point in the axes of the joint, in metres
 
 
 @dataclass(frozen=True)
 class DirectionConstraint:
-    """The bone from a joint to its child points along `direction` (3,), a vector of any length; sd in radians."""
+    """The bone from a joint to its child points in a direction."""
 
     joint: str
     child: str
-    direction: ConstraintVector
-    sd: float = 0.1
+    direction: ConstraintVector  # in the world, of any length
+    sd: float = 0.1  # radians
 
 
 @dataclass(frozen=True)
 class OrientationConstraint:
-    """The world rotation of a joint is `rotation` (3, 3), joint axes to world axes; sd in radians per axis."""
+    """A joint has an orientation in the world."""
 
     joint: str
-    rotation: np.ndarray
-    sd: float = 0.1
+    rotation: np.ndarray  # (3, 3), joint axes to world axes
+    sd: float = 0.1  # radians per axis
 
 
 @dataclass(frozen=True)
 class DistanceConstraint:
-    """The distance in metres between points fixed to two joints; sd in metres."""
+    """Points fixed to two joints have a distance."""
 
     joints: tuple[str, str]
-    distance: float
-    sd: float = 0.01
-    offsets: tuple[ConstraintVector, ConstraintVector] = (JOINT_ORIGIN, JOINT_ORIGIN)
+    distance: float  # metres
+    sd: float = 0.01  # metres
+    offsets: tuple[ConstraintVector, ConstraintVector] = (JOINT_ORIGIN, JOINT_ORIGIN)  # metres, in the axes of the joints
 
 
 @dataclass(frozen=True)
 class Camera:
     """A camera with axes x to the right, y down, z ahead: camera = rotation @ world + translation."""
 
-    rotation: Float[np.ndarray, "3 3"]  # (3, 3)
-    translation: ConstraintVector  # (3,) m
+    rotation: Float[np.ndarray, "3 3"]  # world axes to camera axes
+    translation: ConstraintVector  # metres, in the axes of the camera
     scale: float  # focal length in pixels; for a scaled orthographic camera pixels per metre
-    centre: ConstraintVector = (0.0, 0.0)  # (2,) pixels: the principal point
+    centre: ConstraintVector = (0.0, 0.0)  # pixels: the principal point
     perspective: bool = True
 
     def project(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
@@ -95,13 +95,13 @@ class Camera:
 
 @dataclass(frozen=True)
 class PixelConstraint:
-    """A camera images a point fixed to a joint at `pixel` (2,); sd in pixels per axis."""
+    """A camera images a point fixed to a joint at a pixel."""
 
     joint: str
     camera: Camera
-    pixel: ConstraintVector
-    sd: float = 3.0
-    offset: ConstraintVector = JOINT_ORIGIN
+    pixel: ConstraintVector  # (2,)
+    sd: float = 3.0  # pixels per axis
+    offset: ConstraintVector = JOINT_ORIGIN  # the point in the axes of the joint, in metres
 
 
 Constraint: TypeAlias = PositionConstraint | DirectionConstraint | OrientationConstraint | DistanceConstraint | PixelConstraint
@@ -299,10 +299,10 @@ class SolvedPose:
     """A solved pose."""
 
     skeleton: Skeleton
-    root_position: Float[np.ndarray, "3"]  # m in the world
-    local_rotations: Float[np.ndarray, "J 3 3"]  # (J, 3, 3): joint axes to parent axes, for the root to world axes
-    joint_positions: Float[np.ndarray, "J 3"]  # m in the world
-    joint_sd: Float[np.ndarray, " J"]  # m: predicted standard deviation per axis of the joint positions
+    root_position: Float[np.ndarray, "3"]  # metres, in the world
+    local_rotations: Float[np.ndarray, "J 3 3"]  # joint axes to parent axes, for the root to world axes
+    joint_positions: Float[np.ndarray, "J 3"]  # metres, in the world
+    joint_sd: Float[np.ndarray, " J"]  # metres: predicted standard deviation per axis of the joint positions
     code: Float[np.ndarray, " P"]  # of the prior, each number in its own standard deviations
     # half the sum of squares of all residuals in standard deviations: about k / 2 for k consistent numbers; for a mixture see
     # `PoseSolution`

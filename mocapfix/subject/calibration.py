@@ -271,12 +271,12 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
     """Calibrate a subject from the inliers of a take.
 
     Args:
-        detected: the take and its faults.
-        subject: the subject if it is known: it is not calibrated.
-        previous: the result of the round before. Its calibration goes on, unless labels were corrected since.
+        detected: The take and its faults.
+        subject: The subject if it is known: it is not calibrated.
+        previous: The result of the round before. Its calibration goes on, unless labels were corrected since.
 
     Raises:
-        TakeError: where the markers do not allow a calibration.
+        TakeError: Where the markers do not allow a calibration.
     """
     visible = find_visible_part(detected, marker_set)
     columns = visible.find_columns(detected.epochs.take.labels)

@@ -161,9 +161,9 @@ def refine_subject(
     """Return `start` with the bones and marker offsets that fit the frames best, the refined state, and the first state's cost.
 
     Args:
-        poses: the first ones.
-        unknowns: the first values of the calibration parameters, by default 0.
-        times_s: of the frames: those near each other have similar errors.
+        poses: The first ones.
+        unknowns: The first values of the calibration parameters, by default 0.
+        times_s: Of the frames: those near each other have similar errors.
     """
     parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start, body.skeleton)
 
