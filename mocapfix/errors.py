@@ -6,16 +6,11 @@ Every message says what is wrong, where (file, marker, frame), and how to correc
 from collections.abc import Sequence
 from pathlib import Path
 
-MAX_MESSAGE_LENGTH = 220
-"""characters of a message, which are two lines of a terminal; a path before it is not counted"""
-MAX_LISTED_NAMES = 6
-"""names that a sentence lists"""
-MAX_LIST_LENGTH = 66
-"""characters of such a list, of names of usual length"""
-MAX_NAME_LENGTH = 40
-"""characters of a name in it"""
-MAX_DETAIL_LENGTH = 50
-"""characters of an unexpected exception's own text in its sentence"""
+MAX_MESSAGE_LENGTH = 220  # characters of a message, which are two lines of a terminal; a path before it is not counted
+MAX_LISTED_NAMES = 6  # names that a sentence lists
+MAX_LIST_LENGTH = 66  # characters of such a list, of names of usual length
+MAX_NAME_LENGTH = 40  # characters of a name in it
+MAX_DETAIL_LENGTH = 50  # characters of an unexpected exception's own text in its sentence
 REPORT_REQUEST = "please report it (CONTRIBUTING.md says where), if possible with the file"
 
 

@@ -152,8 +152,7 @@ def _convert_integer(value: Any) -> Any:
 
 
 ARGUMENT_FORMS = {"frames": "FIRST:LAST, as in 100:250", "subject": "FILE, or NAME=FILE,... with a name only once"}
-FRAME_LIMIT = 2**62
-"""beyond the number of any frame: the end of a range that is left open"""
+FRAME_LIMIT = 2**62  # beyond the number of any frame: the end of a range that is left open
 
 
 def parse_frames(text: str) -> tuple[int, int] | None:

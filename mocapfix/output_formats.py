@@ -290,8 +290,7 @@ OPTIONAL_FORMATS = {
 
 
 MAX_KEPT_FORMAT_LISTS = 4  # each may hold a character with its mesh
-FileVersion: TypeAlias = tuple[int, int]
-"""Time of the last change in nanoseconds, and size in bytes."""
+FileVersion: TypeAlias = tuple[int, int]  # time of the last change in nanoseconds, and size in bytes
 
 
 def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:

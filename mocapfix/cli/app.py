@@ -111,8 +111,7 @@ COMMANDS = {
 COMMAND_GROUPS = {
     "marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS),
 }
-LAB_PACKAGES = ("sklearn", "torch")
-"""what only the commands that measure and train import: the extra `train`"""
+LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
 # The commands that measure and train, with the module of mocapfix.lab that holds them: no other command needs it.
 LAB_COMMANDS = {
     "bench": ("Measure mocapfix against known truth.", "command", "BENCH_COMMANDS"),

@@ -178,14 +178,10 @@ def print_outcome(
     return EXIT_FAILED if failed else EXIT_DONE
 
 
-MAX_SHOWN_JOBS = 3
-"""running jobs that are named beside the bar"""
-MAX_JOB_NAME_LENGTH = 32
-"""letters of a job's name beside the bar; of longer names the end is shown"""
-MIN_LINE_INTERVAL_S = 10.0
-"""time between two lines where there is no terminal"""
-REFRESH_RATE_HZ = 4.0
-"""how often the bar is drawn"""
+MAX_SHOWN_JOBS = 3  # running jobs that are named beside the bar
+MAX_JOB_NAME_LENGTH = 32  # letters of a job's name beside the bar; of longer names the end is shown
+MIN_LINE_INTERVAL_S = 10.0  # time between two lines where there is no terminal
+REFRESH_RATE_HZ = 4.0  # how often the bar is drawn
 SECONDS_IN_MINUTE = 60
 MINUTES_IN_HOUR = 60
 

@@ -42,16 +42,11 @@ from mocapfix.errors import MocapfixError, SceneError, WriteError
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX
 from mocapfix.options import CleanOptions
 
-MAX_LISTED_RUNS = 5
-"""runs of unfilled samples, or markers with unfilled samples, that the summary lists"""
-MAX_PRINTED_NOTES = 12
-"""notes that it prints"""
-MAX_LISTED_REASONS = 3
-"""reasons of unfilled samples that it lists"""
-ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")
-"""files without markers, for which few kernels are needed"""
-SOLVE_STAGE = "solve"
-"""the stage during which what writes the reports is imported"""
+MAX_LISTED_RUNS = 5  # runs of unfilled samples, or markers with unfilled samples, that the summary lists
+MAX_PRINTED_NOTES = 12  # notes that it prints
+MAX_LISTED_REASONS = 3  # reasons of unfilled samples that it lists
+ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
+SOLVE_STAGE = "solve"  # the stage during which what writes the reports is imported
 REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")
 """modules that the reports need, which take a third of a second to import"""
 STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")

@@ -15,18 +15,13 @@ from mocapfix.errors import MocapfixError, describe_error, shorten_message
 from mocapfix.model.stage_timer import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
-EXIT_FAILED = 1
-"""something could not be done"""
-EXIT_USAGE = 2
-"""the command line is wrong"""
-EXIT_BROKEN_PIPE = 141
-"""the reader of the output has ended; shells give this status to a process that the signal SIGPIPE ends"""
-DEBUG_VARIABLE = "MOCAPFIX_DEBUG"
-"""environment variable, set by --debug: print the traceback of unexpected errors"""
+EXIT_FAILED = 1  # something could not be done
+EXIT_USAGE = 2  # the command line is wrong
+EXIT_BROKEN_PIPE = 141  # the reader of the output has ended; shells give this status to a process that the signal SIGPIPE ends
+DEBUG_VARIABLE = "MOCAPFIX_DEBUG"  # environment variable, set by --debug: print the traceback of unexpected errors
 
 COMPILATION_MESSAGE = "Compiling the kernels (first run on this machine)"
-READ_STAGE = "read"
-"""the first stage of the pipeline, the only one that needs no kernels"""
+READ_STAGE = "read"  # the first stage of the pipeline, the only one that needs no kernels
 
 
 class _Terminal(Console):

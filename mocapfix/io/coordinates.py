@@ -97,8 +97,7 @@ MAYBE_STANDING_SCORE = 1.5
 UNKNOWN_MARKERS_FACTOR = 0.5
 UPRIGHT_BASIS = "head, pelvis and feet"
 MAX_FALLING_MARKERS = 12  # markers whose fall is measured
-# Least difference of two scores at which the better one is certain.
-MIN_CERTAIN_SCORE = 2.0
+MIN_CERTAIN_SCORE = 2.0  # least difference of two scores at which the better one is certain
 
 # A person stands if the cosine of the body's axis is at least this in most frames, the squared cosine of its sides at most this,
 # and its standing feet are flat and in one plane while it walks some way, or on a floor at the height 0. Of the full-body
@@ -113,22 +112,17 @@ MIN_STANDING_SAMPLES = 5
 MIN_TRAVEL_ACROSS_M = 2.0
 MIN_STEADY_LATERAL = 0.7
 MIN_WALKED_M = 0.5  # distance between the places of standing feet of someone who walks
-# Ratio of the largest to the second largest extent of a body that is clearly tall along one axis.
-CLEAR_EXTENT_RATIO = 1.5
-# Smallest extent in metres of a body; a smaller set of markers shows no floor.
-MIN_BODY_EXTENT_M = 0.5
-# Number of markers below which their lowest is no evidence of a floor.
-MIN_FLOOR_MARKERS = 6
+CLEAR_EXTENT_RATIO = 1.5  # ratio of the largest to the second largest extent of a body that is clearly tall along one axis
+MIN_BODY_EXTENT_M = 0.5  # smallest extent in metres of a body; a smaller set of markers shows no floor
+MIN_FLOOR_MARKERS = 6  # number of markers below which their lowest is no evidence of a floor
 # Number of visible markers, as a fraction of the largest, in a frame from whose lowest marker the floor is estimated.
 MIN_VISIBLE_FRACTION = 0.8
-# Range in metres of the height of the lowest markers, on a floor at the height 0.
-FLOOR_RANGE_M = (-0.05, 0.12)
+FLOOR_RANGE_M = (-0.05, 0.12)  # range in metres of the height of the lowest markers, on a floor at the height 0
 # Distance in metres along any axis that a person travels who shows whether the lowest height changes, and by how much it does.
 MIN_TRAVEL_FOR_FLOOR_M = 0.3
 MAX_CONSTANT_FLOOR_M = 0.06
 MIN_CHANGING_FLOOR_M = 0.4
-# Extent in metres of a take along an axis that is more than a person climbs or falls.
-MAX_HEIGHT_M = 3.0
+MAX_HEIGHT_M = 3.0  # extent in metres of a take along an axis that is more than a person climbs or falls
 # Acceleration of free fall, its tolerance, and that of the other axes, in m/s2; the time between the compared positions and
 # the shortest flight, both in seconds.
 GRAVITY_M_PER_S2 = 9.81

@@ -30,8 +30,7 @@ MAX_COMMON_RATE_ERROR = 1e-3  # relative difference of a rate that is given as a
 TIME_UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 MAX_RATE_CONTRADICTION = 0.005  # relative; 59.94 and 60 Hz differ by 0.001, and programs write times of the nominal rate
 MIN_GAP_EXCESS = 0.5  # of a frame: a time step that is longer by this, beyond the resolution of the times, omits frames
-# Times that are later than this, in frames, are damaged: no take is so long.
-MAX_LATENESS_FRAMES = 1e9
+MAX_LATENESS_FRAMES = 1e9  # times that are later than this, in frames, are damaged: no take is so long
 MAX_REGULAR_DEVIATION = 0.05  # of a frame: the median deviation of time steps, beyond their resolution, of a steady clock
 COMPARED_TIMES = 5  # on either side of a long step, by whose mean lateness omitted frames are counted
 JITTER_FACTOR = 2.5  # standard deviations of mean lateness that irregular times alone do not reach

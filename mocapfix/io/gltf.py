@@ -30,10 +30,8 @@ GLB_VERSION = 2
 GLB_HEADER = struct.Struct("<4sII")
 GLB_CHUNK_HEADER = struct.Struct("<II")
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-CHUNK_ALIGNMENT = 4
-"""bytes; every chunk begins and ends at a multiple of it"""
-MAX_GLB_BYTES = 2**32 - 1
-"""the length of the file is stored in four bytes"""
+CHUNK_ALIGNMENT = 4  # bytes; every chunk begins and ends at a multiple of it
+MAX_GLB_BYTES = 2**32 - 1  # the length of the file is stored in four bytes
 
 
 @dataclass(frozen=True)
@@ -129,14 +127,10 @@ def build_glb(content: GlbContent) -> bytes:
     return b"".join(parts)
 
 
-GLTF_ASSET = {"version": "2.0", "generator": "mocapfix"}
-"""of a document that is not one of the user"""
-FLOAT, UNSIGNED_SHORT = 5126, 5123
-"""component types of glTF"""
-ARRAY_BUFFER = 34962
-"""target of the bufferView of vertices"""
-ELEMENT_ALIGNMENT = 4
-"""bytes"""
+GLTF_ASSET = {"version": "2.0", "generator": "mocapfix"}  # of a document that is not one of the user
+FLOAT, UNSIGNED_SHORT = 5126, 5123  # component types of glTF
+ARRAY_BUFFER = 34962  # target of the bufferView of vertices
+ELEMENT_ALIGNMENT = 4  # bytes
 
 
 class GltfBuffer:
@@ -195,10 +189,8 @@ class GltfBuffer:
 
 MAX_SCALE_DEVIATION = 1e-3
 """relative difference of the scales along a bone's axes, up to which they count as equal: rounding of exporters"""
-MIN_SCALE = 1e-9
-"""a smaller scale is none"""
-MAX_COORDINATE_M = 1e6
-"""a bone farther from the origin than this is a sign of damage"""
+MIN_SCALE = 1e-9  # a smaller scale is none
+MAX_COORDINATE_M = 1e6  # a bone farther from the origin than this is a sign of damage
 
 
 @dataclass(frozen=True)
@@ -407,8 +399,7 @@ PYRAMID_CORNERS = np.array(
     ]
 )
 PYRAMID_FACES = np.array([[0, k, k % 4 + 1] for k in (1, 2, 3, 4)] + [[5, k % 4 + 1, k] for k in (1, 2, 3, 4)])
-MIN_SKIN_BONE_M = 1e-6
-"""a shorter bone has no pyramid"""
+MIN_SKIN_BONE_M = 1e-6  # a shorter bone has no pyramid
 
 
 def add_test_skin(

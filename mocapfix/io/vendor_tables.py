@@ -53,8 +53,7 @@ EXPECTED_MARKERS_NOTE = (
     "The file has no measured markers, only the positions at which its rigid bodies expect them; export Markers as well."
 )
 
-# Version 1.1
-VERSION_LINE_PATTERN = re.compile(r'"?info"?,"?(version|framecount)"?,', re.IGNORECASE)
+VERSION_LINE_PATTERN = re.compile(r'"?info"?,"?(version|framecount)"?,', re.IGNORECASE)  # version 1.1
 FRAME_FIELD = 1  # of a frame row: its number
 TIME_FIELD = 2  # of a frame row: its time (s)
 BODY_COUNT_FIELD = 3  # of a frame row: the number of rigid bodies
