@@ -47,8 +47,7 @@ MAX_PRINTED_NOTES = 12  # notes that it prints
 MAX_LISTED_REASONS = 3  # reasons of unfilled samples that it lists
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
 SOLVE_STAGE = "solve"  # the stage during which what writes the reports is imported
-REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")
-"""modules that the reports need, which take a third of a second to import"""
+REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")  # for the reports; they take a third of a second to import
 STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import FillSection, Report, TakeSection

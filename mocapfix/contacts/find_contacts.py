@@ -92,8 +92,7 @@ def _find_frames_beside(first: int, last: int, frame_count: int, rate: float) ->
     return np.arange(start, start + still)
 
 
-STANDING_SPEED_M_S = 0.09
-"""Speed at which standing and moving are equally likely. Chosen on CMU training people: F1 changes by 0.002 from 0.08 to 0.1."""
+STANDING_SPEED_M_S = 0.09  # at which standing and moving are equally likely; from 0.08 to 0.1 F1 changes by 0.002 on CMU
 LOG_SPEED_WIDTH = 0.3  # change of the logarithm of the speed that changes the cost by 1
 MAX_STATE_COST = 3.0  # largest cost of a state in a frame: a single fast frame is no proof of a step
 STANDING_CHANGE_COST = 2.0  # cost of a change of state: several frames must contradict a state to change it

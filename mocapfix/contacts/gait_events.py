@@ -98,8 +98,7 @@ NEAR_FLOOR_M = 0.05
 NEAR_LOWEST_M = 0.1
 """Height of a point of the foot above its lowest 5 % while it stands, below which it is near the floor, and the same where no
 floor is known: of sprinters, whose feet never stand for long, on a track that rises by 13 mm a step."""
-NEAR_FLOOR_SPEED_M_S, SLOW_STEP_SPEED_M_S = 0.8, 0.4
-"""Speed below which a point of the foot is slow, and the same in steps whose swing is as slow as that."""
+NEAR_FLOOR_SPEED_M_S, SLOW_STEP_SPEED_M_S = 0.8, 0.4  # below which a point is slow; the same in steps with a swing as slow
 NEAR_FLOOR_SPEED_SHARE, SPRINT_SPEED_SHARE = 0.4, 0.04
 MIN_NEAR_FLOOR_SPEED_M_S = 0.2
 """The same as shares of the speed of a swing: for slow feet, whose points would be slow in swings, but not less than the third;

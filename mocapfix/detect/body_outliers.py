@@ -99,13 +99,10 @@ STEP_TOLERANCE_M_PER_S2 = 100.0
 MIN_OUTLIER_SCORE_SD = 6.0
 MIN_EXCURSION_SCORE_SD = 2.5
 END_FRAMES = 5  # frames at an end of an outlier, and beside it, over whose median its position is taken there
-# Smallest distance from the usual position at an end of an outlier, and of the leap to it, relative to the median distance.
-MIN_END_SHARE = 0.5
-# Smallest distance of an outlier that begins or ends in a gap. Skin, shoes and rare poses reach 25 to 31 mm in captures.
-MIN_UNSEEN_DISTANCE_M = 0.035
+MIN_END_SHARE = 0.5  # smallest distance at an end of an outlier, and of the leap to it, relative to the median distance
+MIN_UNSEEN_DISTANCE_M = 0.035  # of an outlier that begins or ends in a gap; skin, shoes and rare poses reach 25 to 31 mm
 MAX_OUTLIER_FRACTION = 0.4  # with a larger fraction of outliers among a marker's samples, its usual position is unknown
-# With a larger fraction of outlying markers in a frame, the body itself is wrong there, and no marker is judged.
-MAX_OUTLYING_MARKER_FRACTION = 0.4
+MAX_OUTLYING_MARKER_FRACTION = 0.4  # with a larger fraction in a frame the body itself is wrong there
 MIN_RELATIVE_OUTLIER_SCORE = 0.5  # an outlier with a smaller score, relative to a simultaneous one, may be caused by it
 # Shortest stay of a marker that has moved, and the largest deviation from its new position, in standard deviations.
 MIN_SHIFTED_DURATION_S = 1.0
@@ -282,10 +279,8 @@ def _measure_excursion(residual: np.ndarray, is_leap: np.ndarray, first: int, st
 
 
 MIN_RIGID_NEIGHBOURS = 3  # number of neighbours that determine a rigid motion
-# Smallest extent of the neighbours along their second longest axis (standard deviation): a line shows no turn about it.
-MIN_NEIGHBOUR_WIDTH_M = 0.015
-# Largest leap relative to the neighbours at an end of an outlier that they carry, relative to its distance from the body.
-MAX_CARRIED_LEAP_RATIO = 0.5
+MIN_NEIGHBOUR_WIDTH_M = 0.015  # smallest extent along the second longest axis (sd): a line shows no turn about it
+MAX_CARRIED_LEAP_RATIO = 0.5  # largest leap from carrying neighbours, relative to the distance from the body
 MIN_SHARED_FRACTION = 0.5  # smallest fraction of an outlier's frames in which other markers lie off the body alike
 
 
@@ -356,8 +351,7 @@ def carry_rigidly(
 
 
 MAX_HOME_DISTANCE_SD = 4.5  # a marker within this distance, in standard deviations, is at its position
-# Largest distance from the other marker's position, relative to that from the label's own marker's position.
-MAX_RELATIVE_DISTANCE = 0.4
+MAX_RELATIVE_DISTANCE = 0.4  # from the other marker's position, relative to that from the label's own marker's position
 MAX_HOME_FRACTION = 0.2  # largest fraction of the time in which the other marker is visible at its position
 MIN_OVERLAP_FRACTION = 0.5  # smallest overlap of two outliers that are exchanged, as a fraction of the longer one
 MIN_OCCUPIED_DURATION_S = 0.1  # a shorter outlier may lie at the position of a missing marker by chance

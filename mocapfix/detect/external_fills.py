@@ -101,8 +101,7 @@ STRETCH_LENGTH_FACTORS = (1, 2, 4)  # multiples of the shortest stretch that are
 # Number of stretches of a marker, evenly spread, at which the length is tested, and the quantile of their misfits that is used.
 MAX_SAMPLED_STRETCHES = 50
 SMALL_MISFIT_QUANTILE = 0.1
-# Smallest median of these quantiles over the markers, in multiples of the file's resolution.
-MIN_MEASURED_MISFIT_RESOLUTIONS = 4.0
+MIN_MEASURED_MISFIT_RESOLUTIONS = 4.0  # smallest median of these quantiles over the markers, in resolutions of the file
 # Time before and after a stretch with which it is compared, and the quantile of the misfits there that is used.
 COMPARISON_WINDOW_S = 1.0
 COMPARISON_QUANTILE = 0.25

@@ -27,21 +27,16 @@ from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
-# Fraction of the take in which a marker is assumed to be in place. It is larger than for swaps: a rare pose is no ghost.
-GHOST_CORRECT_FRACTION = 0.8
+GHOST_CORRECT_FRACTION = 0.8  # of the take in which a marker is assumed to be in place; larger than for swaps: rare poses
 GHOST_CHANGE_COST = 0.5  # cost of a change of state, in leaps
 ELSEWHERE_CONTRADICTION = 0.5  # contradiction for which a label pays while it is elsewhere, whatever its partners show
 MIN_GHOST_GAIN = 1.0  # smallest cost, in leaps, that a ghost saves
-# Smallest displacement of a ghost that begins and ends in gaps: rare poses between two gaps reach 35 mm in captures.
-MIN_UNSEEN_GHOST_M = 0.045
+MIN_UNSEEN_GHOST_M = 0.045  # of a ghost that begins and ends in gaps: rare poses between two gaps reach 35 mm in captures
 MAX_GHOST_PARTNERS = 3  # number of steadiest partners by which the displacement is measured
 MAX_DISTANCE_SAMPLES = 300  # number of frames, evenly spread, from which the usual distance between two partners is computed
-# Smallest change of the deviation of a distance at an end of a ghost, relative to the deviation within it.
-MIN_END_CHANGE_RATIO = 0.5
-# Largest deviation of the distances to the two steadiest partners that a marker has not left, relative to the largest deviation.
-MAX_KEPT_DEVIATION_RATIO = 0.15
-# Smallest deviation of a partner's distance to another partner, relative to the marker's own, that voids the latter.
-MIN_SHARED_DEVIATION_RATIO = 0.5
+MIN_END_CHANGE_RATIO = 0.5  # smallest change of a distance's deviation at an end of a ghost, relative to that within it
+MAX_KEPT_DEVIATION_RATIO = 0.15  # of the two steadiest distances that a marker has kept, relative to the largest deviation
+MIN_SHARED_DEVIATION_RATIO = 0.5  # of a partner's distance to another, relative to the marker's own, that voids the latter
 
 
 def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s: float = 0.05) -> list[Fault]:

@@ -133,8 +133,7 @@ STATE_CHANGE_COST = 4.0  # cost of a change between straight and exchanged
 # Smallest distance between the points of a pair, median over the take, in standard deviations of the noise: nearer ones, as the
 # eyes, change places within their noise.
 MIN_SEPARATION_SD = 6.0
-# Largest deviation of the distance between two joints of a side, median over the take, at which they are ends of one segment.
-MAX_SEGMENT_DEVIATION_M = 0.03
+MAX_SEGMENT_DEVIATION_M = 0.03  # of the distance of two joints (median) at which they are ends of one segment
 SEGMENT_LENGTH_SD_M = 0.02  # standard deviation of the length of a segment between keypoints, besides their noise
 MAX_LENGTH_COST = 8.0  # largest cost of the length of a segment in a frame
 MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored place

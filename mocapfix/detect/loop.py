@@ -40,8 +40,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions
 from mocapfix.stats.marker_distances import estimate_distances
 
-# A marker's place after a shift must differ from its place before by at least this part of the measured shift.
-MIN_CONFIRMED_SHIFT_FRACTION = 0.6
+MIN_CONFIRMED_SHIFT_FRACTION = 0.6  # part of a measured shift by which the body's places before and after must differ
 
 
 def detect_body_faults(

@@ -60,8 +60,7 @@ MIN_SHARED_COSINE = 0.8  # smallest cosine of the angle between two deviations t
 MIN_SHARED_LENGTH_RATIO = 0.25
 MAX_SHARED_LENGTH_RATIO = 4.0
 MIN_SHARING_NEIGHBOURS = 2  # number of neighbours with deviations that are alike: a fault of one neighbour may agree by chance
-# Largest difference between two deviations that are almost equal, relative to the marker's own deviation.
-MAX_EQUAL_DIFFERENCE_RATIO = 0.3
+MAX_EQUAL_DIFFERENCE_RATIO = 0.3  # of two deviations that are almost equal, relative to the marker's own deviation
 MIN_COMPARED_NEIGHBOURS = 3  # with fewer neighbours visible, one with an almost equal deviation is sufficient
 MAX_RIGID_CHANGE_M = 0.0015  # largest change of the distances between the markers of a rigid segment that is struck, in metres
 MAX_EXPLAINING_NEIGHBOURS = 4  # number of neighbours by which the noise of a marker is explained
@@ -154,8 +153,7 @@ def remove_shared_noise(own: Float[np.ndarray, "N 3"], neighbours: Float[np.ndar
 
 
 NEIGHBOUR_OFFSETS = (-2, -1, 1, 2)  # the neighbours of a sample through which the cubic goes
-# The weights of the neighbours in the cubic's value at the sample, where none is missing.
-NEIGHBOUR_WEIGHTS = (-1 / 6, 2 / 3, 2 / 3, -1 / 6)
+NEIGHBOUR_WEIGHTS = (-1 / 6, 2 / 3, 2 / 3, -1 / 6)  # of the neighbours in the cubic's value, where none is missing
 MAX_STEP_VARIATION = 0.01  # samples whose times are this regular, relative to the time of a step, have no gap among them
 MIN_NOISE_SAMPLES = 11  # number of samples from which a noise level is estimated: one outlier affects five of them
 MEDIAN_NORM_SD = 1.538  # median norm of a vector of three independent standard normal numbers
@@ -346,13 +344,11 @@ def _is_median_above(values: np.ndarray, window: int, threshold: float) -> np.nd
 
 
 FIT_NOISE_SD_M = 0.002  # measurement noise of the local fit, per axis
-# Prior standard deviations of the local fit: position (m), velocity (m/s) and acceleration (m/s2).
-FIT_PRIOR_SD = np.array([10.0, 10.0, 100.0])
+FIT_PRIOR_SD = np.array([10.0, 10.0, 100.0])  # of the local fit: position (m), velocity (m/s), acceleration (m/s2)
 FIT_JERK_SD_M_PER_S3 = 5000.0  # jerk by which the path deviates from a parabola
 FIT_SAMPLES_PER_SIDE = 3  # number of kept samples on either side to which a parabola is fitted
 MIN_SPIKE_DEVIATION_SD = 4.0  # smallest distance of a spike from the fit, in standard deviations of the fit
-# Largest acceleration of a body part. A deviation that needs a larger one is no motion, even if several markers share it.
-MAX_BODY_ACCELERATION_M_PER_S2 = 3000.0
+MAX_BODY_ACCELERATION_M_PER_S2 = 3000.0  # a deviation that needs more is no motion, even if several markers share it
 
 
 def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memory: RoundMemory | None = None) -> list[Fault]:

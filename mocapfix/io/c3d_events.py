@@ -26,8 +26,7 @@ from mocapfix.io.patches import check_copy_with_events
 
 EVENT_GROUP = "EVENT"
 MAX_EVENTS = 255  # events that one parameter can hold
-MAX_REPEATED_EVENT_S = 0.25
-"""Time from an event of the file up to which another of the same foot and kind is the same: half a step in walking."""
+MAX_REPEATED_EVENT_S = 0.25  # within which events of one foot and kind are one: half a step in walking
 LABELS = {"foot strike": "Foot Strike", "foot off": "Foot Off"}
 ICONS = {"foot strike": 1, "foot off": 2}
 EVENT_TIME_UNIT_S = 60.0  # the unit of the first of the two numbers of a time: a minute
@@ -39,8 +38,7 @@ KIND_PATTERNS = {
     "foot off": re.compile(r"^((FOOT|TOE)[ _.-]*(OFF|UP)|TO|FO|OFF)$"),
 }
 """words and initials of laboratories' programs"""
-HEADER_EVENT_COUNT, HEADER_EVENT_TIMES, HEADER_EVENT_LABELS = 300, 304, 396
-"""offsets of the number of events in the header, of their times, and of their labels"""
+HEADER_EVENT_COUNT, HEADER_EVENT_TIMES, HEADER_EVENT_LABELS = 300, 304, 396  # offsets in the header
 MAX_HEADER_EVENTS, HEADER_LABEL_BYTES = 18, 4
 
 

@@ -30,8 +30,7 @@ from mocapfix.model.take import C3dLayout, TableLayout, Take, UpAxis
 from mocapfix.options import ReadOptions
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0])  # of metres with Y up
-# Factors by which units are confused: m for mm, m for cm, cm for mm, inches for mm.
-CONFUSED_UNIT_FACTORS = (1000.0, 100.0, 10.0, 25.4)
+CONFUSED_UNIT_FACTORS = (1000.0, 100.0, 10.0, 25.4)  # m for mm, m for cm, cm for mm, inches for mm
 
 
 class HumanRange(NamedTuple):

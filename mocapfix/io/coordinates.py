@@ -115,8 +115,7 @@ MIN_WALKED_M = 0.5  # distance between the places of standing feet of someone wh
 CLEAR_EXTENT_RATIO = 1.5  # ratio of the largest to the second largest extent of a body that is clearly tall along one axis
 MIN_BODY_EXTENT_M = 0.5  # smallest extent in metres of a body; a smaller set of markers shows no floor
 MIN_FLOOR_MARKERS = 6  # number of markers below which their lowest is no evidence of a floor
-# Number of visible markers, as a fraction of the largest, in a frame from whose lowest marker the floor is estimated.
-MIN_VISIBLE_FRACTION = 0.8
+MIN_VISIBLE_FRACTION = 0.8  # of the largest number of markers, in a frame from whose lowest marker the floor is estimated
 FLOOR_RANGE_M = (-0.05, 0.12)  # range in metres of the height of the lowest markers, on a floor at the height 0
 # Distance in metres along any axis that a person travels who shows whether the lowest height changes, and by how much it does.
 MIN_TRAVEL_FOR_FLOOR_M = 0.3

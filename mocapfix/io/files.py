@@ -106,8 +106,7 @@ def _remove_folder(path: Path) -> None:
         path.rmdir()
 
 
-OUTPUT_FOLDER_SUFFIX = ".mocapfix"
-"""suffix of the folder beside a take into which its outputs are written; captures in such a folder are outputs"""
+OUTPUT_FOLDER_SUFFIX = ".mocapfix"  # of the folder beside a take for its outputs; captures in such a folder are outputs
 JSON_REPORT_SUFFIX = ".report.json"  # what follows the stem of a take, or of one of its subjects, in the name of its report
 
 

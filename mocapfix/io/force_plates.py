@@ -9,8 +9,7 @@ from jaxtyping import Float
 from mocapfix.io.c3d_parameters import C3dHead
 from mocapfix.model.take import MAX_C3D_WORD, C3dLayout
 
-VERTICAL_CHANNELS = {1: (2,), 2: (2,), 3: (4, 5, 6, 7), 4: (2,)}
-"""the channels of a plate, from 0, whose sum is the vertical force, by the type of the plate; type 4 after calibration"""
+VERTICAL_CHANNELS = {1: (2,), 2: (2,), 3: (4, 5, 6, 7), 4: (2,)}  # by type of plate, whose sum is the vertical force
 CALIBRATED_TYPE = 4
 
 

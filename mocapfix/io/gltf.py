@@ -187,8 +187,7 @@ class GltfBuffer:
         return bytes(self.data)
 
 
-MAX_SCALE_DEVIATION = 1e-3
-"""relative difference of the scales along a bone's axes, up to which they count as equal: rounding of exporters"""
+MAX_SCALE_DEVIATION = 1e-3  # relative difference of scales along a bone's axes that count as equal: rounding of exporters
 MIN_SCALE = 1e-9  # a smaller scale is none
 MAX_COORDINATE_M = 1e6  # a bone farther from the origin than this is a sign of damage
 
@@ -341,8 +340,7 @@ def are_numbers(values: Sequence[object]) -> bool:
     return all(isinstance(value, int | float) and abs(value) < 1 / MIN_SCALE for value in values)
 
 
-MAX_CONSTANT_CHORD = 5e-7
-"""of unit quaternions: the distance of two rotations that differ by 1e-6 rad. A rotation that stays within it has one key"""
+MAX_CONSTANT_CHORD = 5e-7  # of unit quaternions, 1e-6 rad: a rotation that stays within it has one key
 
 
 def add_animation(

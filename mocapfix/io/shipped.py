@@ -14,8 +14,7 @@ MAX_YAML_DEPTH = 100  # lists and mappings that may contain each other; those of
 MAX_YAML_VALUES = 1_000_000  # values that a document with aliases may have with these written out
 ALIAS_PATTERN = re.compile(r"[\s\[,:]\*\w")
 BRACKET_PATTERN = re.compile(r"[\[{\]}]")
-DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)
-"""what a document without brackets must have many of to be deep: lists that begin a list, a far indentation"""
+DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)  # many of these make a document deep
 YAML_LOADER: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """the loader of libyaml if PyYAML was built with it, which is ten times as fast"""
 

@@ -110,8 +110,7 @@ class ReprojectionProblem:
     rotation: Float[np.ndarray, "3 3"]  # world to camera
     position_px: Float[np.ndarray, "T V 2"]
     weight: Float[np.ndarray, "T V"]  # 1/m^2; 0 for a missing keypoint
-    # in standard deviations, wide to narrow; the solve runs through them
-    robust_scales_sd: tuple[float, ...] = (WIDE_ROBUST_SCALE_SD, NARROW_ROBUST_SCALE_SD)
+    robust_scales_sd: tuple[float, ...] = (WIDE_ROBUST_SCALE_SD, NARROW_ROBUST_SCALE_SD)  # wide to narrow
 
     def select_frames(self, frames: Int[np.ndarray, " N"]) -> "ReprojectionProblem":
         """Return the problem of some frames, by index; an index may be repeated."""

@@ -167,12 +167,10 @@ def _arrange_found(positions: Float[np.ndarray, "V 3"], found: list[FoundBody], 
 
 
 MAX_EXTENSION_FRAMES = 40  # frames to which a body is extended
-# Markers that such a frame must show, as a share of those of the frame in which the body was found.
-MIN_EXTENSION_MARKER_SHARE = 0.75
+MIN_EXTENSION_MARKER_SHARE = 0.75  # markers of such a frame, as a share of those of the frame in which the body was found
 EXTENSION_GATE_M = 0.2  # distance above which all distances of a point from a marker are equal
 MAX_EXTENSION_DISTANCES_M = (0.1, 0.1, 0.1, 0.15, 0.15)  # distance in each round at which no label is as likely as a label
-# Cost of a marker without a point in a frame that has points without a marker, in half squares of standard deviations.
-MISSING_MARKER_COST = 120.0
+MISSING_MARKER_COST = 120.0  # of a marker without a point where points have no marker, in half squares of sds
 OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, FINAL_OFFSET_WEIGHT)  # weight of the measured offset of a marker after each round
 MIN_OFFSET_SPREAD_M = 0.015  # smallest standard deviation per axis of the offset of a person's marker from that of the set
 
@@ -309,8 +307,7 @@ def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], fl
     return np.unique(order[places.astype(int)]), float(np.quantile(height, STANDING_HEIGHT_QUANTILE))
 
 
-# Labelled markers with which a frame is posed, as a share of the markers that the body has in most frames.
-MIN_POSED_MARKER_SHARE = 0.6
+MIN_POSED_MARKER_SHARE = 0.6  # of the markers that the body has in most frames, with which a frame is posed
 MAX_PROPAGATION_ROUNDS = 200  # rounds of posing and assignment; a round extends the labels by about the duration of a tracklet
 MAX_OFFSET_FRAMES = 120  # frames from which the offsets of the markers are estimated
 MAX_OFFSET_ROUNDS = 6  # rounds in which the offsets are adapted

@@ -30,8 +30,7 @@ from mocapfix.model.take import Take
 
 MAX_STATIC_EXTENT_M = 0.005  # a point with a smaller extent in each axis is stationary
 MAX_RIGID_DISTANCE_SD_M = 0.015  # standard deviation of the distances of a point on the body to its nearest markers
-# Number of markers whose distances are compared in all samples: those with the steadiest distances in a few.
-MAX_RIGID_CANDIDATES = 100
+MAX_RIGID_CANDIDATES = 100  # markers compared in all samples: those with the steadiest distances in a few
 MIN_DESCRIBED_DURATION_S = 0.25  # the motion of a shorter segment is not described
 
 
@@ -163,8 +162,7 @@ def _format_duration(segment: TrajectorySegment, take: Take) -> str:
 
 
 UNASSIGNED_COST = 20.0  # cost of a segment that belongs to none of the markers
-# With a larger deviation of the distances or of the side, in standard deviations, a marker is ruled out.
-MAX_SIGNATURE_DEVIATION_SD = 4.5
+MAX_SIGNATURE_DEVIATION_SD = 4.5  # with a larger deviation of the distances or of the side a marker is ruled out
 NAMESAKE_SCALE = 0.5  # factor of the deviations from the marker whose label the segment has
 UNKNOWN_SIGNATURE_COST = 3.0  # cost of unknown distances
 UNKNOWN_JOIN_COST = 1.0  # cost of an unknown path

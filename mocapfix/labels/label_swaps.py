@@ -104,8 +104,7 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
 
 MAX_SWAP_PASSES = 5
 MIN_LABEL_VISIBLE_FRACTION = 0.5  # a label that is visible in a smaller fraction of the take is a fragment, not a marker
-# Number of triples above which only pairs are compared: then labels are not exchanged here and there, but arbitrary.
-MAX_SWAP_TRIPLES = 1000
+MAX_SWAP_TRIPLES = 1000  # above which only pairs are compared: labels are then arbitrary, not exchanged here and there
 
 
 def detect_label_swaps(take: Take) -> list[Fault]:

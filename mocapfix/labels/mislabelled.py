@@ -30,8 +30,7 @@ from mocapfix.subject.average_body import (
     estimate_body_size_ratio,
 )
 
-# Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
-BODY_MARKER_SD_M = 0.030
+BODY_MARKER_SD_M = 0.030  # per axis: placement, the subject's proportions and skin motion together
 ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # scales of the robust loss (Geman & McClure 1987), from coarse to fine
 MAX_BODY_FIT_ITERATIONS = 8  # number of iterations at each scale
 
@@ -56,16 +55,12 @@ MIN_RELATIVE_MARKER_COUNT = 0.9  # number of visible markers in these frames, re
 MIN_FITTED_MARKERS = 12  # no body is fitted to frames with fewer markers
 MIN_MARKER_FRAMES = 5  # number of the frames in which a marker must be visible
 MAX_TESTED_PAIRS = 16  # number of pairs of markers for whose exchange the body is fitted again
-# Smallest gain in log likelihood of such an exchange with the body unchanged. A true exchange loses nothing.
-MIN_PRELIMINARY_GAIN = -2.0
+MIN_PRELIMINARY_GAIN = -2.0  # in log likelihood, with the body unchanged; a true exchange loses nothing
 MIN_EXCHANGE_GAIN = 0.5  # smallest gain in log likelihood of an exchange
-# Log of the prior odds that the labels are correct. With it a gain of 2 is just sufficient to change labels.
-CORRECT_LABEL_LOG_ODDS = 1.6
+CORRECT_LABEL_LOG_ODDS = 1.6  # of the prior that the labels are correct; a gain of 2 is just sufficient to change them
 MAX_EXCHANGE_COUNT = 12  # number of exchanges in a take
-# With a larger mean misfit of the markers, in log likelihood, these are not the set's markers, whatever their labels.
-MAX_MEAN_MISFIT = 2.0
-# Largest distance of the exchanged markers from the body after an exchange is undone, relative to that before.
-MAX_REMAINING_MISPLACEMENT = 0.7
+MAX_MEAN_MISFIT = 2.0  # in log likelihood; with more these are not the set's markers, whatever their labels
+MAX_REMAINING_MISPLACEMENT = 0.7  # from the body after an exchange is undone, relative to that before
 
 
 @dataclass(frozen=True)

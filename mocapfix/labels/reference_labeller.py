@@ -56,10 +56,8 @@ MAX_POSES = 12  # poses of the labelled take that are kept
 MAX_NEIGHBOURS = 8  # neighbours from which a marker is predicted
 MIN_NEIGHBOURS = 3  # neighbours that must be visible
 MIN_REFERENCE_DISTANCE_SD_M = 0.008  # smallest standard deviation of a distance between markers
-# Standard deviation of a distance that did not vary in the take, as a share of it: the person may have moved little.
-RELATIVE_REFERENCE_SD = 0.03
-# Arm of the points that hold the neighbours' rotation at that of all markers, where they are nearly on a line.
-BODY_ROTATION_WEIGHT_M = 0.03
+RELATIVE_REFERENCE_SD = 0.03  # of a distance that did not vary, as a share of it: the person may have moved little
+BODY_ROTATION_WEIGHT_M = 0.03  # arm of the points that hold nearly straight neighbours' rotation at that of all markers
 MIN_POSE_RESIDUAL_M = 0.004  # residual of the neighbours up to which poses fit equally
 
 
@@ -185,8 +183,7 @@ MAX_EXTENSION_DISTANCE_M = 0.1  # distance in these frames at which no label is 
 MIN_REFERENCE_CONFIDENCE = 0.8  # confidence below which a tracklet stays without a label
 MIN_PART_MARKERS = 3  # markers of a part that is searched for
 MAX_PART_SEARCHES = 6  # frames in which parts are searched for
-# Cost of another assignment of a part up to which it is nearly as good, as a multiple of the best one's.
-MAX_RIVAL_COST_RATIO = 2.0
+MAX_RIVAL_COST_RATIO = 2.0  # up to which another assignment is nearly as good, as a multiple of the best one's
 MAX_RIVAL_COST_M2 = 0.0002  # added to this cost: a mean squared distance within the motion of skin
 PART_PITCHES_RAD = (-1.0, -0.5, 0.0, 0.5, 1.0)  # inclinations in which a part is placed; a leg swings by about this much
 MAX_TRIED_EXCHANGES = 10  # pairs of labels that are exchanged to see whether they fit better

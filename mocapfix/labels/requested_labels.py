@@ -42,8 +42,7 @@ from mocapfix.subject.library import (
     load_shipped_marker_sets,
 )
 
-# Share of labels with words for places on the body up to which labels have no meaning; some words are short.
-MAX_KNOWN_WORD_SHARE = 0.1
+MAX_KNOWN_WORD_SHARE = 0.1  # of labels with words for places, up to which labels have no meaning; some words are short
 MAX_STEM_SHARE = 0.1  # number of different labels without their digits up to which labels are numbers, as a share of the labels
 
 
@@ -240,8 +239,7 @@ def _gather(points: Int[np.ndarray, " C"], values: Float[np.ndarray, "T C"], col
 
 
 MIN_CERTAIN_SHARE = 0.9  # share of the points that must get certain labels of a set that the user did not name
-# Evidence per marker below which the points show no person with the markers of a named set; that of right sets is 1.8 to 3.7.
-MIN_NAMED_SET_EVIDENCE = 0.5
+MIN_NAMED_SET_EVIDENCE = 0.5  # per marker, below which points show no person with a named set; right sets have 1.8 to 3.7
 MAX_COMMON_LABEL_SHARE = 0.1  # share of the labels of a take up to which labels that another take has as well are a coincidence
 MIN_REFERENCE_SHARE = 0.1  # share of the frames in which a labelled take shows the markers that are looked for
 MIN_FOUND_MARKER_SHARE = 0.5  # share of these markers that must be found

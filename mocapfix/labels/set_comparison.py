@@ -38,10 +38,8 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
 from mocapfix.solve.kinematics import Poses
 
-# Standard deviation per axis of a normal distribution as dense as points anywhere on the body: 1.9 m2 by 2 cm.
-BODY_SURFACE_SD_M = 0.136
-# Standard deviation per axis of places on the average body of the right size about those on the person's own body.
-AVERAGE_BODY_SD_M = 0.02
+BODY_SURFACE_SD_M = 0.136  # of a normal distribution as dense as points anywhere on the body: 1.9 m2 by 2 cm
+AVERAGE_BODY_SD_M = 0.02  # of places on the average body of the right size about those on the person's own body
 RARE_MARKER_COST = 3.9  # negative logarithm of the probability that a required marker has no point, or a point no marker: 2 %
 
 
@@ -98,25 +96,20 @@ def add_optional_markers(
 
 BodyFinder = Callable[[SampledPoints, MarkerSet, Subject | None], ExtendedBody | None]
 
-# Quantile over the frames of the number of points, with which the numbers of markers of sets are compared.
-POINT_COUNT_QUANTILE_OF_TAKE = 0.9
+POINT_COUNT_QUANTILE_OF_TAKE = 0.9  # of the number of points, compared with the numbers of markers of sets
 MAX_COMPARED_SETS = 6  # sets that are compared
-# Difference of the numbers of points and markers up to which a set is compared, as a share of the points.
-MAX_COUNT_DIFFERENCE_SHARE = 0.2
+MAX_COUNT_DIFFERENCE_SHARE = 0.2  # of the points, by which the number of markers of a compared set may differ
 OPTIONAL_COUNT_WEIGHT = 0.25  # weight of a point above the number of required markers, where optional ones can explain it
 
-# Difference of the evidence from which one set is clearly better. It is large: the markers of a segment are off together.
-MIN_EVIDENCE_DIFFERENCE = 20.0
+MIN_EVIDENCE_DIFFERENCE = 20.0  # of a clearly better set; large, since the markers of a segment are off together
 MIN_EVIDENCE_DIFFERENCE_OF_SAME_PLACES = 50.0  # the same for sets with nearly all points at the same places
-# Distance between markers of two sets up to which they have the same place; sets state places of a segment this differently.
-MAX_SAME_PLACE_DISTANCE_M = 0.06
+MAX_SAME_PLACE_DISTANCE_M = 0.06  # of markers of two sets with the same place; sets state places this differently
 EQUAL_LABELLED_SHARE = 0.01  # difference of the shares of labelled points up to which they count as equal
 MIN_LABELLED_SHARE = 0.9  # share of the points that must get labels of the set
 MIN_EVIDENCE_PER_POINT = 1.5  # smallest evidence per point; that of the right set is 3 on average
 MIN_AGREEING_SHARE = 0.85  # share of the points that must have the same place in two sets of which none is clearly better
 MIN_SHARE_OF_NAMED_SET = 0.95  # share of the points with labels of a named set below which it is compared with the others
-# Evidence per marker of a named set up to which it is compared with the others; wrong sets rarely reach it.
-MAX_COMPARED_EVIDENCE = 2.2
+MAX_COMPARED_EVIDENCE = 2.2  # per marker, up to which a named set is compared with others; wrong sets rarely reach it
 
 
 class SetComparison(NamedTuple):

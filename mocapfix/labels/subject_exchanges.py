@@ -184,8 +184,7 @@ def _list_neighbours(count: int, relations: TrackletRelations) -> list[tuple[np.
     return [(both[order[a:b], 1], evidence[order[a:b]]) for a, b in pairwise(starts)]
 
 
-# Fraction of the frames in which a distance is assumed to be correct: an exchange may last for the larger part of a take.
-MIN_OWN_DISTANCE_FRACTION = 0.3
+MIN_OWN_DISTANCE_FRACTION = 0.3  # of the frames with correct distances: an exchange may last for most of a take
 MAX_COMPARED_PARTNERS = 6  # number of markers with which each is compared, those with the steadiest distances
 MAX_COMPARED_SD_M = 0.04  # a distance with a larger standard deviation is compared only where no other connects two segments
 # Deviation of a distance that is not broken in any case: a constant, and a fraction of the distance. Distances between two people
@@ -196,8 +195,7 @@ RELATIVE_TOLERANCE = 0.1
 # of their standard deviations is less than this.
 MAX_CROSSED_SD_RATIO = 0.5
 COMPARISON_INTERVAL_S = 0.025  # interval of the frames in which the distances are compared
-# A sample at least this much nearer to where the other person's label was than to where its own was may be exchanged.
-MIN_PERSON_LEAP_M = 0.05
+MIN_PERSON_LEAP_M = 0.05  # nearer to the other person's label than to its own: a sample may be exchanged
 # A sample whose distances are broken in more than this share of the comparisons, for some time, may be exchanged.
 MIN_BROKEN_SHARE = 0.7
 MIN_BROKEN_DURATION_S = 0.1

@@ -122,8 +122,7 @@ def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
 MAX_BLOCK_FRAMES_OF_DISTANCES = 512  # frames whose distances between points and markers are held at a time
 MAX_OVERLAP_SHARE = 0.5  # share of a tracklet's frames in which another tracklet may have its label
 FOUND_GATE_SHARE = 0.95  # share of the gate below which a marker counts as found
-# Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short.
-MAX_LABEL_DISTANCES_M = (0.06, 0.15)
+MAX_LABEL_DISTANCES_M = (0.06, 0.15)  # at which no label is as likely as a label, for a short and a long tracklet
 LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)  # durations of these tracklets
 MIN_SEARCHED_DURATION_S = 0.15  # duration of the tracklets among which a body is searched for: shorter ones are often ghosts
 
@@ -241,12 +240,10 @@ def select_lasting_tracklets(sampled: SampledPoints) -> SampledPoints:
 
 
 MAX_MISSING_S = 0.1  # longest time for which a point may be missing within a tracklet
-# Smallest difference of cost, twice the logarithm of a ratio of probabilities, to every other way to link the points.
-LINK_MARGIN = 6.0
+LINK_MARGIN = 6.0  # smallest difference of cost, twice a log probability ratio, to every other way to link the points
 COLUMN_GAIN = 10.0  # evidence, in the same unit, for a point in the same column where columns are trajectories
 MAX_ORDER_FRAMES = 200  # number of pairs of frames, evenly spread, from which it is decided whether points are in order
-# In points in no order, a larger share of the points is closer to another column's next point than to that of their own.
-MIN_UNORDERED_SHARE = 0.5
+MIN_UNORDERED_SHARE = 0.5  # of unordered points that are closer to another column's next point than to their own's
 
 
 def find_tracklets(positions: Float[np.ndarray, "T C 3"], rate: float) -> UnlabelledPoints:
@@ -286,8 +283,7 @@ def are_points_unordered(positions: Float[np.ndarray, "T C 3"]) -> bool:
 MAX_CONTINUED_GAP_S = 0.05  # time between a labelled tracklet and a piece without a label in the same column that continues it
 MAX_CONTINUED_STEP_M = 0.25  # distance between their ends; that of a fast hand between two frames at 50 Hz
 
-# Confidence of such a label: all of 59 measured ones were right in takes with whole trajectories, none of 57 single ghosts.
-CONTINUED_LABEL_CONFIDENCE = 0.5
+CONTINUED_LABEL_CONFIDENCE = 0.5  # all 59 measured ones were right with whole trajectories, none of 57 single ghosts
 
 
 def label_single_points(
@@ -380,8 +376,7 @@ LABEL_DISTANCE_SD_M = 0.02  # standard deviation of the distance of a tracklet f
 INDEPENDENT_TIME_S = 0.5  # time after which the distance of a tracklet counts as measured again
 MAX_INDEPENDENT_DISTANCES = 5.0  # largest number of distances of one tracklet that count
 
-# How many times more often than its likelihood states a tracklet is no marker: a short and a long one. Most ghosts are short.
-GHOST_ODDS = (8.0, 1.0)
+GHOST_ODDS = (8.0, 1.0)  # how much more often than its likelihood states a short and a long tracklet is no marker
 GHOST_DURATIONS_S = (0.0, 0.1)  # durations of these tracklets
 
 

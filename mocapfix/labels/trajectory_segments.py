@@ -80,15 +80,13 @@ def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3
     return np.split(frames, np.flatnonzero(is_leap | (lag > MAX_PAUSE_S)) + 1)
 
 
-# Number of samples of a segment, evenly spread, by which the markers are chosen that are compared with all of them.
-MAX_SCREENED_SAMPLES = 60
+MAX_SCREENED_SAMPLES = 60  # of a segment, by which the markers are chosen that are compared with all samples
 MAX_DUPLICATE_DISTANCE_M = 0.010  # two trajectories of the same marker are at most this far apart
 VELOCITY_WINDOW_S = 0.03  # part of a trajectory, next to its end, to which the velocity is fitted
 # Standard deviation of the join error: a constant, and a term that grows with the square of the time across the join.
 JOIN_TOLERANCE_M = 0.002
 JOIN_TOLERANCE_M_PER_S2 = 2.5
-# The join error of one end counts no more than this, because the last sample of a label is often an outlier.
-MAX_END_DEVIATION_SD = 3.5
+MAX_END_DEVIATION_SD = 3.5  # largest join error of one end: the last sample of a label is often an outlier
 
 
 def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float, max_gap_s: float) -> float:
@@ -169,19 +167,16 @@ def is_smoother(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate
 
 
 MAX_SIGNATURE_FRAMES = 300
-# Number of these frames, or all of them if there are fewer, in which a plane's corners and the marker must be visible.
-MIN_CORNER_FRAMES = 20
+MIN_CORNER_FRAMES = 20  # or all of them if fewer, in which a plane's corners and the marker are visible
 MIN_SIGNATURE_SD_M = 0.004  # standard deviation of a distance even on a rigid segment
-# Standard deviation relative to the distance, for motion that the take rarely shows: near markers weigh more.
-RELATIVE_DISTANCE_SD = 0.04
+RELATIVE_DISTANCE_SD = 0.04  # of the distance, for motion that the take rarely shows: near markers weigh more
 MAX_SIGNATURE_SD_M = 0.04  # a distance with a larger standard deviation does not identify a marker
 # Number of partners whose distances are compared, and of those from which three form a plane.
 MAX_SIGNATURE_PARTNERS = 4
 MAX_PLANE_CANDIDATES = 5
 MAX_DISTANCE_FOR_SIDE_SD = 10.0  # with a larger deviation of the distances, in standard deviations, the side is not computed
 MIN_PARTNER_VISIBLE_FRACTION = 0.8  # fraction of the compared frames in which a partner must be visible
-# Fraction of the frames from which the spread of a distance is estimated: limbs bend only in a part of a take.
-SIGNATURE_COVERAGE_FRACTION = 0.9
+SIGNATURE_COVERAGE_FRACTION = 0.9  # of the frames that give a distance's spread: limbs bend in a part of a take
 # Quantiles of the heights, and the number of standard deviations between them.
 LOW_HEIGHT_QUANTILE = 0.05
 HIGH_HEIGHT_QUANTILE = 0.95

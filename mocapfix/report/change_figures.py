@@ -338,8 +338,7 @@ def format_severity(fault: Fault) -> str:
 
 
 MAX_CHANGE_FIGURES = 12
-# Kinds whose severity is the distance that the marker travelled, not its distance from the correct position.
-TRAVEL_SEVERITY_KINDS = (*MISSING_KINDS, "segment lost", "computed")
+TRAVEL_SEVERITY_KINDS = (*MISSING_KINDS, "segment lost", "computed")  # whose severity is the distance travelled
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,7 @@ RESTART_CODE_DAMPING = 1e-6  # the same, from the end of the round before
 MAX_ROUND_ITERATIONS = 6  # iterations of a round at each robust scale; more would rely on a linearisation that is no longer valid
 INITIAL_CODE_STIFFNESS = 2.0  # initial weight of the penalty that keeps a code near its linearisation
 CODE_STIFFNESS_GROWTH = 3.0  # factor of this weight after a round that failed
-MIN_ROUND_COST_DECREASE = 0.2
-"""Decrease of the cost (half a sum of squares in standard deviations) in a round below which no further round follows."""
+MIN_ROUND_COST_DECREASE = 0.2  # of half a sum of squares in standard deviations; with less no round follows
 MAX_BATCH_FRAMES = 128  # frames per batch; the linearisation of a network takes about 25 kB per frame
 
 

@@ -38,8 +38,7 @@ TOKEN_COUNT = INNER_COUNT + 2 * len(CONTEXT_DISTANCES_S)
 INNER_TOKENS = slice(len(CONTEXT_DISTANCES_S), len(CONTEXT_DISTANCES_S) + INNER_COUNT)
 EDGE_SOFTENING_S = 0.1  # harmonic distance from the edges of a gap at which an output has half of its scale
 FIXED_JOINT_NAMES = ("LeftShoulder", "RightShoulder")
-FEATURE_POINT_NAMES = ("Head", "ForeArm", "Hand", "FingerBase", "Leg", "Foot", "ToeBase")
-"""Joints whose positions the network is given, on both sides."""
+FEATURE_POINT_NAMES = ("Head", "ForeArm", "Hand", "FingerBase", "Leg", "Foot", "ToeBase")  # given, on both sides
 SMALL_ANGLE_SINE = 1e-6
 
 
@@ -253,8 +252,7 @@ def compute_window_features(
 MIN_LOG_SD, MAX_LOG_SD = -7.0, 2.0  # limits of the logarithms of standard deviations, relative to the initial one
 INITIAL_LOG_SD = -1.5  # logarithm of the standard deviations in radians and metres, of an output of zero
 NORMALISATION_EPSILON = 1e-5  # added to the variance of a moment's channels
-MIN_PREDICTED_GAP_S, MAX_PREDICTED_GAP_S = 0.15, 2.3
-"""Durations from the last known frame to the next; other gaps were not trained on."""
+MIN_PREDICTED_GAP_S, MAX_PREDICTED_GAP_S = 0.15, 2.3  # from the last known frame to the next, as in training
 
 
 class PredictedGap(NamedTuple):
@@ -418,8 +416,7 @@ def write_motion_prior(path: Path, model: MotionPrior) -> None:
         save_file({name: values.astype(np.float16) for name, values in model.tensors.items()}, temporary)
 
 
-MOTION_VARIANCE_FACTOR = 2.0
-"""Factor of the predicted variance in the weight: new people and captures differ from the training data."""
+MOTION_VARIANCE_FACTOR = 2.0  # of the predicted variance: new people and captures differ from the training data
 PREDICTION_CORRELATION = 0.4  # correlation of the errors of the prediction with those of other estimates
 CROPPED_CONTEXT_S = 1.1  # time on either side of a gap that a prediction is given; more than the network uses
 

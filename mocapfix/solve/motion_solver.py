@@ -163,8 +163,7 @@ def estimate_marker_sd(
     return max(float(np.sqrt(np.median(corrected) / CHI2_MEDIAN_3_DOF)), MIN_ESTIMATED_MARKER_SD_M)
 
 
-FIXED_JOINT_WEIGHT = 1e5
-"""Weight, in 1/rad^2 or 1/m^2, that keeps solved joints and the root where they are, compared with those of prior and limits."""
+FIXED_JOINT_WEIGHT = 1e5  # in 1/rad^2 or 1/m^2, keeps solved joints and the root where they are against prior and limits
 
 
 def infer_unobserved_joints(
@@ -215,8 +214,7 @@ def _solve_inferred_joints(
 
 
 MAX_MEAN_MARKER_DISTANCE_M = 0.03  # mean distance of a frame's markers from the body above which the frame's status is POOR_FIT
-PLACED_JOINT_SD_M = 0.015
-"""Standard deviation per axis of joints and markers of poses that were not solved: measured on composed takes."""
+PLACED_JOINT_SD_M = 0.015  # per axis, of joints and markers of poses that were not solved: measured on composed takes
 UNSEEN_JOINT_SD_M = 0.05  # the same on segments that no visible marker shows
 MIN_FRAME_MARKERS = 3  # visible markers below which the status of a frame is GUESSED
 

@@ -80,15 +80,13 @@ def compute_joint_state_features(
     )
 
 
-MAX_UNOBSERVED_SHARE = 0.5
-"""Share of the joints that may be unobserved; with more, too little of the body is left to infer the rest from."""
+MAX_UNOBSERVED_SHARE = 0.5  # of the joints; with more, too little of the body is left to infer the rest from
 MIN_TRAINING_FRAMES = 3  # frames with known rotations that a gap requires
 DEFAULT_ROTATION_POWER_RAD2 = 0.02  # signal power of a joint rotation for which there are no data
 DEFAULT_POWER_FRAMES = 10  # number of frames that this default power is worth in the estimate of the power
 VARIANCE_INFLATION = 1.5  # actual squared error of the prediction over the variance that the process predicts
 MIN_QUERY_SD_RAD = 0.1  # standard deviation of the prediction above which the pose model is used; below, no model improves it
-QUERY_STEP_S = 1 / 30
-"""Largest time between the frames of a gap in which the pose model is used; its innovation is interpolated between them."""
+QUERY_STEP_S = 1 / 30  # between frames of a gap in which the pose model is used; its innovation is interpolated
 PRIOR_INNOVATION_SD_RAD = 0.3  # standard deviation per axis of people's limbs about the innovation of the pose model
 
 

@@ -236,8 +236,7 @@ def build_pose_problem(
     )
 
 
-SMOOTHING_REACH_S = 0.5
-"""Time over which a frame affects the solution of others: twice the windows in which accelerations are measured."""
+SMOOTHING_REACH_S = 0.5  # over which a frame affects others: twice the windows in which accelerations are measured
 MAX_WINDOW_SHARE = 0.6  # share of the take in windows above which the whole take is solved
 MAX_WINDOW_FRAMES = 8192  # frames of a window; the arrays of one hold 50 kB per frame
 

@@ -288,10 +288,8 @@ def build_constraint_error(constraint: Constraint, problem: str) -> ConstraintEr
 
 
 MAX_SINGLE_POSE_ITERATIONS = 100  # iterations of the solve; a single pose may take more time than a frame
-START_HEADINGS_RAD = np.deg2rad([0, 90, 180, 270])
-"""Headings of the starts; from the opposite heading a body would have to turn through itself."""
-REST_POSE_SD_RAD = 3.0
-"""Standard deviation of joints about the rest pose without a prior, which only makes the problem determinate."""
+START_HEADINGS_RAD = np.deg2rad([0, 90, 180, 270])  # from the opposite heading a body would have to turn through itself
+REST_POSE_SD_RAD = 3.0  # of joints about the rest pose without a prior, which only makes the problem determinate
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ ROOT_JITTER_SD_M = 0.001  # the same of the root's position, per axis
 ROTATION_TRACKING_SD_RAD = 0.1  # standard deviation of a joint's rotation about its smooth trajectory
 ROOT_TRACKING_SD_M = 0.03  # the same of the root's position, per axis
 ACCELERATION_STEP_S = 0.06  # step of the second differences that measure the acceleration
-SMOOTHING_POWER_WINDOW_S = 0.25
-"""Window over which the acceleration power is averaged; short, since a landing has far more power than the flight before."""
-MAX_POWER_SAMPLE_SD = 0.1
-"""Standard deviation in radians above which a frame does not enter the estimate of the power; for the root a tenth, in metres."""
+SMOOTHING_POWER_WINDOW_S = 0.25  # of the mean acceleration power; short: a landing has far more than the flight before
+MAX_POWER_SAMPLE_SD = 0.1  # rad, above which a frame does not enter the power; for the root a tenth, in metres
 MAX_OBSERVED_SAMPLE_SD_RAD = 0.3
 """The same for joints whose markers are visible. Shoulder and elbow share an arm's twist, so that neither is known alone, yet
 both turn as the markers show. Without these frames the power of a strike would be that of the quieter moments around it."""
@@ -40,15 +38,12 @@ MIN_POWER_SHARE = 0.02  # smallest power, as a share of the take's mean: a joint
 FRAME_JITTER_SD_RAD = 0.02  # part of a joint's standard deviation that is independent from frame to frame
 MAX_ROOT_SD_M = 0.1  # standard deviation of the root position above which a frame does not determine it
 MIN_ACCELERATION_POWER = 1e-3  # smallest acceleration power, in rad^2/s^3 or m^2/s^3
-MAX_POWER_CORRECTIONS = 3
-"""Times that the power is raised where smoothing removes more than jitter; it is low enough after one or two."""
-USUAL_DEVIATION_RATIO = 4.0
-"""Deviation from the smooth trajectory that is no jitter, relative to the median of the take: a noisy take deviates everywhere"""
+MAX_POWER_CORRECTIONS = 3  # where smoothing removes more than jitter; the power is low enough after one or two
+USUAL_DEVIATION_RATIO = 4.0  # of a deviation that is no jitter to the take's median: a noisy take deviates everywhere
 POWER_CORRECTION_EXPONENT = 3
 """Exponent of the factor of the power, whose base is the deviation over the jitter's standard deviation. What smoothing removes
 of a motion is inversely proportional to the power at most, so that one correction nearly suffices."""
-MAX_TRACKING_SD_RAD = 0.5
-"""Largest standard deviation of a tracking term: joints that share a rotation, as in the spine, are individually uncertain."""
+MAX_TRACKING_SD_RAD = 0.5  # joints that share a rotation, as in the spine, are individually uncertain
 
 
 def estimate_acceleration_power(

@@ -129,8 +129,7 @@ def exponentiate_vectors(vectors: Float[np.ndarray, "N F 3"]) -> Float[np.ndarra
 MAX_SAMPLE_INTERVAL_S = 0.1  # largest time between the frames in which the model is evaluated
 GAUSS_NEWTON_STEPS = 2  # steps towards the most probable pose; the model is linearised in each, the markers in the first only
 BATCH_FRAMES = 32  # sampled frames per batch; the derivatives of one frame take about 80 kB
-MAX_DEVIATION_SD = 1.0
-"""Deviation of a joint from what the model expects of it, in standard deviations, beyond which its force no longer grows."""
+MAX_DEVIATION_SD = 1.0  # of a joint from what the model expects, beyond which its force no longer grows
 MAX_CHANGE_RAD = 2.0  # largest change, about an axis, of a rotation from the frame's own solution
 
 
@@ -315,15 +314,13 @@ def extract_diagonal_blocks(matrices: Float[np.ndarray, "N R R"]) -> Float[np.nd
     return np.stack([matrices[:, n : n + 3, n : n + 3] for n in range(0, matrices.shape[1], 3)], axis=1)
 
 
-MIN_RECOVERED_DISTANCE_M = 0.04
-"""Mean distance of a limb's markers from the body above which its frame is solved again; less than what is reported as lost."""
+MIN_RECOVERED_DISTANCE_M = 0.04  # mean, of a limb's markers, above which its frame is solved again
 MAX_COST_INCREASE = 10.0
 """Increase of a frame's marker cost over that of its own solution above which it is solved again. The tracking of smooth
 trajectories increases it by up to 3."""
 MIN_COST_IMPROVEMENT = 1.0  # decrease of the marker cost that another solution needs to replace the present one
 RECOVERY_ROBUST_SCALES_M = (0.4, 0.2)  # robust scales before those of the options
-COMPARED_ROBUST_SCALE_M = 0.2
-"""Robust scale of the compared marker costs: wide, so that a limb's markers count when they are far away."""
+COMPARED_ROBUST_SCALE_M = 0.2  # of marker costs: wide, so that a limb's markers count when they are far away
 
 
 def recover_lost_limbs(

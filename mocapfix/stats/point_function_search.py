@@ -22,8 +22,7 @@ from mocapfix.stats.sequences import sample_evenly
 # Numbers of frames, evenly spread: in which points are compared, and by which it is decided what is worth comparing.
 MAX_FUNCTION_FRAMES = 240
 MAX_SCREENED_FRAMES = 20
-# Number of comparisons of a point with another. Of more than 1,400 points, each is compared with those that are nearest to it.
-MAX_COMPARED_PAIRS = 2_000_000
+MAX_COMPARED_PAIRS = 2_000_000  # of more than 1,400 points, each is compared with those that are nearest to it
 # Fraction of the frames in which a point and its parents must be visible, and number of them.
 MIN_COMMON_FRAME_FRACTION = 0.2
 MIN_COMMON_FRAMES = 10
@@ -128,8 +127,7 @@ def compute_known_median(values: Shaped[np.ndarray, "T ..."]) -> Shaped[np.ndarr
 
 
 MAX_LINE_FRAMES = 5  # number of frames, evenly spread, that decide which points between two are worth a comparison in more frames
-# Largest such distance in the screening by functions of nearly the right form, in addition to that limit.
-SCREENING_MISFIT_M = 2e-3
+SCREENING_MISFIT_M = 2e-3  # largest such distance in the screening, in addition to that limit
 # Smallest standard deviation of a distance between parents, in multiples of that limit, and the same in the screening.
 MIN_PARENT_VARIATION = 10.0
 SCREENED_PARENT_VARIATION = 5.0

@@ -107,8 +107,7 @@ def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
     return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
 
 
-# Variance, in rad^2 or m^2, of a frame without information; larger values would make the system numerically singular.
-MAX_SAMPLE_VARIANCE = 1e4
+MAX_SAMPLE_VARIANCE = 1e4  # rad^2 or m^2, of a frame without information; more would make the system singular
 # Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
 # numerically singular, at thousands of frames a second. Such a path is straight already.
 MAX_STIFFNESS_RATIO = 1e13

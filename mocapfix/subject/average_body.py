@@ -19,11 +19,9 @@ from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
 
-# Nominal distance of a marker pair that is used to estimate the size; nearer pairs depend more on marker placement.
-MIN_PAIR_DISTANCE_M = 0.12
+MIN_PAIR_DISTANCE_M = 0.12  # of a pair that is used to estimate the size; nearer ones depend on marker placement
 MIN_PAIR_FRAMES = 10  # frames in which both markers of a pair must be visible
-# Median absolute deviation of a pair's distance as a share of its median; a pair that varies more spans a bending joint.
-MAX_DISTANCE_VARIATION = 0.03
+MAX_DISTANCE_VARIATION = 0.03  # median absolute deviation per median; a pair that varies more spans a bending joint
 MIN_SIZE_RATIO = 0.3  # smallest accepted size relative to the average body: a baby
 MAX_SIZE_RATIO = 1.6  # largest accepted size relative to the average body: larger than any person
 

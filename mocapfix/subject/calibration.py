@@ -95,8 +95,7 @@ def _restore(array: np.ndarray) -> Any:
 
 
 MIN_CALIBRATION_MARKERS = 3  # visible markers that at least one frame must have; fewer do not determine the pose of any segment
-# Frames that are posed to select the calibration frames from; posing all of them takes a fraction of a second.
-MAX_CANDIDATE_FRAMES = 600
+MAX_CANDIDATE_FRAMES = 600  # posed to select the calibration frames from; all of them take a fraction of a second
 CANDIDATE_MARKER_SHARE = 0.9  # markers that a candidate frame must show, as a share of the 90th percentile over all frames
 MAX_CALIBRATION_FRAMES = 150  # frames that enter the refinement
 MIN_MOVED_MARKER_FRAMES = 10  # frames in which a moved marker must be visible to get an offset of its own

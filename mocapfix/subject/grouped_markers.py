@@ -27,11 +27,9 @@ from mocapfix.stats.rigid_alignment import align_to_common_shape
 from mocapfix.stats.sequences import sample_evenly
 
 JOINT_SAMPLE_SD_M = 0.01  # distance between the two places in one frame by which a fit is weighted: markers move with the skin
-# Standard deviation per axis of a joint about the point between its groups; it matters along the axis of a hinge.
-JOINT_PRIOR_SD_M = 0.2
+JOINT_PRIOR_SD_M = 0.2  # per axis of a joint about the point between its groups; it matters along a hinge's axis
 INDEPENDENT_JOINT_POSES = 20.0  # effective number of independent frames of a take
-# Frames in which the poses of both groups must be known, or a third of the frames of a short take.
-MIN_FUNCTIONAL_JOINT_FRAMES = 30
+MIN_FUNCTIONAL_JOINT_FRAMES = 30  # with the poses of both groups, or a third of the frames of a short take
 
 
 class MovingGroup(NamedTuple):
@@ -95,15 +93,12 @@ def estimate_functional_joint(first: MovingGroup, second: MovingGroup) -> Functi
 
 
 MAX_JOINT_RESIDUAL_M = 0.025  # root mean square distance between the two places of a joint
-# Residual of the knee relative to the larger one of hip and ankle; between a thigh and the other leg's shank it is larger.
-MAX_KNEE_RESIDUAL_RATIO = 2.5
-# Root mean square angle by which two groups must turn against each other; groups on one segment turn less.
-MIN_JOINT_RANGE_RAD = 0.08
+MAX_KNEE_RESIDUAL_RATIO = 2.5  # to the larger one of hip and ankle; with the other leg's shank it is larger
+MIN_JOINT_RANGE_RAD = 0.08  # rms angle by which two groups turn against each other; on one segment they turn less
 MIN_COMPETING_RATIO = 2.0  # ratio of residuals below which another group at the same joint competes for its place
 MAX_SAME_JOINT_DISTANCE_M = 0.12  # distance between joints on one group below which they are the same
 MIN_ORDER_DISTANCE_M = 0.08  # difference of the distances from the knee by which the foot is farther than the shank
-# Length of a thigh or a shank of people from about 1.3 m to 2.1 m in height; functional joints are some centimetres off.
-MIN_BONE_LENGTH_M, MAX_BONE_LENGTH_M = 0.28, 0.56
+MIN_BONE_LENGTH_M, MAX_BONE_LENGTH_M = 0.28, 0.56  # of a thigh or shank, of people of 1.3 to 2.1 m
 MIN_LEG_LENGTH_M = 0.62  # length of both together; an arm has less
 MIN_BEND_RAD = 0.26  # angle of the knee from which a frame shows the direction in which it bends
 MIN_BENT_SHARE = 0.1  # share of the frames that must show it
@@ -117,8 +112,7 @@ MAX_HIP_OFFSET_M = 0.35  # distance of a hip from the middle of the group on the
 MAX_PELVIS_HEIGHT_M = 0.2  # height of the middle of the group on the pelvis above the hips; that of the thorax is higher
 MIN_HIP_DISTANCE_M, MAX_HIP_DISTANCE_M = 0.08, 0.35  # distance between the hips
 MAX_BONE_DISTANCE_M = 0.2  # distance of a marker from the bone of its segment; wands are this long
-# Height of the ankle above the lowest marker of the take, in the tenth of the frames in which it is lowest.
-MAX_ANKLE_HEIGHT_M = 0.3
+MAX_ANKLE_HEIGHT_M = 0.3  # above the lowest marker of the take, in the tenth of the frames in which it is lowest
 LOW_FRAME_QUANTILE = 0.1  # these frames, as a quantile of the height
 
 
@@ -300,8 +294,7 @@ def _normalise(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return vector / max(float(np.linalg.norm(vector)), 1e-9)
 
 
-# Variation of the distances between the markers of one segment, as a standard deviation; skin moves less.
-MAX_SEGMENT_SPREAD_M = 0.008
+MAX_SEGMENT_SPREAD_M = 0.008  # of the distances between the markers of one segment (sd); skin moves less
 MAX_FUNCTIONAL_FRAMES = 200  # evenly spread frames in which joints between groups are estimated
 GROUPED_MARKER_SPREAD_M = 0.04  # spread of a marker about the place that its group gives it on the average body
 FLAT_FOOT_QUANTILE = 0.3  # share of the frames in which a foot is lowest, and flat on the floor

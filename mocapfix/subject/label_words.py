@@ -20,10 +20,8 @@ SIDE_SIGNS = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS":
 MAX_MIDLINE_DISTANCE_M = 0.03  # a marker that is nearer to the median plane of the body needs no word for its side
 WORD_MARKER_SPREAD_M = 0.05  # standard deviation per axis of markers with the same word about the position for the word
 MIN_INNER_WORD_LENGTH = 4  # letters of a word that may stand within a label
-# Letters of a word that may stand at the beginning of a label; a shorter one, or one with a digit, is a label of its own.
-MIN_FIRST_WORD_LENGTH = 3
-# Where a label may have a letter or a word for its side.
-ALL_SIDE_PLACES = ("first letter", "first word", "last letter", "last word")
+MIN_FIRST_WORD_LENGTH = 3  # letters; a shorter word at the beginning, or one with a digit, is a label of its own
+ALL_SIDE_PLACES = ("first letter", "first word", "last letter", "last word")  # of a side's letter or word
 # The words of a label: letters of one case, or a capital with small letters, or digits.
 TOKEN_PATTERN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_a-zA-Z]+")
 

@@ -42,44 +42,31 @@ from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.subject.props import find_props
 from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud
 
-# Mean distance of the markers from the body of a correct set; with a wrong side or segment among them it is larger.
-MAX_LEARNED_MEAN_RESIDUAL_M = 0.009
-# Smallest size relative to the average body: a child of three. Learning from positions alone needs MIN_POSITION_SIZE_RATIO.
-MIN_LEARNED_SIZE_RATIO = 0.5
-# Smallest size of a body that is located by positions alone; a part of a body that is taken for a whole one is smaller.
-MIN_POSITION_SIZE_RATIO = 0.75
+MAX_LEARNED_MEAN_RESIDUAL_M = 0.009  # from the body of a correct set; with a wrong side or segment it is larger
+MIN_LEARNED_SIZE_RATIO = 0.5  # to the average body: a child of three
+MIN_POSITION_SIZE_RATIO = 0.75  # of a body that is located by positions alone; a part taken for a whole is smaller
 MAX_LEARNED_SIZE_RATIO = 1.3  # largest size relative to the average body
-# Variation of the distance to a distant segment, relative to the least one to a near segment, that is a contradiction.
-STEADINESS_RATIO = 2.0
-# Variation of a distance, as a standard deviation, below which two markers seem to be on the same segment.
-MAX_STEADY_SPREAD_M = 0.006
-# Variation of a marker's position that shows that it moves; two markers at rest keep their distance on any segments.
-MIN_TRAVEL_SPREAD_M = 0.05
-# Joints that are not counted between two segments: pelvis, thorax and head are neighbours.
-PASSED_JOINT_NAMES = ("LowerBack", "Spine", "Neck", "Neck1")
-# Segments along the way between two that are far apart: an upper arm hardly moves against the head in a short walk.
-MIN_DISTANT_SEGMENTS = 4
+STEADINESS_RATIO = 2.0  # of the variation to a distant segment and the least to a near one, that is a contradiction
+MAX_STEADY_SPREAD_M = 0.006  # of a distance (sd), below which two markers seem to be on the same segment
+MIN_TRAVEL_SPREAD_M = 0.05  # of a marker that moves; two markers at rest keep their distance on any segments
+PASSED_JOINT_NAMES = ("LowerBack", "Spine", "Neck", "Neck1")  # not counted between segments: trunk and head are neighbours
+MIN_DISTANT_SEGMENTS = 4  # between two: an upper arm hardly moves against the head in a short walk
 MAX_CONTRADICTED_SHARE = 0.04  # share of the markers whose steadiest neighbours may be on distant segments
-# Median variation of the distances between markers on distant segments; less is too little motion to learn from.
-MIN_DISTANCE_MOTION_M = 0.008
+MIN_DISTANCE_MOTION_M = 0.008  # median, between markers on distant segments; less is too little to learn from
 MAX_BEND_VIOLATION_RAD = 0.35  # angle beyond its limits at which a knee or an elbow bends the wrong way
-# Angle beyond its limits at which a foot or an upper arm is turned: the wrong way round, they are further beyond.
-MAX_TURN_VIOLATION_RAD = 0.05
+MAX_TURN_VIOLATION_RAD = 0.05  # beyond its limits at which a foot or an upper arm is turned the wrong way round
 MAX_VIOLATION_SHARE = 0.2  # share of the frames in which they may be
 MIN_JUDGED_MARKERS = 2  # markers of a segment whose joint is judged: one marker leaves its rotation open
-# Motion per axis of a marker against its segment above which it is left out, though its label or position names the segment.
-MAX_NAMED_MARKER_SD_M = 0.02
+MAX_NAMED_MARKER_SD_M = 0.02  # per axis against its segment, above which a marker is left out though it is named
 MAX_UNNAMED_MARKER_SD_M = 0.012  # the same for a marker that is attached for its motion alone
-# Probability of the segment of such a marker below which it is left out, unless the alternative is a neighbouring segment.
-MIN_UNNAMED_PROBABILITY = 0.9
+MIN_UNNAMED_PROBABILITY = 0.9  # of its segment below which such a marker is left out, but for a neighbouring one
 MIN_LOCATED_SHARE = 0.8  # share of the visible markers that a body located by positions alone must explain
 TRUNK_JOINT_NAMES = ("Hips", "Spine1", "Head")
 LIMB_SEGMENT_NAMES = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")
 MIN_TRUNK_SEGMENT_MARKERS = 3  # markers on pelvis, thorax and head each of such a body
 MIN_PAIRED_LIMB_SEGMENTS = 8  # number of its ten limb segments that have two markers or more; each has at least one
 HINGE_JOINT_NAMES = ("LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")  # knees and elbows, which bend in one direction only
-# Ankles and shoulders, which a body that faces backwards would have to turn round.
-TURNED_JOINT_NAMES = ("LeftFoot", "RightFoot", "LeftArm", "RightArm")
+TURNED_JOINT_NAMES = ("LeftFoot", "RightFoot", "LeftArm", "RightArm")  # of a body that faces backwards
 
 
 @dataclass(frozen=True)
@@ -515,8 +502,7 @@ def find_ambiguous_markers(learned: MarkerSetFit, labels: Sequence[str]) -> dict
 
 OWN_SET_NAME = "own"
 MIN_OWN_SET_MARKERS = 5  # visible markers of the smallest part of a body, a single limb
-# Visible markers of one body; the densest published set has 350 (Park & Hodgins 2006). The joints of 1,300 took 75 s to find.
-MAX_OWN_SET_MARKERS = 400
+MAX_OWN_SET_MARKERS = 400  # of one body; the densest published set has 350 (Park & Hodgins 2006)
 
 
 def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:

@@ -146,8 +146,7 @@ def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
 
 LANDMARK_FILE = "skeletons/landmarks.yaml"
 MIRROR_X = np.array([-1.0, 1.0, 1.0])
-# The distance from the median plane within which a landmark of pelvis, trunk or head is one of neither side.
-MAX_MEDIAN_DISTANCE_M = 0.008
+MAX_MEDIAN_DISTANCE_M = 0.008  # from the median plane, of a landmark of pelvis, trunk or head of neither side
 
 
 class Landmark(NamedTuple):

@@ -24,15 +24,12 @@ from mocapfix.subject import refinement
 from mocapfix.subject.calibration import calibrate_subject, select_candidate_frames
 from mocapfix.subject.library import load_whole_body_marker_sets
 
-# Share of a marker's frames that is used; the frames with the largest residuals may be swaps, ghosts or wrong poses.
-KEPT_FRAME_SHARE = 0.9
+KEPT_FRAME_SHARE = 0.9  # of a marker's frames; those with the largest residuals may be swaps, ghosts or wrong poses
 MIN_SKIN_MOTION_M = 0.005  # motion per axis that a marker shows even on the correct segment
 INDEPENDENT_POSE_COUNT = 10.0  # effective number of independent poses in a take, whatever its number of frames
-# Standard deviation of the distance from a marker to the nearest position of the known sets on its segment.
-ATLAS_DISTANCE_SD_M = 0.07
+ATLAS_DISTANCE_SD_M = 0.07  # of a marker from the nearest position of the known sets on its segment
 MAX_ATTACHED_SD_M = 0.025  # motion per axis above which a marker is not attached to a segment
-# Distance from all known marker positions above which a marker is taken for a prop, unless its label names the segment.
-MAX_ATLAS_DISTANCE_M = 0.15
+MAX_ATLAS_DISTANCE_M = 0.15  # above which a marker is taken for a prop, unless its label names the segment
 MIN_ATTACHMENT_FRAMES = 30  # frames in which a marker must be visible to be attached
 MIN_ATTACHMENT_FRAME_SHARE = 0.3  # the same as a share of the frames, for short takes
 
@@ -172,8 +169,7 @@ def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: in
 MAX_ATTACHMENT_ROUNDS = 5  # rounds of calibration and attachment
 MAX_LEARNING_FRAMES = 90  # frames on which the person is calibrated in each round; the set is learned from more of them
 MAX_ATTACHMENT_FRAMES = 300  # frames, evenly spread, from which markers are attached to segments
-# Spread of a marker offset learned from one take: other takes place the marker at least this differently.
-ONE_TAKE_MARKER_SPREAD_M = 0.02
+ONE_TAKE_MARKER_SPREAD_M = 0.02  # of an offset learned from one take: others place it at least this differently
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,11 @@ from mocapfix.solve.terms import ShapeDeformations
 from mocapfix.subject.library import find_landmark
 
 BODY_SIZE_SD = 1e3  # relative standard deviation of the size: practically free, since the take determines it well
-# Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects.
-BONE_GROUP_SD = 0.05
-# Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects.
-INDIVIDUAL_BONE_LENGTH_SD = 0.03
+BONE_GROUP_SD = 0.05  # relative, of a bone group's length, left and right together; the most likely over the CMU subjects
+INDIVIDUAL_BONE_LENGTH_SD = 0.03  # relative, within its group: the asymmetry of the CMU subjects
 # Joints at the ends of bones whose direction differs from person to person. A limb's bone defines the axes of its segment.
 LEANING_BONES = ("LeftUpLeg", "RightUpLeg", "Neck", "Neck1", "Head", "LeftArm", "RightArm")
-# The same for bones whose direction looks like a bend of the joint below: the fit hardly changes it.
-FIRM_BONES = ("Spine", "Spine1")
+FIRM_BONES = ("Spine", "Spine1")  # whose direction looks like a bend of the joint below: the fit hardly changes it
 # Standard deviation of the direction of such a bone about each axis across it: that of each of CMU's subjects from the principal
 # components of the others.
 PEOPLE_LEAN_SD_RAD = 0.04
@@ -147,8 +144,7 @@ HIP_REGRESSION_SD_M = 0.008
 BACKWARD_PER_DEPTH, BACKWARD_M = 0.24, 0.0099
 DOWNWARD_PER_WIDTH, DOWNWARD_M = 0.30, 0.0109  # the same for its distance below it, from the pelvis' width
 SIDEWARD_PER_WIDTH, SIDEWARD_M = 0.33, 0.0073  # the same for its distance to the side
-# Distance on the average body up to which a marker of a set is the one on a landmark: all sets give a landmark one place.
-MAX_LANDMARK_DISTANCE_M = 0.001
+MAX_LANDMARK_DISTANCE_M = 0.001  # of a marker on a landmark of the average body: all sets give it one place
 DERIVATIVE_STEP_M = 1e-4  # step of the numerical derivatives; the equations are nearly linear over centimetres
 HIP_JOINTS = ("LeftUpLeg", "RightUpLeg")
 

@@ -194,8 +194,7 @@ def write_person_files(files: PersonFiles, person: PersonCalibration) -> None:
         write_subject(path, replace(person.take_subjects[take], notes=person.describe_take(take)))
 
 
-TakeGuard = Callable[[Path], AbstractContextManager[object]]
-"""returns the context in which a take is worked on; it may catch what is raised, and the other takes go on"""
+TakeGuard = Callable[[Path], AbstractContextManager[object]]  # in which a take is worked on
 
 
 @dataclass(frozen=True)

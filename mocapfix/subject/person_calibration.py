@@ -236,15 +236,12 @@ def predict_frame_markers(state: RefinementState) -> Float[np.ndarray, "N K 3"]:
 
 
 MIN_PLACE_FRAMES = 5  # frames of a take in which a marker must be visible to compare its place
-# Difference of a marker's residual from that in the other takes above which its place is compared without its own pull.
-MIN_SCREENED_MOVE_M = 0.004
-# Smallest move that is reported: without its own pull, a marker of the trunk differs by up to 12 mm between short takes.
-MIN_MOVE_M = 0.015
+MIN_SCREENED_MOVE_M = 0.004  # of a residual from other takes', above which its place is compared without its pull
+MIN_MOVE_M = 0.015  # smallest reported; without its pull, a trunk marker differs by up to 12 mm between short takes
 MIN_MOVE_SD = 3.0  # the same in standard deviations of the places of unmoved markers between takes
 LONG_TAKE_S, MIN_TAKE_S = 10.0, 0.5  # duration from which MIN_MOVE_M holds, and the shortest for which it is scaled
 MIN_PLACE_SD_M = 0.001  # least standard deviation of a place between takes
-# Root mean square difference of the markers' places between sessions above which they were attached again.
-MIN_SESSION_DIFFERENCE_M = 0.004
+MIN_SESSION_DIFFERENCE_M = 0.004  # rms of the markers' places, above which they were attached again
 SESSION_DIFFERENCE_RATIO = 2.0  # the same relative to the differences between takes of one session
 
 
@@ -401,8 +398,7 @@ def _compute_rms(differences: Float[np.ndarray, "... 3"]) -> float:
 
 
 MAX_JOINT_TAKES = 10  # takes from which bones and places are calibrated; those of the others are compared with them
-# Frames of all takes of a person that enter the calibration. More of them weight the errors of the model too much.
-MAX_FRAMES_PER_PERSON = 300
+MAX_FRAMES_PER_PERSON = 300  # of all takes that enter a calibration; more weight the errors of the model too much
 MIN_FRAMES_PER_TAKE = 20  # frames of each take that enter at least
 MAX_MOVE_ROUNDS = 3  # rounds of detecting moved markers and calibrating with their places
 MAX_OWN_RESIDUAL_RATIO = 2.5  # residual of a take, relative to the person's other takes, above which it is not that person's

@@ -26,8 +26,7 @@ from mocapfix.stats.marker_distances import (
 MIN_PREFIX_LETTERS = 3  # letters that the labels of a group must have in common at their beginning to name it
 # Characters at the end of this common beginning that are no part of the name.
 LABEL_ENDING_CHARACTERS = "0123456789 _.-:#"
-# Variation of the distances within a prop that a marker set names; with more it is not rigid in this take.
-MAX_KNOWN_PROP_SPREAD_M = 2 * MAX_RIGID_SPREAD_M
+MAX_KNOWN_PROP_SPREAD_M = 2 * MAX_RIGID_SPREAD_M  # of a prop that a marker set names; with more it is not rigid here
 
 
 def find_props(

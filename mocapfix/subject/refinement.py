@@ -97,12 +97,10 @@ def compute_response_sd(
     return joint_sd, marker_sd
 
 
-# Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated.
-CALIBRATION_MARKER_SD_M = 0.010
+CALIBRATION_MARKER_SD_M = 0.010  # per axis about its offset; skin moves less, but neighbouring frames are correlated
 CALIBRATION_ROBUST_SCALE_M = 0.050  # Geman-McClure scale of the marker residuals
 SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # the same scales, one after the other, for a body that is not yet calibrated
-# Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations.
-POSE_PRIOR_WEIGHT = 0.02
+POSE_PRIOR_WEIGHT = 0.02  # of poses about the take's mean; more would favour longer bones, which need smaller rotations
 MAX_SELECTION_ITERATIONS = 8  # iterations of a frame when an uncalibrated body is posed
 MAX_CALIBRATION_POSE_ITERATIONS = 6  # iterations of a frame between two steps of the shared unknowns
 MAX_REFINEMENT_ROUNDS = 25  # steps of the shared unknowns

@@ -33,8 +33,7 @@ FITTED_SET_NAMES = (
 BODY_HEADING_COUNT = 16  # headings in which a body is placed
 GUESSED_MARKER_SPREAD_M = 0.05  # spread of a marker about its guessed offset
 MIN_CLOUD_MARKERS = 20  # markers visible in one frame; fewer fit a body in many ways
-# Frames to which bodies are fitted, by the quantile of the cloud's height; the tallest frames have raised arms.
-HEIGHT_QUANTILES = (0.5, 0.8, 1.0)
+HEIGHT_QUANTILES = (0.5, 0.8, 1.0)  # of the cloud, of the frames that are fitted; the tallest have raised arms
 MATCHING_ROUNDS = 20  # rounds of assignment and solve
 BODY_SCREENING_ROUNDS = 6  # rounds after which only the best bodies are continued
 CONTINUED_BODIES = 12  # number of these bodies
