@@ -269,11 +269,7 @@ OPTIONAL_FORMATS = {
         usage_note="is binary glTF: metres, Y up.",
     ),
     "amc": OutputFormat(
-        "amc",
-        _write_amc,
-        ("asf",),
-        needs_body=True,
-        usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up.",
+        "amc", _write_amc, ("asf",), needs_body=True, usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up."
     ),
     "npz": OutputFormat("npz", _write_npz),
     "c3d": OutputFormat(

@@ -108,9 +108,7 @@ COMMANDS = {
     "status": run_status,
     "run": run_scene,
 }
-COMMAND_GROUPS = {
-    "marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS),
-}
+COMMAND_GROUPS = {"marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS)}
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
 # The commands that measure and train, with the module of mocapfix.lab that holds them: no other command needs it.
 LAB_COMMANDS = {

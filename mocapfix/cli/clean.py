@@ -89,12 +89,7 @@ def run_clean(
 
 
 def clean_takes(
-    takes: Sequence[Path],
-    output_folder: Path | None,
-    options: CleanOptions,
-    *,
-    overwrite: bool = False,
-    as_json: bool = False,
+    takes: Sequence[Path], output_folder: Path | None, options: CleanOptions, *, overwrite: bool = False, as_json: bool = False
 ) -> int:
     """Clean takes one after the other and print a summary of each; a take that fails does not stop the others.
 

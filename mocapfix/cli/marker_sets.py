@@ -146,8 +146,7 @@ else:
 def run_calibrate(
     takes: TakesArgument,
     output: Annotated[
-        Path,
-        tyro.conf.arg(aliases=["-o"], metavar="SUBJECT.yaml|DIR", help="subject file, or folder for a file for each person"),
+        Path, tyro.conf.arg(aliases=["-o"], metavar="SUBJECT.yaml|DIR", help="subject file, or folder for a file for each person")
     ],
     options: CalibrateArguments,
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",

@@ -265,10 +265,7 @@ def read_amc_motion(path: Path, data: bytes, options: ReadOptions) -> Animation:
 
 
 def read_amc(
-    path: str | Path,
-    data: bytes | None = None,
-    asf_path: str | Path | None = None,
-    options: ReadOptions = DEFAULT_READ_OPTIONS,
+    path: str | Path, data: bytes | None = None, asf_path: str | Path | None = None, options: ReadOptions = DEFAULT_READ_OPTIONS
 ) -> Animation:
     """Read the motion of an AMC, or the rest pose of an ASF as one frame.
 
@@ -350,12 +347,7 @@ def _build_rest_animation(path: Path, data: bytes) -> Animation:
 
 
 def _build_animation(
-    path: Path,
-    skeleton: AsfSkeleton,
-    values: Float[np.ndarray, "T C"],
-    rate: float,
-    notes: tuple[str, ...],
-    first_frame: int,
+    path: Path, skeleton: AsfSkeleton, values: Float[np.ndarray, "T C"], rate: float, notes: tuple[str, ...], first_frame: int
 ) -> Animation:
     """Return the animation of a skeleton with inferred unit and up axis. The values are in the order of its channels."""
     names = tuple(bone.name for bone in skeleton.bones)

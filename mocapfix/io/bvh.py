@@ -456,12 +456,7 @@ def _format_vector(vector: Float[np.ndarray, " 3"], unit_m: float) -> str:
 
 
 def write_bvh(
-    target: Path,
-    skeleton: Skeleton,
-    motion: Motion,
-    rate: float,
-    unit_m: float = CENTIMETRE_M,
-    rotation_order: str = "ZYX",
+    target: Path, skeleton: Skeleton, motion: Motion, rate: float, unit_m: float = CENTIMETRE_M, rotation_order: str = "ZYX"
 ) -> None:
     """Write a motion.
 

@@ -31,12 +31,7 @@ from mocapfix.io.c3d_parameters import (
     read_c3d_parameters,
 )
 from mocapfix.io.conventions import DeclaredConvention, decide_convention
-from mocapfix.io.coordinates import (
-    METRES_PER_UNIT,
-    ROTATIONS_TO_Y_UP,
-    find_valid_points,
-    get_metres_per_unit,
-)
+from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, find_valid_points, get_metres_per_unit
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, choose_rate
 from mocapfix.io.points import (

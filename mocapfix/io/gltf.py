@@ -146,12 +146,7 @@ class GltfBuffer:
         self.data = bytearray(data)
 
     def add_array(
-        self,
-        values: Shaped[np.ndarray, "N ..."],
-        kind: str,
-        target: int | None = None,
-        *,
-        has_bounds: bool = False,
+        self, values: Shaped[np.ndarray, "N ..."], kind: str, target: int | None = None, *, has_bounds: bool = False
     ) -> int:
         """Add an array with one element per row, and return the index of its accessor.
 

@@ -62,10 +62,7 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     if unit is None:
         finite = points[np.isfinite(points)]
         unit = "mm" if len(finite) and np.ptp(finite) > MAX_FILM_SPAN_M else "m"
-        notes = (
-            *rate_notes,
-            f"The file names no unit; {unit} is assumed, from the span of its coordinates.",
-        )
+        notes = (*rate_notes, f"The file names no unit; {unit} is assumed, from the span of its coordinates.")
     unit_m = get_metres_per_unit(unit) if isinstance(unit, str) else None
     if unit_m is None:
         raise ReadError(f"{path}: unit: is {unit!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")

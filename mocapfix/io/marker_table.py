@@ -43,11 +43,7 @@ def find_nonblank_lines(document: TextDocument, start: int, delimiter: str) -> I
 
 
 def parse_fields(
-    document: TextDocument,
-    line_indices: Sequence[int],
-    delimiter: str,
-    decimal_sign: str,
-    field_indices: Int[np.ndarray, " F"],
+    document: TextDocument, line_indices: Sequence[int], delimiter: str, decimal_sign: str, field_indices: Int[np.ndarray, " F"]
 ) -> Float[np.ndarray, "T F"]:
     """Return the numbers in F fields of T lines, NaN where a number is missing or the line ends before the field.
 

@@ -41,10 +41,7 @@ NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the tak
 
 
 def build_body_notes(
-    detected: Detected,
-    body: BodyFit,
-    residual_m: Float[np.ndarray, "T M"],
-    lost_parts: tuple[LostPart, ...],
+    detected: Detected, body: BodyFit, residual_m: Float[np.ndarray, "T M"], lost_parts: tuple[LostPart, ...]
 ) -> list[str]:
     """Return the notes on where the body fits poorly or is unknown.
 
@@ -147,11 +144,7 @@ def _limit_stray_notes(notes: list[str], labels: Sequence[str]) -> list[str]:
 
 
 def describe_lost_part(
-    take: Take,
-    part: LostPart,
-    columns: Int[np.ndarray, " K"],
-    epochs: MarkerEpochs,
-    inlier_mask: Bool[np.ndarray, "T M"],
+    take: Take, part: LostPart, columns: Int[np.ndarray, " K"], epochs: MarkerEpochs, inlier_mask: Bool[np.ndarray, "T M"]
 ) -> str:
     """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
 

@@ -207,10 +207,7 @@ class _RecordingWriter:
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
     def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
-        times = [
-            rr.TimeColumn("time", duration=self.time_s[frames]),
-            rr.TimeColumn("frame", sequence=self.frame_numbers[frames]),
-        ]
+        times = [rr.TimeColumn("time", duration=self.time_s[frames]), rr.TimeColumn("frame", sequence=self.frame_numbers[frames])]
         rr.send_columns(path, times, columns, recording=self.recording)
 
     def log_markers(self, comparison: CleaningComparison) -> None:
@@ -307,9 +304,7 @@ def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
     return rrb.Blueprint(rrb.Horizontal(body, beside, column_shares=[3, 2]), time, collapse_panels=True)
 
 
-def _compute_eye_position(
-    position_world: Float[np.ndarray, "T N 3"],
-) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+def _compute_eye_position(position_world: Float[np.ndarray, "T N 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Return the eye and its target in metres such that all points are in a picture at least as wide as high.
 
     The view is perpendicular to the main direction of travel and slightly from above.

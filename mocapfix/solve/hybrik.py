@@ -394,14 +394,7 @@ def solve_hybrik(
         raise ConstraintError(f"twists must have 1 or {frame_count} frames, not {len(weighted_twists)}.")
     observations = HybrikObservations(points, variance, weighted_twists + [NO_TWIST_INFORMATION, 0.0])
     run_over_frames(
-        solve_hybrik_frames,
-        frame_count,
-        bones,
-        VARIANT_CODES[variant],
-        observations,
-        root.position,
-        local_rotations,
-        reach_error,
+        solve_hybrik_frames, frame_count, bones, VARIANT_CODES[variant], observations, root.position, local_rotations, reach_error
     )
     status = np.select(
         [~root.is_known, reach_error > MAX_REACH_ERROR_M, reach_error < -MAX_REACH_ERROR_M],

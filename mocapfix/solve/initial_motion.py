@@ -109,13 +109,7 @@ def build_rigid_skeleton(skeleton: Skeleton, free_joints: Bool[np.ndarray, " J"]
             carrier_segment[j], position_in_carrier[j] = parent_segment[j], position_in_parent[j]
             axes_in_carrier[j] = parent_axes[j] @ prior.mean_rotations[j]
     return RigidSkeleton(
-        segment_joints,
-        parent_segment,
-        position_in_parent,
-        parent_axes,
-        carrier_segment,
-        position_in_carrier,
-        axes_in_carrier,
+        segment_joints, parent_segment, position_in_parent, parent_axes, carrier_segment, position_in_carrier, axes_in_carrier
     )
 
 

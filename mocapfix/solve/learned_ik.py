@@ -101,12 +101,7 @@ def check_ik_network(network: IkNetwork) -> IkNetwork:
     return network
 
 
-BONE_ENDS = {
-    "LowerBack": "Spine",
-    "Spine": "Spine1",
-    "Neck": "Neck1",
-    "Neck1": "Head",
-} | {
+BONE_ENDS = {"LowerBack": "Spine", "Spine": "Spine1", "Neck": "Neck1", "Neck1": "Head"} | {
     side + name: side + end
     for side in ("Left", "Right")
     for name, end in (

@@ -19,12 +19,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import (
-    INITIAL_DAMPING_RATIO,
-    MIN_COST_DECREASE,
-    compute_cost_frames,
-    solve_frames,
-)
+from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, MIN_COST_DECREASE, compute_cost_frames, solve_frames
 from mocapfix.kernels.schur import eliminate_pose_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.model.motion import PoseUncertainty

@@ -70,12 +70,7 @@ class PoseModelTerm(IteratedTerm):
 
 
 def linearise_model_term(
-    tree: KinematicTree,
-    model: PoseModel,
-    prior_scale: float,
-    scaled_codes: np.ndarray,
-    stiffness: float,
-    batch_rows: np.ndarray,
+    tree: KinematicTree, model: PoseModel, prior_scale: float, scaled_codes: np.ndarray, stiffness: float, batch_rows: np.ndarray
 ) -> LatentCodeTerm:
     """Return a pose model as a term of the kernels, linearised at codes of `prior_scale` times `scaled_codes` (D, P).
 

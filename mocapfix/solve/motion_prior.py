@@ -462,9 +462,7 @@ class GapContext(NamedTuple):
 
 
 def combine_rotations(
-    rotations: Float[np.ndarray, "n L 3 3"],
-    variance: Float[np.ndarray, "n L"],
-    prediction: GapPrediction,
+    rotations: Float[np.ndarray, "n L 3 3"], variance: Float[np.ndarray, "n L"], prediction: GapPrediction
 ) -> tuple[Float[np.ndarray, "n L 3 3"], Float[np.ndarray, "n L"]]:
     """Return an estimate of rotations combined with the prediction of the same joints, and its variance in rad^2."""
     weight = compute_prediction_weight(variance, prediction.variance)

@@ -240,9 +240,7 @@ def solve_motion(
     """
     problem = build_motion_problem(take, subject, body, prior, limits, options)
     start = replace(
-        initial_motion,
-        root_position=initial_motion.root_position.copy(),
-        local_rotations=initial_motion.local_rotations.copy(),
+        initial_motion, root_position=initial_motion.root_position.copy(), local_rotations=initial_motion.local_rotations.copy()
     )
     motion, evidence = solve_changed_frames(problem, start, change_all_frames(take.frame_count))
     return complete_motion(problem, motion, evidence, conditioner)
