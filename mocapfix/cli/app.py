@@ -18,24 +18,10 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
+from mocapfix.cli import console
 from mocapfix.cli.arguments import join_axis_arguments
 from mocapfix.cli.batch import run_batch
 from mocapfix.cli.clean import print_summary, run_clean, run_inspect, run_scene
-from mocapfix.cli.console import (
-    DEBUG_VARIABLE,
-    EXIT_BROKEN_PIPE,
-    EXIT_DONE,
-    EXIT_FAILED,
-    discard_output,
-    flush_output,
-    print_error,
-    print_failure,
-    print_line,
-    print_usage_error,
-    show_progress,
-    stderr_console,
-    stdout_console,
-)
 from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS, run_calibrate, run_label
 from mocapfix.cli.review import run_review, run_status
 from mocapfix.errors import OptionError, ReadError, describe_error
@@ -60,11 +46,11 @@ def run_demo(
     truth, path = compose_take(seed=seed), output_folder / "demo.c3d"
     write_synthetic_take(path, truth)
     frame_count, marker_count = truth.marker_positions.shape[:2]
-    stdout_console.print(
+    console.stdout_console.print(
         f"Wrote {escape(str(path))}: {frame_count / truth.rate:.0f} s of {marker_count} markers, "
         f"{truth.missing_mask.sum()} samples missing."
     )
-    with show_progress(path.name, needs_kernels=True) as progress:
+    with console.show_progress(path.name, needs_kernels=True) as progress:
         result = pipeline.clean(path, progress=progress)
         outputs = result.write(output_folder / "demo.mocapfix", overwrite=True, report_progress=progress)
     table = Table("root mean square error, mm", title="Compared with the known truth", title_justify="left")
@@ -73,10 +59,10 @@ def run_demo(
         table.add_column(method, justify="right")
     for damage in errors_mm["mocapfix"]:
         table.add_row(damage, *(f"{of_method[damage]:.1f}" for of_method in errors_mm.values()))
-    stdout_console.print(table)
+    console.stdout_console.print(table)
     print_summary(json.loads(outputs["report.json"].read_text(encoding="utf-8")), outputs)
-    print_line(f"  To see the recording: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
-    return EXIT_DONE
+    console.print_line(f"  To see the recording: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
+    return console.EXIT_DONE
 
 
 def run_view(
@@ -91,7 +77,7 @@ def run_view(
     done = subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *map(str, files)], check=False)
     if done.returncode:
         raise ReadError(f"{files[0]}: rerun could not show it (exit {done.returncode}); check that this machine has a display.")
-    return EXIT_DONE
+    return console.EXIT_DONE
 
 
 DEBUG_FLAG = "--debug"
@@ -125,20 +111,20 @@ def _stop(_number: int, _frame: FrameType | None) -> None:
 def run_command_line(arguments: list[str] | None = None) -> None:
     """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage, 141 broken pipe."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    os.environ[DEBUG_VARIABLE] = "1" if DEBUG_FLAG in arguments else os.environ.get(DEBUG_VARIABLE, "")
+    os.environ[console.DEBUG_VARIABLE] = "1" if DEBUG_FLAG in arguments else os.environ.get(console.DEBUG_VARIABLE, "")
     arguments = join_axis_arguments(each for each in arguments if each != DEBUG_FLAG)
     if arguments[:2] == ["bench", "--baseline"]:
         arguments = ["bench", "baseline", *arguments[2:]]
     try:
         status = run_command(arguments)
-        flush_output()
+        console.flush_output()
     except BrokenPipeError:
-        discard_output()
-        status = EXIT_BROKEN_PIPE
+        console.discard_output()
+        status = console.EXIT_BROKEN_PIPE
     except OSError as error:  # the output cannot be written: a full disk
-        print_error(f"The output cannot be written ({error.strerror}).")
-        discard_output()
-        status = EXIT_FAILED
+        console.print_error(f"The output cannot be written ({error.strerror}).")
+        console.discard_output()
+        status = console.EXIT_FAILED
     raise SystemExit(status)
 
 
@@ -165,16 +151,16 @@ def run_command(arguments: list[str]) -> int:
             args=arguments,
         )
     except SystemExit as end:  # help, or wrong usage
-        return end.code if isinstance(end.code, int) else EXIT_DONE
+        return end.code if isinstance(end.code, int) else console.EXIT_DONE
     except OptionError as error:
-        return print_usage_error(describe_error(error))
+        return console.print_usage_error(describe_error(error))
     except KeyboardInterrupt:
-        stderr_console.print("Stopped; no file was left incomplete.")
+        console.stderr_console.print("Stopped; no file was left incomplete.")
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and error.name in LAB_PACKAGES:
             command = " ".join(arguments[:2])
-            print_error(f"mocapfix {command} needs {error.name}; install it with: pip install 'mocapfix[train]'.")
-            return EXIT_FAILED
+            console.print_error(f"mocapfix {command} needs {error.name}; install it with: pip install 'mocapfix[train]'.")
+            return console.EXIT_FAILED
         files = [each for each in arguments if Path(each).is_file()]
-        print_failure(error, files[0] if len(files) == 1 else f"mocapfix {' '.join(arguments[:1])}")
-    return EXIT_FAILED
+        console.print_failure(error, files[0] if len(files) == 1 else f"mocapfix {' '.join(arguments[:1])}")
+    return console.EXIT_FAILED

@@ -26,24 +26,9 @@ import numpy as np
 from jaxtyping import Int
 
 from mocapfix.errors import ReadError, format_name_list
+from mocapfix.io import marker_table
 from mocapfix.io.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.io.frame_rate import FrameTimes, find_frames, parse_time
-from mocapfix.io.marker_table import (
-    MAX_INSPECTED_LINES,
-    MISSING_TEXTS,
-    MarkerTable,
-    build_take,
-    check_decimal_commas,
-    check_frame_count,
-    find_names_line,
-    find_nonblank_lines,
-    find_xyz_triples,
-    parse_fields,
-    parse_times,
-    parse_unit,
-    parse_unit_or_default,
-    read_marker_table,
-)
 from mocapfix.io.points import is_unlabelled
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import ReadOptions
@@ -92,14 +77,16 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         raise document.build_error(
             header_index, "the coordinates are local to rigid bodies; export it with Coordinate Space Global."
         )
-    axes_index = find_names_line(document, "columns")
+    axes_index = marker_table.find_names_line(document, "columns")
     columns = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
-    line_indices = list(find_nonblank_lines(document, axes_index + 1, delimiter))
-    check_decimal_commas(document, line_indices, delimiter, len(document.split_cells(axes_index, delimiter)))
-    unit_m, unit_notes = parse_unit_or_default(document, header_index, options.unit or header.get("length units", ""), "m")
+    line_indices = list(marker_table.find_nonblank_lines(document, axes_index + 1, delimiter))
+    marker_table.check_decimal_commas(document, line_indices, delimiter, len(document.split_cells(axes_index, delimiter)))
+    unit_m, unit_notes = marker_table.parse_unit_or_default(
+        document, header_index, options.unit or header.get("length units", ""), "m"
+    )
     rate = header.get("export frame rate") or header.get("capture frame rate", "")
-    return read_marker_table(
-        MarkerTable(
+    return marker_table.read_marker_table(
+        marker_table.MarkerTable(
             document=document,
             delimiter=delimiter,
             line_indices=line_indices,
@@ -141,19 +128,19 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     points = np.array([[row.get(label, missing) for label in labels] for row in marker_rows]).reshape(len(line_indices), -1, 3)
     if "lefthanded" in row_types:
         points[..., 2] *= -1
-    frame_numbers = parse_fields(document, line_indices, ",", ".", np.array([FRAME_FIELD]))[:, 0]
+    frame_numbers = marker_table.parse_fields(document, line_indices, ",", ".", np.array([FRAME_FIELD]))[:, 0]
     frames = find_frames(
         lambda row, sentence: document.build_error(line_indices[row], sentence),
         lambda sentence: document.build_error(line_indices[-1], sentence),
         len(line_indices),
         stated_rate="",
-        times=FrameTimes(parse_times(document, line_indices, ",", TIME_FIELD), 1.0),
+        times=FrameTimes(marker_table.parse_times(document, line_indices, ",", TIME_FIELD), 1.0),
         frame_numbers=frame_numbers,
         options=options,
     )
     info = [document.split_cells(index, ",") for index, row_type in enumerate(row_types) if row_type == "info"]
     declared = next((row[2] for row in info if row[1:2] == ["framecount"] and len(row) > 2), "")
-    return build_take(
+    return marker_table.build_take(
         path,
         frames.spread_rows(points),
         labels,
@@ -163,7 +150,7 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         layout=TableLayout(document.encoding, document.newline, ",", ".", unit_m=MOTIVE_ROWS_UNIT_M),
         default_up_axis="Y",
         options=options,
-        notes=(*frames.notes, *check_frame_count(declared, len(line_indices))),
+        notes=(*frames.notes, *marker_table.check_frame_count(declared, len(line_indices))),
     )
 
 
@@ -182,7 +169,7 @@ def _find_marker_columns(document: TextDocument, start: int, axes_index: int, de
         raise document.build_error(axes_index, f"{problem}; export it with its header.")
     axes = document.split_cells(axes_index, delimiter)
     types, names = ([*row, *[""] * (len(axes) - len(row))] for row in header_rows[:2])
-    triples = [(i, types[i].lower(), names[i]) for i in find_xyz_triples(axes)]
+    triples = [(i, types[i].lower(), names[i]) for i in marker_table.find_xyz_triples(axes)]
     markers = [triple for triple in triples if triple[1] == MARKER_TYPE]
     expected = [triple for triple in triples if triple[1].endswith(" marker")]
     if not markers and not expected:
@@ -253,25 +240,25 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     axes_index, delimiter = _find_axes_line(document, start)
     names, axes = document.split_cells(axes_index - 1, delimiter), document.split_cells(axes_index, delimiter)
     names += [""] * (len(axes) - len(names))
-    first_fields = [i for i in find_xyz_triples(axes) if names[i]]
+    first_fields = [i for i in marker_table.find_xyz_triples(axes) if names[i]]
     if not first_fields:
         raise document.build_error(axes_index - 1, "names no markers; export the trajectories with their labels.")
     units = _read_units(document, axes_index + 1, delimiter)
     line_indices = _find_section_lines(document, axes_index + 1 + (units is not None), delimiter, sections)
     if not line_indices:
         raise document.build_error(axes_index, "no frames follow; export the trial again.")
-    check_decimal_commas(document, line_indices, delimiter, len(axes))
+    marker_table.check_decimal_commas(document, line_indices, delimiter, len(axes))
     unit = next((cell for cell in (units or [])[first_fields[0] :] if cell), "mm")
     rate = re.sub(r"[^\d.]+.*", "", document.split_cells(start + 1, delimiter)[0])
-    return read_marker_table(
-        MarkerTable(
+    return marker_table.read_marker_table(
+        marker_table.MarkerTable(
             document=document,
             delimiter=delimiter,
             line_indices=line_indices,
             frame_field=0,
             field_indices=np.array(first_fields)[:, None] + np.arange(3),
             labels=[names[i] for i in first_fields],
-            unit_m=parse_unit(document, axes_index + 1, options.unit or unit),
+            unit_m=marker_table.parse_unit(document, axes_index + 1, options.unit or unit),
             rate_text=rate,
             rate_line=start + 1,
         ),
@@ -361,15 +348,15 @@ def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
     has_column_names = body < len(document.lines) and any(
         cell.strip().upper().endswith("X") for cell in document.split_cells(body, TAB)
     )
-    line_indices = list(find_nonblank_lines(document, body + has_column_names, TAB))
+    line_indices = list(marker_table.find_nonblank_lines(document, body + has_column_names, TAB))
     frequency = header.get("FREQUENCY", _HeaderValue(names_index, [""]))
     first_field, frame_field = _find_first_field(
         document, body, line_indices, has_column_names, 3 * len(labels), frequency.values[0]
     )
     if frame_field is None:  # a line of tabs only is a frame without visible markers
         line_indices = [index for index in range(body + has_column_names, len(document.lines)) if document.get_line(index)]
-    return read_marker_table(
-        MarkerTable(
+    return marker_table.read_marker_table(
+        marker_table.MarkerTable(
             document=document,
             delimiter=TAB,
             line_indices=line_indices,
@@ -394,7 +381,7 @@ def _parse_header(document: TextDocument) -> tuple[dict[str, _HeaderValue], int]
     header: dict[str, _HeaderValue] = {}
     for index in range(document.find_first_line(), len(document.lines)):
         key, *values = document.split_cells(index, TAB)
-        is_missing = key.lower() in MISSING_TEXTS
+        is_missing = key.lower() in marker_table.MISSING_TEXTS
         if (values and "MARKER_NAMES" in header) if is_missing else not KEY_PATTERN.fullmatch(key):
             return header, index
         if not is_missing:
@@ -413,7 +400,7 @@ def _find_first_field(
     if has_column_names:
         cells = [cell.upper() for cell in document.split_cells(body, TAB)]
         return next(i for i, cell in enumerate(cells) if cell.endswith("X")), 0 if cells[0] == "FRAME" else None
-    inspected = line_indices[:MAX_INSPECTED_LINES]
+    inspected = line_indices[: marker_table.MAX_INSPECTED_LINES]
     if len(inspected) < 2:
         return 0, None
     rows = [[*document.split_cells(i, TAB), ""] for i in inspected]

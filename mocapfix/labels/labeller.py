@@ -11,38 +11,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Int
 
-from mocapfix.labels.body_search import (
-    MIN_LOST_MARKERS,
-    PROPAGATION_GATE_M,
-    ExtendedBody,
-    PropagatedLabels,
-    build_set_body,
-    compute_body_cost,
-    extend_body,
-    find_limb_frame,
-    predict_in_posed_frames,
-    propagate_labels,
-    scale_nominal_subject,
-    search_body,
-    search_limb,
-    select_extension_frames,
-    select_key_frames,
-)
+from mocapfix.labels import body_search, tracklets
 from mocapfix.labels.set_comparison import add_optional_markers, measure_marker_evidence
-from mocapfix.labels.tracklets import (
-    PointLabels,
-    SampledPoints,
-    UnlabelledPoints,
-    assign_tracklets,
-    compute_label_confidence,
-    compute_max_distances,
-    label_nothing,
-    label_points_of_tracklets,
-    measure_durations,
-    measure_tracklets,
-    sample_points,
-    select_lasting_tracklets,
-)
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
 from mocapfix.subject.average_body import build_posed_body
@@ -57,7 +27,9 @@ MIN_LOST_TRACKLET_S = 0.4  # duration of an unlabelled tracklet that may be a lo
 MAX_LIMB_SEARCHES = 6  # frames in which limbs are searched for
 
 
-def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None) -> PointLabels:
+def label_points(
+    points: tracklets.UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None
+) -> tracklets.PointLabels:
     """Return the marker of each point.
 
     Args:
@@ -65,48 +37,52 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
         marker_set: The person's markers. Its optional markers are looked for once all others have their labels.
         subject: The person, if known; with the markers of the set in this order.
     """
-    sampled = sample_points(points)
+    sampled = tracklets.sample_points(points)
     searched = marker_set.select_markers(marker_set.required_labels)
     known = subject.select_markers(searched.labels) if subject else None
-    lasting = select_lasting_tracklets(sampled)
+    lasting = tracklets.select_lasting_tracklets(sampled)
     start = find_labelled_body(lasting, searched, known)
     if start is None:
-        return label_nothing(points)
+        return tracklets.label_nothing(points)
     evidence = np.inf if subject else measure_marker_evidence(lasting, start, searched).per_marker
-    nominal = None if subject else scale_nominal_subject(start.body.subject, searched)
-    labels = recover_limbs(sampled, propagate_labels(sampled, start, nominal))
+    nominal = None if subject else body_search.scale_nominal_subject(start.body.subject, searched)
+    labels = recover_limbs(sampled, body_search.propagate_labels(sampled, start, nominal))
     if nominal is not None:
         labels = reconsider_labels(sampled, labels, nominal)
-    confidence = compute_label_confidence(sampled, labels.markers, labels.distances)
+    confidence = tracklets.compute_label_confidence(sampled, labels.markers, labels.distances)
     indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
     markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
     if len(searched.labels) < len(marker_set.labels):
-        all_markers = subject or scale_nominal_subject(labels.body.subject, marker_set)
+        all_markers = subject or body_search.scale_nominal_subject(labels.body.subject, marker_set)
         markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
-    predicted = predict_in_posed_frames(labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
-    labelled = label_points_of_tracklets(points, sampled, predicted, markers, confidence)
+    predicted = body_search.predict_in_posed_frames(
+        labels, subject or body_search.scale_nominal_subject(labels.body.subject, marker_set)
+    )
+    labelled = tracklets.label_points_of_tracklets(points, sampled, predicted, markers, confidence)
     return replace(labelled, evidence_per_marker=evidence)
 
 
-def recover_limbs(sampled: SampledPoints, labels: PropagatedLabels) -> PropagatedLabels:
+def recover_limbs(sampled: tracklets.SampledPoints, labels: body_search.PropagatedLabels) -> body_search.PropagatedLabels:
     """Return the labels with those of limbs whose trajectories all broke at once."""
-    is_candidate = measure_durations(sampled) >= MIN_LOST_TRACKLET_S
+    is_candidate = tracklets.measure_durations(sampled) >= MIN_LOST_TRACKLET_S
     for _ in range(MAX_LIMB_SEARCHES):
-        frame = find_limb_frame(sampled, labels, is_candidate & (labels.markers < 0))
+        frame = body_search.find_limb_frame(sampled, labels, is_candidate & (labels.markers < 0))
         if frame < 0:
             break
-        markers = search_limb(sampled, labels, frame, is_candidate)
+        markers = body_search.search_limb(sampled, labels, frame, is_candidate)
         is_new = (markers >= 0) & (labels.markers < 0)
-        if is_new.sum() >= MIN_LOST_MARKERS:
-            start = ExtendedBody(labels.body, markers, 0.0, np.flatnonzero(labels.is_posed))
-            recovered = propagate_labels(sampled, start, None)
+        if is_new.sum() >= body_search.MIN_LOST_MARKERS:
+            start = body_search.ExtendedBody(labels.body, markers, 0.0, np.flatnonzero(labels.is_posed))
+            recovered = body_search.propagate_labels(sampled, start, None)
             if (recovered.markers >= 0).sum() > (labels.markers >= 0).sum():
                 labels = recovered
         is_candidate[sampled.tracklets[frame][sampled.tracklets[frame] >= 0]] = False
     return labels
 
 
-def reconsider_labels(sampled: SampledPoints, labels: PropagatedLabels, nominal: Subject) -> PropagatedLabels:
+def reconsider_labels(
+    sampled: tracklets.SampledPoints, labels: body_search.PropagatedLabels, nominal: Subject
+) -> body_search.PropagatedLabels:
     """Return the labels, or others that the places of the markers in the set suggest if the body fits better with them.
 
     Labels that were exchanged from the beginning, such as those of a wrist and a hand, are where the offsets adapted to the wrong
@@ -116,47 +92,52 @@ def reconsider_labels(sampled: SampledPoints, labels: PropagatedLabels, nominal:
         labels: The labels with a body that is adapted to the take.
         nominal: The subject with the marker offsets of the set.
     """
-    squared = measure_tracklets(sampled, predict_in_posed_frames(labels, nominal), PROPAGATION_GATE_M).squared_m2
-    suggested = assign_tracklets(sampled, squared, compute_max_distances(sampled))
+    squared = tracklets.measure_tracklets(
+        sampled, body_search.predict_in_posed_frames(labels, nominal), body_search.PROPAGATION_GATE_M
+    ).squared_m2
+    suggested = tracklets.assign_tracklets(sampled, squared, tracklets.compute_max_distances(sampled))
     is_other = (suggested != labels.markers) & (suggested >= 0)
-    if measure_durations(sampled)[is_other].sum() < MIN_RECONSIDERED_S:
+    if tracklets.measure_durations(sampled)[is_other].sum() < MIN_RECONSIDERED_S:
         return labels
-    start = ExtendedBody(labels.body.change_subject(nominal), suggested, 0.0, np.flatnonzero(labels.is_posed))
-    others = propagate_labels(sampled, start, nominal)
+    start = body_search.ExtendedBody(labels.body.change_subject(nominal), suggested, 0.0, np.flatnonzero(labels.is_posed))
+    others = body_search.propagate_labels(sampled, start, nominal)
     if (others.markers == labels.markers).all():
         return labels
-    frames = select_extension_frames(sampled, np.maximum(labels.markers, others.markers))
+    frames = body_search.select_extension_frames(sampled, np.maximum(labels.markers, others.markers))
     part = sampled.select_frames(frames)
 
-    def compute_cost(each: PropagatedLabels) -> float:
-        return compute_body_cost(part, each.markers, each.body, nominal)
+    def compute_cost(each: body_search.PropagatedLabels) -> float:
+        return body_search.compute_body_cost(part, each.markers, each.body, nominal)
 
     return min((labels, others), key=compute_cost)
 
 
-def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
+def find_labelled_body(
+    sampled: tracklets.SampledPoints, marker_set: MarkerSet, subject: Subject | None
+) -> body_search.ExtendedBody | None:
     """Return the best body in a few frames of the take; None if the points show neither a body nor a part of one."""
-    body = build_posed_body(subject) if subject else build_set_body(marker_set)
+    body = build_posed_body(subject) if subject else body_search.build_set_body(marker_set)
     candidates: list[tuple[float, np.ndarray]] = []
-    frames, height_m = select_key_frames(sampled)
+    frames, height_m = body_search.select_key_frames(sampled)
     if not subject:
         body = body.fit_height(height_m)
     for frame in frames:
         visible = np.flatnonzero(sampled.tracklets[frame] >= 0)
-        for found in search_body(sampled.positions[frame, visible], body)[:BODIES_PER_KEY_FRAME]:
+        for found in body_search.search_body(sampled.positions[frame, visible], body)[:BODIES_PER_KEY_FRAME]:
             markers = np.full(sampled.tracklet_count, -1)
             markers[sampled.tracklets[frame, visible]] = found.markers
             candidates.append((found.cost, markers))
     candidates.sort(key=lambda candidate: candidate[0])
     extended = [
-        extend_body(sampled, markers, body, None if subject else marker_set) for _, markers in candidates[:MAX_EXTENDED_BODIES]
+        body_search.extend_body(sampled, markers, body, None if subject else marker_set)
+        for _, markers in candidates[:MAX_EXTENDED_BODIES]
     ]
     best = min(extended, key=lambda each: each.cost, default=None)
     found = {marker_set.labels[k] for k in set(best.markers.tolist()) - {-1}} if best else set[str]()
     return best if best and not marker_set.describe_missing_body(found) else None
 
 
-PersonLabeller = Callable[[UnlabelledPoints, MarkerSet], PointLabels]
+PersonLabeller = Callable[[tracklets.UnlabelledPoints, MarkerSet], tracklets.PointLabels]
 
 MIN_PERSON_SHARE = 0.6  # share of the markers of the set that another person has at least
 POINT_COUNT_QUANTILE = 0.9  # quantile over the frames of the number of points
@@ -165,7 +146,9 @@ MAX_PROXIMITY_FRAMES = 60  # frames in which the distance of a tracklet from eac
 NEAREST_POINT_COUNT = 3  # labelled points of a person to which that distance is measured
 
 
-def label_people(points: UnlabelledPoints, marker_set: MarkerSet, label_person: PersonLabeller) -> PointLabels:
+def label_people(
+    points: tracklets.UnlabelledPoints, marker_set: MarkerSet, label_person: PersonLabeller
+) -> tracklets.PointLabels:
     """Return the marker of each point, and to whom it belongs if there are several people with the markers of a set.
 
     `label_person` labels one person among any number of other points (`labeller.label_points`).
@@ -189,36 +172,38 @@ def label_people(points: UnlabelledPoints, marker_set: MarkerSet, label_person: 
         markers[is_own], confidence[is_own] = labels.marker_indices[is_own], labels.confidence[is_own]
         subjects[is_own & (labels.marker_indices >= 0)] = n
         evidence = min(evidence, labels.evidence_per_marker)
-    return PointLabels(markers, confidence, subjects, evidence)
+    return tracklets.PointLabels(markers, confidence, subjects, evidence)
 
 
-def separate_people(labels: PointLabels, marker_labels: tuple[str, ...]) -> tuple[PointLabels, tuple[str, ...]]:
+def separate_people(
+    labels: tracklets.PointLabels, marker_labels: tuple[str, ...]
+) -> tuple[tracklets.PointLabels, tuple[str, ...]]:
     """Return the labels of several people as those of one list of markers, and this list: P1:LFHD and so on."""
     if not labels.subject_indices.size:
         return labels, marker_labels
     count = int(labels.subject_indices.max()) + 1
     indices = np.where(labels.marker_indices >= 0, labels.subject_indices * len(marker_labels) + labels.marker_indices, -1)
-    single = PointLabels(indices, labels.confidence, evidence_per_marker=labels.evidence_per_marker)
+    single = tracklets.PointLabels(indices, labels.confidence, evidence_per_marker=labels.evidence_per_marker)
     return single, tuple(f"P{n + 1}:{label}" for n in range(count) for label in marker_labels)
 
 
-def assign_to_people(points: UnlabelledPoints, masks: list[Bool[np.ndarray, "T C"]]) -> Int[np.ndarray, "T C"]:
+def assign_to_people(points: tracklets.UnlabelledPoints, masks: list[Bool[np.ndarray, "T C"]]) -> Int[np.ndarray, "T C"]:
     """Return the person of each point, -1 where there is no point.
 
     Args:
         masks: The labelled points of each person. A tracklet belongs to whom most of them are, or else to the nearest person.
     """
-    tracklets = points.tracklet_indices
-    counts = np.stack([np.bincount(tracklets[mask & (tracklets >= 0)], minlength=points.tracklet_count) for mask in masks])
+    of_point = points.tracklet_indices
+    counts = np.stack([np.bincount(of_point[mask & (of_point >= 0)], minlength=points.tracklet_count) for mask in masks])
     person = counts.argmax(0)
-    order = np.argsort(tracklets, axis=None, kind="stable")
-    starts = np.searchsorted(tracklets.ravel()[order], np.arange(points.tracklet_count + 1))
+    order = np.argsort(of_point, axis=None, kind="stable")
+    starts = np.searchsorted(of_point.ravel()[order], np.arange(points.tracklet_count + 1))
     for n in np.flatnonzero(counts.sum(0) == 0):
         places = order[starts[n] : starts[n + 1]]
         places = places[np.unique(np.linspace(0, len(places) - 1, MAX_PROXIMITY_FRAMES).astype(int))]
-        frames, columns = np.unravel_index(places, tracklets.shape)
+        frames, columns = np.unravel_index(places, of_point.shape)
         person[n] = int(np.argmin([_measure_distance(points.positions, frames, columns, mask) for mask in masks]))
-    return np.append(person, -1)[tracklets]
+    return np.append(person, -1)[of_point]
 
 
 def _measure_distance(

@@ -21,23 +21,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import FEET_OFF, NO_TRAINED_PRIOR, CleanOptions
 from mocapfix.report import notes
-from mocapfix.report.report import (
-    ContactSection,
-    ErrorSummary,
-    FaultEntry,
-    FillSection,
-    GaitEntry,
-    GaitEventEntry,
-    InspectionReport,
-    JointContactEntry,
-    LeftEmptyEntry,
-    Report,
-    RigidGroupEntry,
-    SolveSection,
-    SubjectSection,
-    TakeSection,
-    UnfilledEntry,
-)
+from mocapfix.report import report as json_report
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.solve.motion_solver import PREVIEW_NOTE
@@ -49,7 +33,7 @@ SOURCE_NAMES = {"force plate": "its force plate", "file": "the file", "markers":
 MAX_FLOOR_ERROR_M = 0.03  # difference between the floor's height and the one that motion files assume above which a note names it
 
 
-def build_contact_section(contacts: BodyContacts, take: Take) -> ContactSection:
+def build_contact_section(contacts: BodyContacts, take: Take) -> json_report.ContactSection:
     """Return the section on the contacts in a take, whose frame numbers it has."""
     floor = contacts.floor
     return {
@@ -79,7 +63,7 @@ def build_contact_section(contacts: BodyContacts, take: Take) -> ContactSection:
     }
 
 
-def _build_event_entry(event: GaitEvent, rate: float, take: Take) -> GaitEventEntry:
+def _build_event_entry(event: GaitEvent, rate: float, take: Take) -> json_report.GaitEventEntry:
     return {
         "side": event.side,
         "event": event.kind,
@@ -89,7 +73,7 @@ def _build_event_entry(event: GaitEvent, rate: float, take: Take) -> GaitEventEn
     }
 
 
-def _build_joint_entry(contacts: BodyContacts, joint: str) -> JointContactEntry:
+def _build_joint_entry(contacts: BodyContacts, joint: str) -> json_report.JointContactEntry:
     column = contacts.joints.index(joint)
     is_contact, is_known = contacts.is_contact[:, column], contacts.is_known[:, column]
     intervals, count = contacts.list_intervals(joint), int(is_contact.sum())
@@ -102,7 +86,7 @@ def _build_joint_entry(contacts: BodyContacts, joint: str) -> JointContactEntry:
     }
 
 
-def build_gait_entry(events: Sequence[GaitEvent]) -> GaitEntry:
+def build_gait_entry(events: Sequence[GaitEvent]) -> json_report.GaitEntry:
     """Return the number of strikes and steps, and the cadence."""
     strikes = sorted((event for event in events if event.kind == "foot strike"), key=lambda event: event.time_s)
     shortest_s, longest_s = STEP_TIME_RANGE_S
@@ -165,9 +149,9 @@ def _describe_event_disagreements(contacts: BodyContacts) -> list[str]:
     ]
 
 
-def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | None = None) -> TakeSection:
+def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | None = None) -> json_report.TakeSection:
     """Return the section on the input; `marker_set` is None if none matches, `cleaned_take` before a take is cleaned."""
-    section: TakeSection = {
+    section: json_report.TakeSection = {
         "file": take.path.name if take.path else take.name,
         "frames": take.frame_count,
         "first_frame": take.first_frame,
@@ -197,13 +181,13 @@ def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | 
     return section
 
 
-def build_fault_entries(take: Take, faults: Faults) -> list[FaultEntry]:
+def build_fault_entries(take: Take, faults: Faults) -> list[json_report.FaultEntry]:
     """Return the entries of all faults, with the labels and frame numbers of `take`."""
     return [_build_fault_entry(take, fault) for fault in faults.items]
 
 
-def _build_fault_entry(take: Take, fault: Fault) -> FaultEntry:
-    entry: FaultEntry = {
+def _build_fault_entry(take: Take, fault: Fault) -> json_report.FaultEntry:
+    entry: json_report.FaultEntry = {
         "kind": fault.kind,
         "marker": take.get_label(fault.marker),
         "first": take.get_frame_number(fault.first),
@@ -223,12 +207,12 @@ def _round_or_none(value: float, digits: int) -> float | None:
 
 def build_inspection_report(
     take: Take, marker_set: str | None, fault_take: Take, faults: Faults, notes: list[str]
-) -> InspectionReport:
+) -> json_report.InspectionReport:
     """Return the report of a take that was inspected only."""
     return {"take": build_take_section(take, marker_set), "faults": build_fault_entries(fault_take, faults), "notes": notes}
 
 
-def build_subject_section(subject: Subject) -> SubjectSection:
+def build_subject_section(subject: Subject) -> json_report.SubjectSection:
     lengths, is_solved = np.linalg.norm(subject.skeleton.offsets, axis=1), subject.solved_joints
     has_length = (lengths > 0) & is_solved & is_solved[subject.skeleton.parents]
     return {
@@ -249,7 +233,7 @@ def build_solve_section(
     start_name: str,
     *,
     lost_parts: Sequence[LostPart] = (),
-) -> SolveSection:
+) -> json_report.SolveSection:
     """Return the section on the solve."""
     compared = np.flatnonzero(~np.isnan(residual_m).all(0))
     repeated = {label for label, count in Counter(take.labels).items() if count > 1}
@@ -274,7 +258,7 @@ def build_solve_section(
     }
 
 
-def _summarise_errors(error_m: Float[np.ndarray, "*shape"]) -> ErrorSummary:
+def _summarise_errors(error_m: Float[np.ndarray, "*shape"]) -> json_report.ErrorSummary:
     """Return the mean and the 95th percentile in millimetres; NaN samples are ignored."""
     known = error_m[~np.isnan(error_m)] * 1e3
     if len(known) == 0:
@@ -288,7 +272,7 @@ def build_fill_section(
     cleaned_take: Take,
     unfilled_runs: Sequence[UnfilledRun],
     fragment_donors: Collection[int] = (),
-) -> FillSection:
+) -> json_report.FillSection:
     """Return the numbers of filled, replaced, relabelled and empty samples.
 
     Args:
@@ -301,7 +285,7 @@ def build_fill_section(
     estimated = np.zeros(input_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
     visible = relabelled_take.visible
     relabelled = cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points)
-    unfilled: list[UnfilledEntry] = [
+    unfilled: list[json_report.UnfilledEntry] = [
         {
             "marker": input_take.labels[run.marker],
             "first": input_take.get_frame_number(run.first),
@@ -314,7 +298,7 @@ def build_fill_section(
     reasons: dict[str, Counter[str]] = {}
     for run in unfilled:
         reasons.setdefault(run["marker"], Counter())[run["reason"]] += run["last"] - run["first"] + 1
-    left: list[LeftEmptyEntry] = [
+    left: list[json_report.LeftEmptyEntry] = [
         {"marker": marker, "samples": each.total(), "reasons": dict(each.most_common())} for marker, each in reasons.items()
     ]
     return {
@@ -335,7 +319,7 @@ def build_report(
     decided: Decided,
     options: CleanOptions,
     stage_seconds: dict[str, float],
-) -> Report:
+) -> json_report.Report:
     """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
 
     Args:
@@ -366,13 +350,13 @@ def build_report(
         body_notes += describe_contacts(standing.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:
         body_notes.append(notes.NO_PREVIEW_NOTE)
-    rigid_groups: list[RigidGroupEntry] = []
+    rigid_groups: list[json_report.RigidGroupEntry] = []
     for group in decided.filled.rigid_groups:
         markers = dict.fromkeys(detected.epochs.column_marker[list(group.markers)].tolist())
         labels = [take.labels[m] for m in markers]
         rigid_groups.append({"name": group.name, "markers": labels, "spread_mm": round(group.spread_m * 1e3, 2)})
     marker_set = subject.marker_set
-    report: Report = {
+    report: json_report.Report = {
         "take": build_take_section(take, marker_set.name if marker_set else None, decided.take),
         "faults": build_fault_entries(take, detected.faults),
         "changes": serialize_changes(decided.changes),

@@ -23,20 +23,7 @@ from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
-from mocapfix.review.take_files import (
-    CleanedTake,
-    DecisionStore,
-    TakeView,
-    determine_state,
-    find_cleaned_takes,
-    find_takes_of_one_file,
-    hash_changes,
-    load_take_view,
-    read_approval,
-    read_cleaned_take,
-    withdraw_approval,
-    write_approval,
-)
+from mocapfix.review import take_files
 
 MAX_MESSAGE_LENGTH = 1000
 END_LIMIT_S = 5.0
@@ -101,7 +88,7 @@ class CleaningRun:
 
 
 def build_clean_command(
-    take: CleanedTake, subjects: Sequence[CleanedTake], formats: Sequence[str], rigs: Sequence[str]
+    take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake], formats: Sequence[str], rigs: Sequence[str]
 ) -> list[str]:
     """Return the command that cleans a take again in its folder, with the changes files of all its subjects.
 
@@ -120,7 +107,7 @@ def build_clean_command(
     return [*command, "--out", ".", "--overwrite"]
 
 
-def explain_why_not(take: CleanedTake) -> str:
+def explain_why_not(take: take_files.CleanedTake) -> str:
     """Return why a take cannot be cleaned again from here; "" if it can."""
     if not take.arguments:
         return "The report does not say how the take was cleaned; clean it once more on the command line."
@@ -139,22 +126,22 @@ class OpenTake:
         subjects: The takes that are cleaned together with it, itself among them.
     """
 
-    def __init__(self, take: CleanedTake, subjects: Sequence[CleanedTake]) -> None:
+    def __init__(self, take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake]) -> None:
         self.take, self.subjects = take, subjects
         self.lock = threading.RLock()
         self.status = RunStatus()
-        self.store = DecisionStore(take.changes_path, self._check_correction)
-        self._view: TakeView | None = None
-        self._before_run: tuple[TakeView, list[str]] | None = None
+        self.store = take_files.DecisionStore(take.changes_path, self._check_correction)
+        self._view: take_files.TakeView | None = None
+        self._before_run: tuple[take_files.TakeView, list[str]] | None = None
         self._difference: dict[str, Any] | None = None
         self._run: CleaningRun | None = None
 
     @property
-    def view(self) -> TakeView:
+    def view(self) -> take_files.TakeView:
         """What the page shows. Raises ReadError."""
         with self.lock:
             if self._view is None:
-                self._view = load_take_view(self.take, self.store.file.changes)
+                self._view = take_files.load_take_view(self.take, self.store.file.changes)
             return self._view
 
     @property
@@ -240,12 +227,12 @@ class OpenTake:
         with self.lock:
             self.check_not_running()
             self.store.refresh()
-            write_approval(self.take, name)
+            take_files.write_approval(self.take, name)
             return self._describe_state()
 
     def withdraw(self) -> dict[str, Any]:
         with self.lock:
-            withdraw_approval(self.take)
+            take_files.withdraw_approval(self.take)
             return self._describe_state()
 
     def start_cleaning(self, formats: Sequence[str], rigs: Sequence[str], report: Callable[[RunStatus], None]) -> RunStatus:
@@ -283,9 +270,9 @@ class OpenTake:
         """Read the new outputs, and find what differs from those before."""
         root = self.take.folder
         try:
-            self.take = replace(read_cleaned_take(root, root, self.take.stem), id=self.take.id)
-            self.store = DecisionStore(self.take.changes_path, self._check_correction)
-            self._view = load_take_view(self.take, self.store.file.changes)
+            self.take = replace(take_files.read_cleaned_take(root, root, self.take.stem), id=self.take.id)
+            self.store = take_files.DecisionStore(self.take.changes_path, self._check_correction)
+            self._view = take_files.load_take_view(self.take, self.store.file.changes)
         except Exception as error:
             self._view = None
             return RunStatus("failed", message=f"The take was cleaned, but its outputs cannot be shown: {error}")
@@ -311,9 +298,9 @@ class OpenTake:
 
     def _describe_state(self) -> dict[str, Any]:
         """Return how far the review is, and its approval."""
-        approval, revision = read_approval(self.take), self.store.revision
+        approval, revision = take_files.read_approval(self.take), self.store.revision
         entry = approval and {"name": approval.name, "date": approval.date, "is_current": approval.changes_sha256 == revision}
-        return {"approval": entry, "state": determine_state(self.store.file, approval, revision)}
+        return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
 
 
 def describe_change(change: ChangeModel, corrections: set[tuple[str, tuple[str, ...], int]]) -> dict[str, Any]:
@@ -323,7 +310,9 @@ def describe_change(change: ChangeModel, corrections: set[tuple[str, tuple[str, 
     return {**change.model_dump(exclude={"reviewed"}), "is_reviewed": change.reviewed, "is_correction": is_correction}
 
 
-def compare_cleanings(one: TakeView, before_ids: list[str], other: TakeView, after_ids: list[str]) -> dict[str, Any]:
+def compare_cleanings(
+    one: take_files.TakeView, before_ids: list[str], other: take_files.TakeView, after_ids: list[str]
+) -> dict[str, Any]:
     """Return what differs between two cleanings of a take, of which views and ids of changes are given: samples and changes."""
     markers: list[dict[str, Any]] = []
     total = 0
@@ -360,7 +349,7 @@ class ReviewSession:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._takes = {take.id: take for take in find_cleaned_takes(folder)}
+        self._takes = {take.id: take for take in take_files.find_cleaned_takes(folder)}
         self._open: dict[str, OpenTake] = {}
         self._lock = threading.RLock()
         self._listeners: list[Callable[[Event], None]] = []
@@ -409,7 +398,7 @@ class ReviewSession:
             self._summarise(take)
         self.announce({"type": "session"})
 
-    def _summarise(self, take: CleanedTake) -> dict[str, Any]:
+    def _summarise(self, take: take_files.CleanedTake) -> dict[str, Any]:
         """Return the entry of a take, from its files if they were changed since it was last read."""
         key = [(stat.st_mtime_ns, stat.st_size) for path in (take.changes_path, take.approval_path) if (stat := stat_file(path))]
         known = self._summaries.get(take.id)
@@ -425,7 +414,7 @@ class ReviewSession:
             if name not in self._open:
                 take = self._takes[name]
                 self._hold_folder(take.folder)
-                self._open[name] = OpenTake(take, find_takes_of_one_file(take, list(self._takes.values())))
+                self._open[name] = OpenTake(take, take_files.find_takes_of_one_file(take, list(self._takes.values())))
             opened = self._open.pop(name)
             self._open[name] = opened  # the last is the one that was used last
             for other in list(self._open.values())[:-MAX_OPEN_VIEWS]:
@@ -495,24 +484,24 @@ def stat_file(path: Path) -> os.stat_result | None:
         return None
 
 
-def name_take(take: CleanedTake) -> dict[str, Any]:
+def name_take(take: take_files.CleanedTake) -> dict[str, Any]:
     """Return the entry of a take whose files have not been read."""
     entry = {"id": take.id, "name": take.name, "subject": take.subject, "error": "", "state": "", "change_count": 0}
     return entry | {"reviewed_count": 0, "worst_mm": None, "approved_by": "", "approved_at": ""}
 
 
-def describe_take(take: CleanedTake) -> dict[str, Any]:
+def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     """Return the entry of a take in the list of a session; one that cannot be read has its error."""
     entry = name_take(take)
     try:
         file, approval, revision = (
             read_yaml_model(ChangesFileModel, take.changes_path),
-            read_approval(take),
-            hash_changes(take.changes_path),
+            take_files.read_approval(take),
+            take_files.hash_changes(take.changes_path),
         )
     except MocapfixError as error:
         return entry | {"error": str(error)}
-    state = determine_state(file, approval, revision)
+    state = take_files.determine_state(file, approval, revision)
     approved = approval if state == "approved" else None
     predicted = [change.predicted_mm for change in file.changes if change.predicted_mm is not None]
     return entry | {
