@@ -63,7 +63,6 @@ class Option:
     default: Any = None
 
     def get_value(self, options: Any) -> Any:
-        """Return the value of the option in a `CleanOptions`."""
         return getattr(getattr(options, self.stage), self.name)
 
     def convert(self, value: Any) -> Any:

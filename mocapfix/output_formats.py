@@ -304,7 +304,6 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
 
 
 def get_file_version(path: Path) -> FileVersion | None:
-    """Return the version of a file, None if there is no such file."""
     try:
         stat = path.stat()
     except OSError:

@@ -120,7 +120,6 @@ def run_marker_set_learn(
 
 
 def _print_segments(marker_set: "MarkerSet") -> None:
-    """Print the markers of each segment."""
     from mocapfix.model.skeleton import load_cmu31_body
 
     table = Table("segment", "markers")

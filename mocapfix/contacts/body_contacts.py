@@ -137,7 +137,6 @@ class LegMarkers(NamedTuple):
     share: Float[np.ndarray, "T K"]  # of its weight: 0 where it is not visible, 1 within the time that it is
 
     def select_frames(self, frames: Int[np.ndarray, " N"]) -> "LegMarkers":
-        """Return the markers in some frames."""
         return self._replace(position=self.position[frames], share=self.share[frames])
 
 

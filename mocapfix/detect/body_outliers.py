@@ -121,12 +121,10 @@ class BodyOutlier:
 
     @property
     def first(self) -> int:
-        """Index of the first frame."""
         return int(self.frames[0])
 
     @property
     def last(self) -> int:
-        """Index of the last frame."""
         return int(self.frames[-1])
 
 

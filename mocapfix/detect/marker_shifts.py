@@ -156,7 +156,6 @@ class _MarkerPath(NamedTuple):
 
     @property
     def reduced_rate(self) -> float:
-        """Rate of the reduced samples in Hz."""
         return self.rate / self.step
 
 

@@ -69,7 +69,6 @@ class BodyEvidence:
         return tuple(classify_label_height(label) for label in self.labels)
 
     def scale(self, factor: float) -> "BodyEvidence":
-        """Return the evidence with positions times a factor."""
         return BodyEvidence(self.labels, self.positions * factor, self.later_positions * factor, self.step_s)
 
     def select_height(self, height: int) -> Bool[np.ndarray, " M"]:
@@ -77,7 +76,6 @@ class BodyEvidence:
         return np.array([each == height for each in self.heights], bool)
 
     def select_names(self, names: frozenset[str]) -> Bool[np.ndarray, " M"]:
-        """Return which markers have one of the names."""
         return np.array([bool(list_label_names(label) & names) for label in self.labels], bool)
 
     @cached_property

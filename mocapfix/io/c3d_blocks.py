@@ -49,7 +49,6 @@ class SampleBlocks(NamedTuple):
 
     @property
     def frame_bytes(self) -> int:
-        """Size of a frame."""
         return (4 * self.point_count + self.analog_words) * (4 if self.is_float else 2)
 
     def count_rest_bytes(self, file_bytes: int) -> int:
@@ -357,7 +356,6 @@ def _describe_frames(parameters: C3dParameters, blocks: SampleBlocks) -> tuple[s
 
 
 def _describe_value(field: str, value: int) -> str:
-    """Return the value of a field in words."""
     match field:
         case "point_count":
             return f"{value} points"

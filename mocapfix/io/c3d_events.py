@@ -138,7 +138,6 @@ def add_c3d_events(
 
 
 def read_c3d_events(head: C3dHead) -> list[FileEvent]:
-    """Return the events of a file's EVENT group."""
     labels = head.read_text_series(f"{EVENT_GROUP}:LABELS")
     texts = {name: head.read_text_series(f"{EVENT_GROUP}:{name}") for name in ("CONTEXTS", "DESCRIPTIONS", "SUBJECTS")}
     numbers = {name: list(head.read_numbers(f"{EVENT_GROUP}:{name}")) for name in ("USED", "TIMES", "ICON_IDS", "GENERIC_FLAGS")}

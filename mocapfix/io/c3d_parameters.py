@@ -108,7 +108,6 @@ class C3dHead:
         return ">" if self.processor_type == SGI_PROCESSOR else "<"
 
     def read_word(self, offset: int) -> int:
-        """Return the unsigned word at an offset of the header."""
         return struct.unpack_from(f"{self._get_byte_order()}H", self.data, offset)[0]
 
     def read_floats(self, offset: int, count: int) -> tuple[float, ...]:
@@ -247,7 +246,6 @@ def join_records(records: Sequence[ParameterRecord], order: str = "<") -> bytes:
 
 
 def build_group_record(name: str, number: int) -> ParameterRecord:
-    """Return the record of a group without a description."""
     return ParameterRecord(name, -number, struct.pack("bb", len(name), -number) + name.encode(), b"\0")
 
 
@@ -272,7 +270,6 @@ def build_number_record(
 
 
 def build_text_record(name: str, group: int, text: bytes) -> ParameterRecord:
-    """Return the record of a single text."""
     return _build_record(name, group, TEXT_TYPE, (len(text),), text)
 
 

@@ -283,7 +283,6 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
 def format_changes_file(
     take: str, frames: tuple[int, int], changes: Sequence[Mapping[str, Any]], corrections: Sequence[CorrectionModel]
 ) -> str:
-    """Return the text of a changes file."""
     return join_changes_file(take, frames, [_format_entries(changes)] if changes else [], corrections)
 
 

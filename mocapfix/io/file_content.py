@@ -212,7 +212,6 @@ class TextTokens:
         return len(self.start_bytes)
 
     def get_text(self, index: int) -> str:
-        """Return the text of a token."""
         return _extract_token(self.data, int(self.start_bytes[index]))
 
 

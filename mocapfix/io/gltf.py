@@ -70,7 +70,6 @@ def parse_glb(path: Path, data: bytes) -> GlbContent:
 
 
 def _split_chunks(path: Path, data: bytes) -> list[tuple[int, bytes]]:
-    """Return type and content of each chunk."""
     chunks: list[tuple[int, bytes]] = []
     start = GLB_HEADER.size
     while start + GLB_CHUNK_HEADER.size <= len(data):

@@ -226,7 +226,6 @@ def _check_cells(
 
 
 def _is_number(text: str, decimal_sign: str, value: float, rounding: float) -> bool:
-    """Return whether a text is a number but for rounding."""
     try:
         return abs(float(text.replace(decimal_sign, ".")) - value) <= rounding + abs(value) * FLOAT_ROUNDING
     except ValueError:

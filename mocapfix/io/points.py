@@ -127,9 +127,7 @@ class PointConverter(Protocol):
 
     def __call__(
         self, columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
-    ) -> Float[np.ndarray, "F K 3"]:
-        """Return the positions."""
-        ...
+    ) -> Float[np.ndarray, "F K 3"]: ...
 
 
 @dataclass(frozen=True)

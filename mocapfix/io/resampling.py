@@ -53,7 +53,6 @@ def resample_motion(motion: Motion, rate: float, new_rate: float) -> Motion:
 def _interpolate_local_rotations(
     rotations: Float[np.ndarray, "T J 3 3"], new_frames: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N J 3 3"]:
-    """Return the rotations at fractional frames."""
     frames, interpolated = np.arange(len(rotations)), np.empty((len(new_frames), *rotations.shape[1:]))
     for joint in range(rotations.shape[1]):
         spline = RotationSpline(frames, Rotation.from_matrix(rotations[:, joint]))

@@ -34,7 +34,6 @@ class UnlabelledPoints:
 
     @property
     def tracklet_count(self) -> int:
-        """Number of tracklets."""
         return int(self.tracklet_indices.max(initial=-1)) + 1
 
     def select_points(self, mask: Bool[np.ndarray, "T C"]) -> "UnlabelledPoints":
@@ -110,7 +109,6 @@ def sample_points(points: UnlabelledPoints) -> SampledPoints:
 
 
 def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
-    """Return a few frames of each tracklet."""
     frames, columns = np.nonzero(points.tracklet_indices >= 0)
     order = np.argsort(points.tracklet_indices[frames, columns], kind="stable")
     counts = np.bincount(points.tracklet_indices[frames, columns], minlength=points.tracklet_count)

@@ -37,12 +37,10 @@ class TrajectorySegment:
 
     @property
     def first(self) -> int:
-        """Index of the first frame."""
         return int(self.frames[0])
 
     @property
     def last(self) -> int:
-        """Index of the last frame."""
         return int(self.frames[-1])
 
     def pick_samples(self, max_count: int) -> "TrajectorySegment":

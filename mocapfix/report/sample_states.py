@@ -124,7 +124,6 @@ class CleaningComparison:
 
     @cached_property
     def sample_states(self) -> Int[np.ndarray, "T M"]:
-        """SampleOutcome of every sample."""
         return classify_samples(self.input_take, self.relabelled_take, self.cleaned_take, self.faults)
 
     @cached_property

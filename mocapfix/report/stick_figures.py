@@ -110,7 +110,6 @@ class FigureView:
 
 
 def _draw_lines(css_class: str, lines_cm: Float[np.ndarray, "N 2 3"]) -> str:
-    """Return one SVG path of all lines."""
     path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in lines_cm)
     return f'<path class="{css_class}" d="{path}"/>'
 

@@ -111,7 +111,6 @@ class ReviewServer:
 
     @property
     def address(self) -> str:
-        """The address of the page, with its token."""
         return f"http://{SERVER_HOST}:{self.port}/{self._token}/"
 
     def serve(self) -> None:

@@ -91,7 +91,6 @@ class CleanedTake:
 
     @property
     def approval_path(self) -> Path:
-        """The file that records the approval."""
         return self.get_path("approval.json")
 
 

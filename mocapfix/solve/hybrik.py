@@ -170,7 +170,6 @@ def list_trunk_points(skeleton: Skeleton, prior: MeanPosePrior) -> list[BonePoin
 
 
 def stack_points(points: list[BonePoint]) -> BonePointArrays:
-    """Return points as contiguous arrays."""
     return BonePointArrays(
         np.array([point.point_index for point in points]),
         np.array([point.rest_position for point in points], float),
@@ -273,7 +272,6 @@ def compute_span_directions(
 
 @cache
 def load_shipped_regressor() -> TwistRegressor:
-    """Return the network shipped with mocapfix."""
     return read_twist_regressor(find_shipped_folder("priors") / "twist.safetensors")
 
 

@@ -95,7 +95,6 @@ class RigidSkeleton:
 
 
 def build_rigid_skeleton(skeleton: Skeleton, free_joints: Bool[np.ndarray, " J"], prior: MeanPosePrior) -> RigidSkeleton:
-    """Return the skeleton as rigid segments."""
     count, segment_joints = len(free_joints), np.flatnonzero(free_joints)
     parent_segment, carrier_segment = np.zeros(count, int), np.zeros(count, int)
     position_in_parent, position_in_carrier = np.zeros((count, 3)), np.zeros((count, 3))

@@ -57,7 +57,6 @@ class IkNetwork:
 
 @cache
 def load_shipped_ik_network() -> IkNetwork:
-    """Return the network shipped with mocapfix."""
     return read_ik_network(find_shipped_folder("priors") / IK_WEIGHTS_FILE)
 
 

@@ -77,7 +77,6 @@ class PoseSolution:
         return self.root_position, self.local_rotations
 
     def select_frames(self, frames: slice) -> "PoseSolution":
-        """Return the solution of some frames."""
         return PoseSolution(*(each[frames].copy() for each in vars(self).values()))
 
 

@@ -119,7 +119,6 @@ class ModelRounds:
         return PoseSolution(self.root_position, self.local_rotations, codes, self.status, self.iterations, self.cost)
 
     def solve_batches(self, solve_batch: Callable[[np.ndarray], None]) -> None:
-        """Solve all frames, batch by batch."""
         frames = np.arange(len(self.cost))
         run_in_parallel(solve_batch, np.array_split(frames, -(-len(frames) // MAX_BATCH_FRAMES)) if len(frames) else [])
 
@@ -195,7 +194,6 @@ class LinearRounds(ModelRounds):
         return super().minimise(replace(settings, damping_ratio=INITIAL_CODE_DAMPING))
 
     def solve_batch(self, settings: SolverSettings, batch: np.ndarray) -> None:
-        """Solve a batch of frames."""
         self.iterate((self.term,), settings, batch)
         self.cost[batch] = self.compute_costs((self.term,), settings.squared_robust_scales[-1], batch)
 

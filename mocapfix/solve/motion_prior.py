@@ -81,7 +81,6 @@ def build_motion_tree() -> MotionTree:
 
 
 def count_features() -> int:
-    """Return the number of features of a moment."""
     tree = build_motion_tree()
     joint_count = len(tree.joints)
     return 6 * joint_count + 3 + 3 * len(tree.features) + joint_count + 4
@@ -126,7 +125,6 @@ def compute_vector_quaternions(vectors: Float32[np.ndarray, "*batch 3"]) -> Floa
 
 
 def compute_quaternion_matrices(quaternions: Float32[np.ndarray, "*batch 4"]) -> Float32[np.ndarray, "*batch 3 3"]:
-    """Return the rotation matrices of unit quaternions."""
     x, y, z, w = (quaternions[..., i] for i in range(4))
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -272,7 +270,6 @@ class MotionPrior:
 
     @property
     def block_count(self) -> int:
-        """The number of residual blocks."""
         return sum(name.endswith(".time.weight") for name in self.tensors)
 
     def evaluate(self, features: Float32[np.ndarray, "B T F"]) -> Float32[np.ndarray, "B I O"]:
@@ -394,7 +391,6 @@ def _interpolate_tokens(
 
 @cache
 def load_shipped_motion_prior() -> MotionPrior:
-    """Return the motion prior shipped with mocapfix."""
     return read_motion_prior(find_shipped_folder("priors") / "motion.safetensors")
 
 
@@ -430,7 +426,6 @@ class GapPrediction(NamedTuple):
     root_variance: np.ndarray  # (n,) m^2 per axis
 
     def select_joints(self, joints: Int[np.ndarray, " N"]) -> "GapPrediction":
-        """Return the prediction of some of the joints."""
         return self._replace(rotations=self.rotations[:, joints], variance=self.variance[:, joints])
 
 
@@ -457,7 +452,6 @@ class GapContext(NamedTuple):
 
     @property
     def frames(self) -> slice:
-        """The frames of the gap."""
         return slice(self.first, self.last + 1)
 
 

@@ -112,11 +112,9 @@ class PoseProblem:
 
     @cached_property
     def point_term(self) -> PointTerm:
-        """The markers as a term."""
         return build_marker_term(self.attachment, self.marker_positions, self.solver_mask, self.marker_sd)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
-        """Return the problem of some frames."""
         prior = self.pose_prior
         if len(prior.rotations) > 1:  # one for each frame, not one for all
             prior = prior._replace(rotations=prior.rotations[frames], information=prior.information[frames])
@@ -124,7 +122,6 @@ class PoseProblem:
         return replace(self, marker_positions=markers, solver_mask=mask, pose_prior=prior)
 
     def build_terms(self, tracking: TrackingTerm | None = None) -> BodyTerms:
-        """Return all terms of the cost."""
         return self.point_term, tracking or build_no_tracking(len(self.tree.parents)), self.pose_prior, self.joint_limits
 
     def normalise_robust_scales(self, scales_m: tuple[float, ...]) -> tuple[float, ...]:
@@ -193,7 +190,6 @@ class MotionProblem:
     conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
-        """Return the problem of some frames."""
         return replace(
             self,
             pose_problem=self.pose_problem.select_frames(frames),
@@ -202,7 +198,6 @@ class MotionProblem:
         )
 
     def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
-        """Return the problem with another prior term."""
         return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))
 
 
@@ -258,7 +253,6 @@ class FrameWindow(NamedTuple):
 
     @property
     def frames(self) -> slice:
-        """The frames."""
         return slice(self.first, self.stop)
 
     @property

@@ -137,7 +137,6 @@ def build_constraint_terms(constraints: Sequence[Constraint], skeleton: Skeleton
 
 
 def build_point_term(constraints: Sequence[PositionConstraint], skeleton: Skeleton, frame_count: int) -> PointTerm:
-    """Return position constraints as a term."""
     positions = gather_values(constraints, lambda c: check_numbers(c, "position", c.position, 3), 3)
     offsets = gather_values(constraints, lambda c: check_numbers(c, "offset", c.offset, 3), 3)
     weights = repeat_rows(compute_constraint_weights(constraints), frame_count)
@@ -145,7 +144,6 @@ def build_point_term(constraints: Sequence[PositionConstraint], skeleton: Skelet
 
 
 def build_direction_term(constraints: Sequence[DirectionConstraint], skeleton: Skeleton, frame_count: int) -> DirectionTerm:
-    """Return direction constraints as a term."""
     bones = gather_values(
         constraints, lambda c: normalise_direction(c, f"the bone to {c.child}", find_bone_vector(c, skeleton)), 3
     )
@@ -157,14 +155,12 @@ def build_direction_term(constraints: Sequence[DirectionConstraint], skeleton: S
 
 
 def build_orientation_term(constraints: Sequence[OrientationConstraint], skeleton: Skeleton, frame_count: int) -> OrientationTerm:
-    """Return orientation constraints as a term."""
     rotations = gather_values(constraints, lambda c: check_rotation(c, c.rotation), 3, 3)
     weights = repeat_rows(compute_constraint_weights(constraints), frame_count)
     return OrientationTerm(find_constrained_joints(constraints, skeleton), repeat_rows(rotations, frame_count), weights)
 
 
 def build_distance_term(constraints: Sequence[DistanceConstraint], skeleton: Skeleton) -> DistanceTerm:
-    """Return distance constraints as a term."""
     joints = np.array([[find_joint(c, name, skeleton) for name in check_joint_pair(c)] for c in constraints], int)
     offsets = gather_values(constraints, lambda c: check_numbers(c, "offsets", c.offsets, 2, 3), 2, 3)
     distances = np.array([float(check_numbers(c, "distance", c.distance)) for c in constraints])
@@ -204,7 +200,6 @@ def repeat_rows(rows: np.ndarray, frame_count: int) -> np.ndarray:
 
 
 def find_constrained_joints(constraints: Sequence[JointConstraint], skeleton: Skeleton) -> Int[np.ndarray, " K"]:
-    """Return the index of each constraint's joint."""
     return np.array([find_joint(constraint, constraint.joint, skeleton) for constraint in constraints], int)
 
 
@@ -281,7 +276,6 @@ def find_bone_vector(constraint: DirectionConstraint, skeleton: Skeleton) -> Flo
 
 
 def build_constraint_error(constraint: Constraint, problem: str) -> ConstraintError:
-    """Return the error for a problem with a constraint."""
     joints: object = constraint.joints if isinstance(constraint, DistanceConstraint) else constraint.joint
     names = " and ".join(map(str, cast("Sequence[object]", joints))) if isinstance(joints, tuple | list) else joints
     return ConstraintError(f"{type(constraint).__name__} of {names}: {problem}.")

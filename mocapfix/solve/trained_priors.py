@@ -157,7 +157,6 @@ class Layers:
         return LayerOutput(rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:])))
 
     def evaluate(self, inputs: Float[np.ndarray, "N A"]) -> Float32[np.ndarray, "N B"]:
-        """Return the output for inputs."""
         return self.linearise(inputs, np.zeros((0, inputs.shape[1]))).rows
 
 
@@ -194,12 +193,10 @@ class AutoencoderModel(PoseModel):
 
     @cached_property
     def encoder(self) -> Layers:
-        """The encoder."""
         return Layers(self.architecture, self.weights, ENCODER)
 
     @cached_property
     def decoder(self) -> Layers:
-        """The decoder."""
         return Layers(self.architecture, self.weights, DECODER)
 
     @property

@@ -82,7 +82,6 @@ class CommonShape(NamedTuple):
     variance: np.ndarray
 
     def select(self, markers: Int[np.ndarray, " K"]) -> "CommonShape":
-        """Return the shape of some of the markers."""
         return CommonShape(self.positions[markers], self.variance[markers])
 
 

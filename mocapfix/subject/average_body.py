@@ -27,7 +27,6 @@ MAX_SIZE_RATIO = 1.6  # largest accepted size relative to the average body: larg
 
 
 def scale_skeleton(skeleton: Skeleton, factor: float) -> Skeleton:
-    """Return the skeleton with all lengths multiplied by `factor`."""
     return replace(skeleton, offsets=skeleton.offsets * factor, ends=skeleton.ends * factor)
 
 
@@ -98,7 +97,6 @@ class PosedBody:
     limits: JointLimits
 
     def change_subject(self, subject: Subject) -> "PosedBody":
-        """Return the same with another subject."""
         return replace(self, subject=subject)
 
     def fit_height(self, height_m: float) -> "PosedBody":

@@ -43,7 +43,6 @@ class MovingGroup(NamedTuple):
 
     @property
     def centroid(self) -> Float[np.ndarray, "3"]:
-        """The mean of the places."""
         return self.places.mean(0)
 
     def move(self, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "N 3"]:
@@ -141,7 +140,6 @@ class JointGraph:
                 self._joints[b, a] = joint._replace(places=joint.places[::-1])
 
     def has_joint(self, first: int, second: int) -> bool:
-        """Return whether two groups have a joint."""
         return (first, second) in self._joints
 
     def get_joint(self, first: int, second: int) -> FunctionalJoint:
@@ -149,7 +147,6 @@ class JointGraph:
         return self._joints[first, second]
 
     def list_neighbours(self, group: int) -> list[int]:
-        """Return the groups that have a joint with a group."""
         return [b for a, b in self._joints if a == group]
 
 

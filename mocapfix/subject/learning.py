@@ -303,7 +303,6 @@ class LearnedMarkerSet:
 
     @property
     def file_comment(self) -> str:
-        """The comment for the file of the set."""
         lines = [
             f"{self.marker_set.title}. Offsets are in metres on the average body, in the axes of the joint;",
             "spread is the standard deviation per axis, over people, of the marker about its offset.",

@@ -203,7 +203,6 @@ MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed
 
 @cache
 def load_shipped_marker_sets() -> tuple[MarkerSet, ...]:
-    """Return the shipped marker sets in the order of their names."""
     return tuple(_read_marker_set(path) for path in sorted((find_shipped_folder("scenes") / "marker-sets").glob("*.yaml")))
 
 

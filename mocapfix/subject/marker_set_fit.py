@@ -60,7 +60,6 @@ class MarkerAtlas:
         return np.linalg.norm(offsets[:, None] - known[None], axis=-1).min(1)
 
     def select_joints(self, is_selected: Bool[np.ndarray, " J"]) -> "MarkerAtlas":
-        """Return the positions on some of the joints."""
         is_kept = is_selected[self.joints]
         return MarkerAtlas(self.joints[is_kept], self.offsets[is_kept])
 

@@ -55,7 +55,6 @@ class JointFit(NamedTuple):
 
     @property
     def poses(self) -> list[Poses]:
-        """The poses of each take."""
         return [state.poses for state in self.states]
 
 
