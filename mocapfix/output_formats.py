@@ -331,8 +331,6 @@ def build_exported_motion(
 
     Args:
         options: Output rate and floor height.
-        subject: The subject.
-        motion: Its motion.
         rate: Frames per second of the motion.
     """
     if not (subject and motion):

@@ -111,7 +111,6 @@ def hold_feet(
     No marker limits it, unlike `hold_measured_feet`, which holds the feet of a take.
 
     Args:
-        joint_position: Metres: of the motion.
         is_root_fixed: Only the legs move; otherwise the root may move a little too.
     """
     displacement = compute_held_displacements(skeleton, joint_position, contacts, is_locked=is_locked)

@@ -57,8 +57,6 @@ def build_foot_points(
     """Return the points of the feet, by side.
 
     Args:
-        subject: The subject.
-        motion: Its motion.
         markers: (T, K, 3) m: the subject's markers as measured, NaN where they are missing or faulty.
         body_markers: (T, K, 3) m: where the body carries them.
         is_known: (T, C): whether markers show the position of each joint, of which the first are CONTACT_JOINTS.
@@ -142,7 +140,6 @@ def detect_gait_events(feet: Mapping[str, FootPoints], floor: Floor, rate: float
 
     Args:
         feet: The heel and the toes of each foot, by side.
-        floor: The floor.
         rate: Frames per second.
     """
     events: list[GaitEvent] = []

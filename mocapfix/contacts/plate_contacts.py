@@ -60,8 +60,6 @@ def merge_events(
     kind are the same within half a step.
 
     Args:
-        detected: Events from markers.
-        recorded: Events that the file has.
         contacts: Contacts with force plates.
     """
     half_step_s = compute_half_step([*recorded, *detected])

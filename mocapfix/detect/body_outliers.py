@@ -287,7 +287,6 @@ def is_body_wrong(outlier: BodyOutlier, residuals: BodyResiduals, distances: Mar
 
     Args:
         outlier: The samples off the body.
-        residuals: The residuals of K markers.
         distances: The usual distances between these markers.
     """
     visible = np.flatnonzero(~np.isnan(residuals.measured_world[:, outlier.marker, 0]))

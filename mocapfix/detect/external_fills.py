@@ -31,7 +31,6 @@ def compute_polynomial_misfits(
 
     Args:
         path: World positions in metres, NaN where missing, which makes the misfit NaN.
-        degree: Degree of the polynomial.
         length: Number of samples of a stretch.
         starts: Index of the first sample of each stretch.
 
@@ -53,7 +52,6 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
     """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
 
     Args:
-        degree: Degree of the polynomial.
         length: Smallest number of samples.
         resolution: Resolution of the coordinates in metres.
 

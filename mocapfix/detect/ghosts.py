@@ -115,7 +115,6 @@ def _measure_displacement(
     """Measure the deviation from the distances to the steadiest partners.
 
     Args:
-        distances: The usual distances.
         visible: The frames (N,) in which the marker is visible.
         interval: Indices into these, of the first and the last sample of the displacement.
     """

@@ -143,7 +143,6 @@ def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[n
     """Detect exchanged left and right keypoints.
 
     Args:
-        marker_set: Its set.
         noise_sd_m: Standard deviation per axis of the noise of each point of the take.
     """
     faults: list[Fault] = []

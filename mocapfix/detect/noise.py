@@ -43,7 +43,6 @@ class RoundMemory:
 
         Args:
             key: Names the computation, the marker and everything else that the result depends on.
-            is_used: The samples of the marker that are used.
             compute: Computes the result from these samples. It must not depend on what is not named.
         """
         samples = np.packbits(is_used).tobytes()

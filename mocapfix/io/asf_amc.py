@@ -488,10 +488,6 @@ def write_asf_amc(
     The AMC has the rate in a comment, because the format has no keyword for it.
 
     Args:
-        asf_target: The file of the skeleton.
-        amc_target: The file of the motion.
-        skeleton: The skeleton with 31 joints.
-        motion: Its motion.
         rate: Frames per second.
         first_frame: Number of the first frame.
 

@@ -228,7 +228,6 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     frame time is replaced by that of the common rate. `Animation.notes` lists the assumptions.
 
     Args:
-        path: The file.
         data: The bytes of the file, if they were read already.
         options: What is known about the file.
 
@@ -461,9 +460,6 @@ def write_bvh(
     """Write a motion.
 
     Args:
-        target: The file.
-        skeleton: The skeleton.
-        motion: Its motion.
         rate: Frames per second.
         unit_m: Metres per unit of the file.
         rotation_order: Order of a joint's rotation channels, the outermost first.

@@ -196,12 +196,9 @@ def _choose(
     the data; those that are followed by other bytes.
 
     Args:
-        path: The file, for messages.
-        parameters: Its header and parameters.
         data: Its bytes.
         declared: What the file declares if all is right, with the number of frames that it can have, 0 for none.
         sources: What each place says.
-        do_agree: Whether they agree.
 
     Raises:
         ReadError: If two readings remain possible, or none although the file is large enough.

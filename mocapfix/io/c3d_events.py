@@ -108,7 +108,6 @@ def add_c3d_events(
     description the time that it had. The time in a file begins at its frame 1, wherever its first frame is.
 
     Args:
-        target: The file.
         data_start_byte: Where its data begin.
         events_by_subject: The events of each person, by the name that the file has for that person; "" for none.
         first_frame: The file's number of its first frame.

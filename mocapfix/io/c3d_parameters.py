@@ -170,7 +170,6 @@ class C3dHead:
         The data begin later if the parameters need more blocks than there are before the data. POINT:DATA_START is set.
 
         Args:
-            group: Name of the group.
             build: Returns the records of the new parameters, from the number of the group.
             dropped: Names of parameters that are removed, besides those of the new ones.
         """
@@ -291,7 +290,6 @@ def replace_point_parameters(head: bytes, labels: Sequence[str], *, has_same_poi
 
     Args:
         head: The bytes from the beginning of the file to its data.
-        labels: The labels of all points.
         has_same_points: Whether these are the points of the file, whose descriptions are then kept.
     """
     opened = C3dHead(head)

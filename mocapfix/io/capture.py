@@ -52,7 +52,6 @@ def read_capture(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) 
     """Read a file of any supported format.
 
     Args:
-        path: The file.
         options: What is known about the file; what is not is taken from the file, its markers or its joints.
 
     Returns:

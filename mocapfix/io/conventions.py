@@ -110,9 +110,7 @@ def decide_convention(path: Path, points: InspectedPoints, declared: DeclaredCon
     """Return the unit and axes of a file.
 
     Args:
-        path: The file, for messages.
         points: The markers of the file, in metres by the unit that it declares, and in its axes.
-        declared: What the file declares.
         options: What the user knows.
 
     Raises:

@@ -163,7 +163,6 @@ def estimate_up_axis(body: BodyEvidence, points: PointSample, default_axis: str 
 
     Args:
         body: What the labelled markers show.
-        points: The markers in file axes.
         default_axis: The up axis of most files of the format.
     """
     default = UpAxisEvidence("the usual axis of the format", _score_default(default_axis))

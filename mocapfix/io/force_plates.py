@@ -28,7 +28,6 @@ def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list
 
     Args:
         data: The bytes.
-        layout: The layout of the file.
         frame_rate: Frames per second of the take, whatever POINT:RATE says.
     """
     if b"FORCE_PLATFORM" not in data[: layout.data_start_byte]:

@@ -111,7 +111,6 @@ def choose_rate(
     """Return the rate (Hz) of a file that states one or none and has no times, and a note if --rate contradicts it.
 
     Args:
-        build_error: Builds the error from a sentence.
         stated: The rate that the file states, None if it states none.
         options: --rate, which wins.
         shown: The text of the file, for the message, if it is no number.
@@ -143,7 +142,6 @@ def find_frames(
 
     Args:
         build_row_error: Builds an error from the index of a row and a sentence.
-        build_rate_error: Builds an error about the rate from a sentence.
         row_count: Number of rows.
         stated_rate: The rate as the header gives it, "" if it does not.
         times: The time column, None if there is none.
@@ -244,7 +242,6 @@ def infer_rate(frame_time_text: str, unit_s: float = 1.0) -> tuple[float, tuple[
 
     Args:
         frame_time_text: The frame time.
-        unit_s: Seconds in its unit.
     """
     seconds = float(frame_time_text) * unit_s
     rate = 1 / seconds

@@ -349,12 +349,9 @@ def add_animation(
     """Add an animation to the document, with a key in every frame, or a single one of a rotation that does not change.
 
     Args:
-        buffer: The buffer and the document.
-        name: Name of the animation.
         local_rotations: Axes of each bone to its parent's.
         position: Of `position_node`, in the unit of its parent.
         nodes: Bone to node, of the bones that get a curve.
-        position_node: Node of the curve of positions.
         rate: Frames per second.
     """
     frame_count = len(position)
@@ -404,7 +401,6 @@ def add_test_skin(
     """Add mesh 0 and skin 0 to a document whose first J nodes are the bones.
 
     Args:
-        buffer: The buffer and the document.
         parents: (J,) index of each bone's parent, -1 for roots.
         positions: (J, 3) m: heads in the world, in the rest pose.
         rotations: (J, 3, 3): axes of the bones to the world's, in the rest pose.

@@ -205,7 +205,6 @@ def find_names_line(document: TextDocument, content: str) -> int:
     """Return the index of the line that begins with Frame or Frame# and names the columns.
 
     Args:
-        document: The file.
         content: What the line names, for error messages.
 
     Raises:
@@ -295,9 +294,7 @@ def build_take(
     """Build a take from the trajectories of P points.
 
     Args:
-        path: The file.
         points_file: Coordinates in file units and axes; points that `find_valid_points` rejects are missing.
-        labels: Labels of the points.
         unit_m: Metres per file unit.
         rate: Frames per second.
         first_frame: Number that the file gives to frame index 0.

@@ -37,13 +37,8 @@ def write_npz(
     """Write the markers of a take and, if there is a body, its motion.
 
     Args:
-        target: The file.
-        take: The cleaned take.
-        skeleton: The skeleton of the body.
-        motion: Its motion.
         rate: Frames per second of the motion; by default those of the take.
         solved_joints: The joints that the markers show; by default all.
-        contacts: The contacts of the body.
 
     Raises:
         WriteError: If `target` is not writable.

@@ -51,9 +51,7 @@ def check_c3d_copy(target: Path, copy: Path, before: Take, after: Take, unstorab
 
     Args:
         target: The name that the copy gets, for messages.
-        copy: The copy.
         before: The take as it was read.
-        after: The cleaned take.
         unstorable: Samples that became missing because the file cannot store them.
 
     Raises:
@@ -237,10 +235,8 @@ def check_copy_with_events(target: Path, copy: Path, data: bytes, data_start_byt
 
     Args:
         target: The name that the copy gets, for messages.
-        copy: The copy.
         data: The bytes of the file without these events.
         data_start_byte: Where its data begin.
-        group: The group of the events.
 
     Raises:
         WriteError: If anything but the group, POINT:DATA_START and the header's first block differs.
@@ -326,7 +322,6 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     have as many decimals as most numbers of the file that have any. A frame time that is not that of the rate is corrected.
 
     Args:
-        target: The copy.
         source: The animation as it was read.
         values: Values of all channels, as in `Animation.values`.
 

@@ -297,7 +297,6 @@ def find_computed_markers(
     There are none if too few markers were left. Only some frames are converted.
 
     Args:
-        types: The types of the points of the file.
         visible: Whether each sample is valid.
         convert: Returns positions of points.
     """
@@ -321,7 +320,6 @@ def add_other_points(take: Take, types: PointTypes, functions: Mapping[int, Poin
 
     Args:
         take: The markers that are no functions of others, with `point_columns`.
-        types: The types of the points of the file.
         functions: The markers that are functions of others, as `find_computed_markers` returns them.
         convert: Returns positions of points in the axes of the take.
     """

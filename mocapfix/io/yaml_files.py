@@ -46,7 +46,6 @@ def read_validated_yaml(validate: Callable[[Any], YamlModel], path: Path) -> Yam
 
     Args:
         validate: Converts the content of the file, or raises pydantic's ValidationError.
-        path: The file.
 
     Returns:
         The converted content.

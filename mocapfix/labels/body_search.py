@@ -208,9 +208,6 @@ def compute_body_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"], bo
 
     Args:
         sampled: The points in these frames.
-        markers: The marker of each tracklet.
-        body: The body with its offsets.
-        nominal: The subject with the offsets of the marker set.
     """
     count = len(body.subject.joints)
     positions = sampled.arrange_markers(markers, count)

@@ -90,7 +90,6 @@ def reconsider_labels(
 
     Args:
         labels: The labels with a body that is adapted to the take.
-        nominal: The subject with the marker offsets of the set.
     """
     squared = tracklets.measure_tracklets(
         sampled, body_search.predict_in_posed_frames(labels, nominal), body_search.PROPAGATION_GATE_M

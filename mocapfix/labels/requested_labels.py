@@ -84,7 +84,6 @@ def plan_columns(
     """Return the columns of a labelled file.
 
     Args:
-        point_labels: Labels of all points of the file.
         columns: Indices of the unlabelled points among them.
         marker_indices: Index of the marker to which each of their samples belongs, -1 for none.
         is_visible: (T, C) which samples are present.

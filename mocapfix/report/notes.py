@@ -74,7 +74,6 @@ def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], frag
     """Return a note on the visible markers that are not in the marker set.
 
     Args:
-        columns: Markers of the solved subject.
         fragment_donors: Markers whose samples are fragments of other markers; they are not listed.
     """
     is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])

@@ -48,7 +48,6 @@ def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take
     """Return the SampleOutcome of every sample.
 
     Args:
-        input_take: The take as read.
         relabelled_take: The same with corrected labels; `faults` index its markers.
         cleaned_take: The same with filled and replaced samples.
     """

@@ -107,7 +107,6 @@ def find_lost_parts(
     Args:
         markers: The measured positions of the subject's markers in metres, NaN where missing.
         inlier_mask: The samples that are not taken for faults.
-        subject: The subject, with K markers.
         body_markers: Where the solved body carries the markers, in metres.
         min_distance_m: The mean distance above which a part counts as lost.
         min_off_share: The share of its consistent markers that lie off the body.
@@ -190,7 +189,6 @@ def select_consistent_markers(
     Args:
         markers: Measured positions in metres, NaN where missing.
         inlier_mask: The samples that are not taken for faults.
-        subject: The subject, with K markers.
         columns: Indices of the k markers.
         frames: Indices of the N frames.
         body_distance_m: Distances of the markers from the solved body in metres, NaN where missing.

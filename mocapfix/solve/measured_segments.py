@@ -38,7 +38,6 @@ def measure_residual_growth(
     """Return by how much the mean distance of each segment's visible markers grows in each window of RESIDUAL_WINDOW_S.
 
     Args:
-        joints: The joint that carries each marker.
         markers: Measured positions in metres, NaN if not visible or faulty.
         before: Where the body without the inferred term places the markers, in metres.
         after: The same with the term.
@@ -95,10 +94,8 @@ def yield_to_markers(
     """Return the inferred motion, with only a share of what was inferred where that moves visible markers too far.
 
     Args:
-        subject: The body.
         markers: Measured positions in metres, NaN if not visible or faulty.
         before: The motion without what was inferred; its root is that of `inferred`.
-        inferred: The motion with it.
         rate: Frames per second.
     """
     place = kinematics.compute_joint_and_marker_positions

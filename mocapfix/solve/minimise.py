@@ -147,8 +147,6 @@ def compute_costs(
     """Return the cost of poses: half the sum of squares in standard deviations, robust for robust terms.
 
     Args:
-        tree: The skeleton.
-        terms: The terms of the kernels.
         poses: Root positions in metres and local rotations of T frames.
         squared_robust_scale: In standard deviations.
         codes: Unknowns of a pose model, if there is a term of one.

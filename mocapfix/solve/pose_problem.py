@@ -57,7 +57,6 @@ def find_gap_borders(
 
     Args:
         is_inlier: Samples that are visible and no outliers.
-        is_unobserved: Whether the joint of the marker is unobserved.
     """
     mask = np.zeros_like(is_inlier)
     for k in range(is_inlier.shape[1]):

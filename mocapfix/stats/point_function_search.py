@@ -287,7 +287,6 @@ class _FunctionSearch:
 
         Args:
             is_parent: Which points may be parents.
-            max_count: Number of them.
             is_known: Only those whose distances are known, and these first even if they are no more than that.
         """
         partner, sd_m = self.partners.partner[point], self.partners.sd_m[point]

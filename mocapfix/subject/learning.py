@@ -219,7 +219,6 @@ def measure_learned_body(
 
     Args:
         labels: The names of the take's markers in the set.
-        average_length_m: Total length of the average skeleton.
     """
     columns = [labels.index(label) for label in marker_set.labels]
     markers = take.markers[:, columns]

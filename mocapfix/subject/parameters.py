@@ -165,11 +165,7 @@ class HipEvidence(NamedTuple):
 
 
 def add_hip_regression(parameters: CalibrationParameters, start: Subject, average: Skeleton) -> CalibrationParameters:
-    """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none.
-
-    Args:
-        start: The subject at the start of the calibration.
-    """
+    """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none."""
     evidence = build_hip_evidence(start, average, parameters)
     if evidence is None:
         return parameters

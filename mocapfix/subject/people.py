@@ -55,11 +55,7 @@ def measure_body(take_id: str, take: Take, marker_set: MarkerSet) -> BodyMeasure
 def measure_marker_distances(
     markers: Float[np.ndarray, "N K 3"], labels: Sequence[str], joints: Int[np.ndarray, " K"]
 ) -> dict[str, float]:
-    """Return the median distances in metres of marker pairs whose joints are the same or neighbours.
-
-    Args:
-        joints: The joint that carries each marker.
-    """
+    """Return the median distances in metres of marker pairs whose joints are the same or neighbours."""
     parents = np.array(load_cmu31_body().skeleton.parents)
     second, first = np.tril_indices(len(labels), -1)
     i, j = joints[second], joints[first]
@@ -107,7 +103,6 @@ def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequenc
     """Return the people of a session.
 
     Args:
-        bodies: The measurements of each subject in each take.
         names: By name of a person, the ids of the takes that show only that person, or the person among others by prefix.
     """
     of_take = {take: name for name, takes in (names or {}).items() for take in takes}
