@@ -168,11 +168,7 @@ def displace_feet(
     is_root_fixed: bool = False,
     markers: LegMarkers | None = None,
 ) -> Motion:
-    """Return the motion with the joints of the feet displaced, in metres; each frame by itself.
-
-    Args:
-        markers: Near which thighs and shins stay; without them these keep their rotations.
-    """
+    """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near `markers`, if given."""
     feet = np.array([skeleton.names.index(joint) for joint in CONTACT_JOINTS])
     frames = np.flatnonzero((np.linalg.norm(displacement, axis=-1) > MIN_DISPLACEMENT_M).any(1))
     if not len(frames):

@@ -110,11 +110,7 @@ def compute_speed(position: Float[np.ndarray, "T 3"], rate: float) -> Float[np.n
 def detect_standing(
     speed: Float[np.ndarray, " T"], rate: float, is_ignored: Bool[np.ndarray, " T"] | None = None
 ) -> Bool[np.ndarray, " T"]:
-    """Return whether a joint stands in each frame, from its speed in m/s.
-
-    Args:
-        is_ignored: Frames whose speed is no evidence: the state there follows from the frames around them.
-    """
+    """Return whether a joint stands, from its speed in m/s; where that is ignored, the state follows from the frames around."""
     frames = len(speed)
     if frames < 2:
         return np.zeros(frames, bool)

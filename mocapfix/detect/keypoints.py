@@ -140,11 +140,7 @@ MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored pl
 
 
 def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[np.ndarray, " M"]) -> list[Fault]:
-    """Detect exchanged left and right keypoints.
-
-    Args:
-        noise_sd_m: Standard deviation per axis of the noise of each point of the take.
-    """
+    """Detect exchanged left and right keypoints; `noise_sd_m` per axis of the noise of each point."""
     faults: list[Fault] = []
     names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
     section_of_joint = {joint: section for section, joints in BODY_SECTIONS.items() for joint in joints}
@@ -228,11 +224,7 @@ def find_exchanged_frames(
     rate: float,
     length_cost: Float[np.ndarray, " T"],
 ) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which the samples of two points are exchanged.
-
-    Args:
-        length_cost: Cost of the exchanged state less that of the straight one, by what other points show.
-    """
+    """Return the frames with exchanged samples of two points; `length_cost` of exchanged less straight, by other points."""
     is_exchanged = np.zeros(len(left), bool)
     frames = np.flatnonzero(~np.isnan(left[:, 0]) & ~np.isnan(right[:, 0]))
     if len(frames) < 2:

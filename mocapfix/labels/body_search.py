@@ -204,11 +204,7 @@ def extend_body(
 
 
 def compute_body_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"], body: PosedBody, nominal: Subject) -> float:
-    """Return the mean cost of a body in frames, with that of its marker offsets and of markers that it lacks.
-
-    Args:
-        sampled: The points in these frames.
-    """
+    """Return the mean cost of a body in the frames of `sampled`, with that of its offsets and of markers that it lacks."""
     count = len(body.subject.joints)
     positions = sampled.arrange_markers(markers, count)
     poses = pose_body(body, positions)

@@ -43,11 +43,7 @@ NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the tak
 def build_body_notes(
     detected: Detected, body: BodyFit, residual_m: Float[np.ndarray, "T M"], lost_parts: tuple[LostPart, ...]
 ) -> list[str]:
-    """Return the notes on where the body fits poorly or is unknown.
-
-    Args:
-        residual_m: Distance of each inlier marker from the body in metres, NaN for other samples.
-    """
+    """Return the notes on where the body fits poorly or is unknown, by the distances of its inliers in metres, NaN elsewhere."""
     columns, epochs = body.marker_columns, detected.epochs
     marker_set_take = detected.select_columns(columns, detected.inlier_take.visible)
     names, is_solved = body.subject.skeleton.names, body.subject.solved_joints
@@ -71,11 +67,7 @@ def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[
 
 
 def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], fragment_donors: Collection[int] = ()) -> list[str]:
-    """Return a note on the visible markers that are not in the marker set.
-
-    Args:
-        fragment_donors: Markers whose samples are fragments of other markers; they are not listed.
-    """
+    """Return a note on the visible markers that are not in the marker set, without those that are fragments of others."""
     is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])
     unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
     if not unassigned:
@@ -168,11 +160,7 @@ def describe_lost_part(
 def merge_lost_samples(
     parts: Iterable[LostPart], columns: Int[np.ndarray, " K"], epochs: MarkerEpochs
 ) -> Bool[np.ndarray, "T M"]:
-    """Return the mask of the take's samples that show where lost parts of the body are.
-
-    Args:
-        columns: The epoch column of each of the subject's markers, -1 where it has none.
-    """
+    """Return the samples of the take that show lost parts of the body; `columns` are epoch columns, -1 for none."""
     mask = np.zeros(epochs.take.visible.shape, bool)
     for part in parts:
         mask[:, columns[columns >= 0]] |= part.markers[:, columns >= 0]

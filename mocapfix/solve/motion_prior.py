@@ -135,11 +135,7 @@ def compute_quaternion_matrices(quaternions: Float32[np.ndarray, "*batch 4"]) ->
 
 
 def compute_token_times(gap_s: Float[np.ndarray, " B"]) -> Float[np.ndarray, "B T"]:
-    """Return the moments that the network is given, in seconds from the last known frame before a gap.
-
-    Args:
-        gap_s: From the last known frame before the gap to the first one after it.
-    """
+    """Return the moments given to the network, in seconds after the last frame before a gap; `gap_s` to the first after it."""
     inner = gap_s[:, None] * np.arange(1, INNER_COUNT + 1) / (INNER_COUNT + 1)
     before = np.broadcast_to(-CONTEXT_DISTANCES_S[::-1], (len(gap_s), len(CONTEXT_DISTANCES_S)))
     return np.concatenate([before, inner, gap_s[:, None] + CONTEXT_DISTANCES_S], axis=1)
@@ -223,11 +219,7 @@ def compute_window_features(
     is_inside: Bool[np.ndarray, "B T"],
     times_s: Float[np.ndarray, "B T"],
 ) -> Float32[np.ndarray, "B T F"]:
-    """Return the features of gaps without heading.
-
-    Args:
-        is_inside: Moments that are not beyond the ends of the take.
-    """
+    """Return the features of gaps without heading; `is_inside` are moments not beyond the ends of the take."""
     batch, token_count, joint_count = is_known.shape
     tree, matrices = build_motion_tree(), compute_quaternion_matrices(windows.quaternions)
     points = compute_carried_points(
@@ -484,11 +476,7 @@ def compute_combined_variance(
 
 
 def predict_model_gap(prior: MotionPrior, context: GapContext, size_ratio: float = 1.0) -> GapPrediction | None:
-    """Return the prediction of the 31 joints in a gap; None if it cannot be predicted.
-
-    Args:
-        size_ratio: Size of the body relative to the average one.
-    """
+    """Return the prediction of the 31 joints in a gap, None if there is none; `size_ratio` relative to the average body."""
     tree, names = build_motion_tree(), load_cmu31_body().skeleton.names
     folded, is_known = context.local_rotations.copy(), context.is_known[:, tree.joints].copy()
     for i, j in enumerate(tree.joints):

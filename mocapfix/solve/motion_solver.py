@@ -56,11 +56,7 @@ CMU's training subjects: the solve must not trust a trajectory too much."""
 
 
 def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvidence, frames: Int[np.ndarray, " N"]) -> Motion:
-    """Return the motion with the standard deviations of its joints and markers computed for some frames.
-
-    Args:
-        motion: Its deviations in the other frames are kept, unless markers were added.
-    """
+    """Return the motion with the deviations of some frames computed; others are kept, unless markers were added."""
     if not len(frames):
         return motion
     gap_variance = np.where(problem.is_unobserved, evidence.rotation_variance, evidence.gap_variance)
@@ -193,11 +189,7 @@ def infer_unobserved_joints(
 def _solve_inferred_joints(
     problem: MotionProblem, pose: Poses, variance: Float[np.ndarray, "T J"], frames: Int[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N J 3 3"]:
-    """Return the local rotations of some frames in which the unobserved joints track smooth trajectories through `pose`.
-
-    Args:
-        variance: Of the rotations in `pose`, in rad^2.
-    """
+    """Return local rotations in which unobserved joints track smooth paths through `pose`, whose `variance` is in rad^2."""
     root_position, start = pose[0][frames], pose[1][frames]
     weight = np.full(start.shape[:2], FIXED_JOINT_WEIGHT)
     for j in np.flatnonzero(problem.is_unobserved.any(0)).tolist():

@@ -127,11 +127,7 @@ def compute_gap_variance(
 def smooth_root_path(
     root_position: Float[np.ndarray, "T 3"], variance: Float[np.ndarray, " T"], rate: float
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
-    """Return the smooth trajectory of the root in metres, and its variance in frames that do not determine the root.
-
-    Args:
-        variance: Of each frame's own solution, in m^2 per axis.
-    """
+    """Return the smooth path of the root in metres, and its variance where undetermined, from those of each frame, m^2 per axis."""
     power = estimate_acceleration_power(root_position, variance, rate, MAX_POWER_SAMPLE_SD / 10)
     return smooth_path(root_position, variance, power, rate), compute_gap_variance(variance > MAX_ROOT_SD_M**2, power, rate)
 
@@ -142,11 +138,7 @@ def track_across_gaps(
     is_uncertain: Bool[np.ndarray, "T J"],
     rate: float,
 ) -> tuple[TrackingTerm, Float[np.ndarray, "T J"]]:
-    """Return a tracking term for uncertain joints that follows their smooth trajectories, and its variances in rad^2.
-
-    Args:
-        local_rotations, variance: Of each frame's own solution, in rad^2.
-    """
+    """Return a term that tracks uncertain joints' smooth paths through each frame's own solution, and variances in rad^2."""
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
     for j in np.flatnonzero(is_uncertain.any(0)):
         joint = lie.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])

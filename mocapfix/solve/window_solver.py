@@ -64,11 +64,7 @@ class MarkerEquations(NamedTuple):
 def compute_marker_equations(
     problem: PoseProblem, pose: WorldPoses, jacobian: Float[np.ndarray, "N F 3 3"], robust_scale_m: float
 ) -> MarkerEquations:
-    """Return the cost of the markers of a problem's frames about poses.
-
-    Args:
-        jacobian: Rotation of each free joint, in its parent's axes, by its pose vector.
-    """
+    """Return the cost of markers about poses; `jacobian` from pose vectors to the free joints' rotations in parent axes."""
     tree, attachment = problem.tree, problem.attachment
     joints = np.flatnonzero(tree.free)[1:]
     position, rotation, _ = pose
@@ -417,11 +413,7 @@ class IndependentSolution(NamedTuple):
 
 
 def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
-    """Return the solution of all frames of a window.
-
-    Args:
-        is_restarted: Frames whose start may be far from the solution.
-    """
+    """Return the solution of all frames of a window; `is_restarted` are those whose start may be far from it."""
     poses, iterations = solve_from_starts(window, start, is_restarted)
     if window.conditioner is not None:
         window = set_frame_prior(window, window.conditioner, poses)

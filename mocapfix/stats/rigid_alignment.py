@@ -29,11 +29,7 @@ def compute_cross_covariance(
 
 
 def fit_rotations(cross: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Return the rotations R that maximise trace(R' cross), never a reflection.
-
-    Args:
-        cross: Sums of outer products, measured by model.
-    """
+    """Return the rotations R that maximise trace(R' cross), never a reflection; `cross` sums products measured by model."""
     rotation = np.empty(cross.shape)
     fit_rotation_frames(_make_contiguous(cross), rotation)
     return rotation

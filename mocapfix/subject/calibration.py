@@ -135,11 +135,7 @@ class CalibrationFit:
 def fit_calibration(
     take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None = None
 ) -> CalibrationFit:
-    """Calibrate as `calibrate_subject`.
-
-    Args:
-        previous: A calibration from the same take with a few more or fewer samples: its frames are refined from where it ended.
-    """
+    """Calibrate as `calibrate_subject`, from `previous` if that is of the same take with a few more or fewer samples."""
     if previous is None:
         start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
         unknowns = None

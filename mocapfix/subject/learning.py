@@ -82,11 +82,7 @@ class LearnedBody:
 
 
 def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from_positions: bool) -> str:
-    """Return why a learned body is not plausible as the predicate of a sentence, "" if it is.
-
-    Args:
-        from_positions: Whether the segments were guessed from positions alone.
-    """
+    """Return why a learned body is not plausible as a predicate, "" if it is; of segments guessed `from_positions` or labels."""
     min_size = MIN_POSITION_SIZE_RATIO if from_positions else MIN_LEARNED_SIZE_RATIO
     segment_distance = count_segments_between(learned.marker_set.joints)
     motion = measure_distant_motion(segment_distance, learned.distance_spread)
@@ -215,11 +211,7 @@ def find_impossible_joint(
 def measure_learned_body(
     take: Take, labels: Sequence[str], marker_set: MarkerSet, fit: "MarkerSetFit", average_length_m: float
 ) -> LearnedBody:
-    """Return what the checks compare of a set that was fitted to a take.
-
-    Args:
-        labels: The names of the take's markers in the set.
-    """
+    """Return what the checks compare of a set that was fitted to a take, whose markers have `labels` in the set."""
     columns = [labels.index(label) for label in marker_set.labels]
     markers = take.markers[:, columns]
     size_ratio = fit.subject.skeleton.total_length_m / average_length_m

@@ -80,11 +80,7 @@ class CalibrationParameters:
 
 
 def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPosePrior) -> CalibrationParameters:
-    """Return the calibration parameters of a subject.
-
-    Args:
-        start: `body` at the estimated size; its marker spread is the standard deviation of people's marker offsets.
-    """
+    """Return the parameters from `body` at the estimated size, whose marker spread is that of people's offsets."""
     offsets, marker_offsets = start.skeleton.offsets, start.marker_offsets
     shapes = body.shape_components * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
     groups = np.zeros((len(body.bone_groups), *offsets.shape))
@@ -193,11 +189,7 @@ def find_pelvis_landmarks(subject: Subject, average: Skeleton) -> PelvisLandmark
 def predict_hip_joints(
     left_anterior: Float[np.ndarray, "3"], right_anterior: Float[np.ndarray, "3"], posterior: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "2 3"]:
-    """Return the centres of the left and the right hip joint from the iliac spines of a person, all in metres.
-
-    Args:
-        posterior: The middle of the posterior superior iliac spines.
-    """
+    """Return the centres of both hips, in metres, from the iliac spines; `posterior` is the middle of the posterior ones."""
     middle, across = (left_anterior + right_anterior) / 2, left_anterior - right_anterior
     width_m, depth_m = float(np.linalg.norm(across)), float(np.linalg.norm(middle - posterior))
     to_left = across / width_m

@@ -100,11 +100,7 @@ class Person:
 
 
 def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequence[str]] | None = None) -> list[Person]:
-    """Return the people of a session.
-
-    Args:
-        names: By name of a person, the ids of the takes that show only that person, or the person among others by prefix.
-    """
+    """Return the people of a session; `names` are the takes of each known one, alone or among others by prefix."""
     of_take = {take: name for name, takes in (names or {}).items() for take in takes}
     subject_counts: dict[str, int] = {}
     for body in bodies:

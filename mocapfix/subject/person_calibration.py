@@ -254,11 +254,7 @@ class MovedMarker:
 
 
 def compute_place_residuals(state: RefinementState, *, without_marker: int | None = None) -> Float[np.ndarray, "K 3"]:
-    """Return the median distance of each marker from its place in the axes of its joint, in metres; NaN if seldom visible.
-
-    Args:
-        without_marker: A marker that does not affect the poses.
-    """
+    """Return each marker's median distance (m) from its place, NaN if seldom visible; `without_marker` moves no pose."""
     problem, poses = state.problem, state.poses
     if without_marker is not None:
         mask = problem.solver_mask.copy()
