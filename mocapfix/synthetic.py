@@ -124,10 +124,7 @@ def plan_footsteps(time_s: Curve, stride_m: float, half_width_m: float) -> FootM
 
 
 def _generate_steps(end_s: float) -> Iterator[tuple[int, float, float, float, float]]:
-    """Yield foot, start, swing duration, strides and heading (radians) of the steps of all cycles.
-
-    Every second cycle walks back, still turning to the left.
-    """
+    """Yield foot, start, swing duration, strides and heading (rad) of all steps; every second cycle walks back."""
     length = STEP_SCHEDULE[-1].strides
     for cycle in range(int(end_s // CYCLE_DURATION_S) + 1):
         for foot, start, swing, strides, degrees in STEP_SCHEDULE:

@@ -168,7 +168,7 @@ def displace_feet(
     is_root_fixed: bool = False,
     markers: LegMarkers | None = None,
 ) -> Motion:
-    """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near `markers`, if given."""
+    """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near any `markers`."""
     feet = np.array([skeleton.names.index(joint) for joint in CONTACT_JOINTS])
     frames = np.flatnonzero((np.linalg.norm(displacement, axis=-1) > MIN_DISPLACEMENT_M).any(1))
     if not len(frames):
@@ -198,10 +198,7 @@ def build_foot_targets(feet: Int[np.ndarray, " C"], target: Float[np.ndarray, "N
 def add_leg_markers(
     points: PointTerm, skeleton: Skeleton, markers: LegMarkers, displacement: Float[np.ndarray, "N C 3"]
 ) -> PointTerm:
-    """Return the points with the markers of each leg, which count the more the farther its foot is displaced, in metres.
-
-    Where a foot is hardly displaced its leg is left as it is.
-    """
+    """Return the points with the markers of each leg, which count the more the farther its foot is displaced, in metres."""
     square = (displacement**2).sum(-1).reshape(len(displacement), len(LEG_SEGMENTS), -1).max(-1)
     leg_share = square / (square + MARKER_DISPLACEMENT_M**2)
     carriers = [skeleton.names[joint] for joint in markers.joints]

@@ -333,10 +333,7 @@ def carry_rigidly(
     weight: Float[np.ndarray, " N"],
     point: Float[np.ndarray, " 3"],
 ) -> Float[np.ndarray, " 3"]:
-    """Return where a point is carried by the rigid motion that fits the positions of its neighbours before and after best.
-
-    NaN if the neighbours are too few, or lie on a line.
-    """
+    """Return where the rigid motion of its neighbours carries a point; NaN if these are too few, or lie on a line."""
     if len(weight) < MIN_RIGID_NEIGHBOURS:
         return np.full(3, np.nan)
     share = weight / weight.sum()

@@ -191,10 +191,7 @@ def _measure_small_misfit(path: np.ndarray, degree: int, length: int) -> float:
 
 
 def _estimate_nearby_misfit(path: np.ndarray, degree: int, first: int, last: int, window: int) -> float:
-    """Estimate the misfit in metres of such a polynomial to stretches of the same length within `window` frames.
-
-    Infinite if there are none.
-    """
+    """Estimate the misfit (m) of such a polynomial to other stretches within `window` frames, infinite without any."""
     length = last - first + 1
     starts = np.arange(max(0, first - length - window), min(len(path) - length, last + window) + 1)
     misfit = compute_polynomial_misfits(path, degree, length, starts[np.abs(starts - first) > length // 2])

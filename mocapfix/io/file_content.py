@@ -163,10 +163,7 @@ def restore_encoding(converted: bytes, original: bytes) -> bytes:
 
 
 def has_decimal_commas(data: bytes, start: int = 0) -> bool:
-    """Return whether the numbers of a text from byte `start` on, between white space, have decimal commas.
-
-    Every comma must be one, and there may be no point.
-    """
+    """Return whether the numbers of a text from byte `start` on have decimal commas: all commas are, and there is no point."""
     count = 0 if data.find(b".", start) >= 0 else data.count(b",", start)
     return 0 < count == sum(1 for _ in DECIMAL_COMMA_TOKEN_PATTERN.finditer(data, start))
 

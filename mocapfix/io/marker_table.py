@@ -125,10 +125,7 @@ def parse_times(document: TextDocument, line_indices: Sequence[int], delimiter: 
 
 
 def check_decimal_commas(document: TextDocument, line_indices: Sequence[int], delimiter: str, column_count: int) -> None:
-    """Raise ReadError if numbers have decimal commas in a table with commas between its fields.
-
-    Its lines have about twice as many fields as columns, and no points.
-    """
+    """Raise ReadError for decimal commas between commas: lines have twice as many fields as columns, and no points."""
     if delimiter != "," or not line_indices:
         return
     index = line_indices[0]

@@ -73,10 +73,7 @@ def _count_values(data: object, counts: dict[int, float]) -> float:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the content of a YAML file.
-
-    Raises SceneError with the file and the line if the file cannot be read or does not contain a mapping.
-    """
+    """Return the content of a YAML file. Raises SceneError with the file and the line if it is none, or no mapping."""
     try:
         text = Path(path).read_text(encoding="utf-8")
         if measure_yaml_depth(text) > MAX_YAML_DEPTH:

@@ -48,10 +48,7 @@ def build_camera(rotation: Float[np.ndarray, "3 3"], scale_px_m: float, origin_p
 
 
 def build_camera_rotation(pitch_down_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from world to camera of a camera that faces -Z, pitched down.
-
-    It sees the front of a person who faces +Z.
-    """
+    """Return the rotation from world to camera of a camera pitched down that faces -Z, the front of a person."""
     sine, cosine = np.sin(pitch_down_rad), np.cos(pitch_down_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, -cosine, sine], [0.0, -sine, -cosine]])
 

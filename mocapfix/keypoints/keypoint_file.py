@@ -59,10 +59,7 @@ def list_detectors() -> list[str]:
 
 
 def load_detector(name: str, skeleton: Skeleton) -> KeypointDetector:
-    """Return the detector shipped as scenes/keypoints/NAME.yaml.
-
-    Raises SceneError that lists the shipped detectors, or names the invalid key of the file.
-    """
+    """Return the detector scenes/keypoints/NAME.yaml. Raises SceneError that lists the shipped ones, or names the invalid key."""
     if name not in list_detectors():
         raise SceneError(f"Unknown keypoint order {name!r}; choose one of: {', '.join(list_detectors())}.")
     file = read_yaml_model(_DetectorFile, find_shipped_folder("scenes") / "keypoints" / f"{name}.yaml")
@@ -95,10 +92,7 @@ class Keypoints:
 
 
 def read_keypoints(path: Path, skeleton: Skeleton) -> Keypoints:
-    """Return the keypoints of the most visible person in a file or in OpenPose's folder.
-
-    Raises ReadError that names the file, the frame (from 0) and the invalid key.
-    """
+    """Return the most visible person's keypoints. Raises ReadError that names the file, the frame (from 0) and the key."""
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     if not files:
         raise ReadError(f"{path}: contains no keypoints (.json); give a file, or the folder that OpenPose wrote.")

@@ -276,10 +276,7 @@ def compute_match_probability(candidates: list[MarkerMatch]) -> float:
 
 
 def _join_segments(candidates: dict[int, list[MarkerMatch]], segments: list[TrajectorySegment], markers: np.ndarray) -> list[int]:
-    """Join the segments with a high probability to `markers` (T, M, 3) in place, the cheapest first, and return them.
-
-    Each marker gets at most one segment at a time.
-    """
+    """Join likely segments to `markers` in place, one to a marker at a time, the cheapest first, and return them."""
     certain = [i for i, matches in candidates.items() if compute_match_probability(matches) >= MIN_JOIN_PROBABILITY]
     joined: list[int] = []
     for i in sorted(certain, key=lambda i: candidates[i][0].cost):

@@ -128,10 +128,7 @@ def detect_label_swaps(take: Take) -> list[Fault]:
 
 
 def _select_exchanges(take: Take) -> list[LabelExchange]:
-    """Select the exchanges with the largest gain, ordered by first frame.
-
-    An exchange that overlaps with a better one is left to the next pass.
-    """
+    """Select the exchanges with the largest gain by first frame; one that overlaps a better one is for the next pass."""
     if take.frame_count < 2 or not len(take.labels):
         return []
     trajectories, distances = build_trajectories(take.markers, take.rate), estimate_distances(take.markers)

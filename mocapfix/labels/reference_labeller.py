@@ -292,10 +292,7 @@ def count_labelled_points(sampled: SampledPoints, labels: ReferenceLabels) -> in
 def search_reference(
     positions: Float[np.ndarray, "V 3"], reference: ReferenceMarkers, pitches_rad: tuple[float, ...]
 ) -> list[FoundBody]:
-    """Return the assignments of the points of one frame, in metres, by rising cost.
-
-    The poses are placed in all headings, and inclined by the pitches.
-    """
+    """Return the assignments of a frame's points, in metres, by rising cost; the poses have all headings, and the pitches."""
     headings = np.linspace(0, 2 * np.pi, TRIED_HEADING_COUNT, endpoint=False)
     angles = np.array([(heading, pitch) for heading in headings for pitch in pitches_rad])
     rotations = Rotation.from_euler("YX", angles).as_matrix()

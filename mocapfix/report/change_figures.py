@@ -118,10 +118,7 @@ def _get_position(take: Take, index: int) -> Float[np.ndarray, "T 3"]:
 
 
 def _split_by_change(before_mm: Float[np.ndarray, "N 3"], after_mm: Float[np.ndarray, "N 3"], rank: int) -> list[MarkerCurve]:
-    """Return the unchanged part of a curve, the changed part before and the changed part after.
-
-    The changed parts extend to the adjacent unchanged samples.
-    """
+    """Return the unchanged part of a curve, and the changed before and after with the adjacent unchanged samples."""
     changed = ~((before_mm == after_mm) | np.isnan(before_mm) & np.isnan(after_mm)).all(axis=1)
     extended = changed.copy()
     extended[1:] |= changed[:-1]

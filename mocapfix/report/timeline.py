@@ -63,10 +63,7 @@ class ResidualPlot:
 
 
 def build_fault_rows(comparison: CleaningComparison) -> list[TimelineRow]:
-    """Return the rows of all trajectories with faults.
-
-    The donor of a joined fragment has a row as well; a fragment that matches no marker has none.
-    """
+    """Return the rows of trajectories with faults, and of donors of joined fragments; fragments of no marker have none."""
     take, applied = comparison.input_take, {id(fault) for _, fault in comparison.applied_changes}
     unused = {id(fault) for fault in comparison.unchanged_faults if fault.kind == "fragment"}
     bars: defaultdict[int, list[TimelineBar]] = defaultdict(list)

@@ -41,10 +41,7 @@ class MeanPosePrior:
         return replace(self, information=scale * (self.information - self.locked_information) + self.locked_information)
 
     def build_within_take_prior(self) -> "MeanPosePrior":
-        """Return the prior of a take's poses around the take's own mean pose.
-
-        Total covariance is the sum of the covariance within takes and between takes.
-        """
+        """Return the prior about a take's own mean: total covariance is that within plus that between takes."""
         information = self.information.copy()
         information[1:] = np.linalg.inv(np.linalg.inv(self.information[1:]) - self.between_take_covariance[1:])
         return replace(self, information=information)
@@ -114,10 +111,7 @@ class JointLimits:
 
 
 def load_joint_limits(skeleton: Skeleton) -> JointLimits:
-    """Return the joint limits shipped as priors/joint-limits.yaml.
-
-    Raises SceneError that names the file and the joint if a joint is missing or its limits are invalid.
-    """
+    """Return the limits in priors/joint-limits.yaml. Raises SceneError that names a joint with missing or invalid limits."""
     path = find_shipped_folder("priors") / "joint-limits.yaml"
     mean_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     data, bounds = read_yaml(path), np.full((2, len(skeleton.names), 3), np.inf)

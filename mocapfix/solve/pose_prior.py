@@ -193,9 +193,7 @@ class MixtureModel(PoseModel):
 
     @property
     def component_offsets(self) -> Float[np.ndarray, " C"]:
-        """The cost of a component besides half the squared code: log of the determinant of its Cholesky factor minus log
-        weight.
-        """
+        """The cost of a component besides half the squared code: log determinant of its Cholesky factor less log weight."""
         log_determinant = np.log(np.diagonal(self.component_cholesky, axis1=1, axis2=2)).sum(1)
         return log_determinant - np.log(self.component_weights)
 

@@ -127,7 +127,7 @@ def compute_gap_variance(
 def smooth_root_path(
     root_position: Float[np.ndarray, "T 3"], variance: Float[np.ndarray, " T"], rate: float
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
-    """Return the smooth path of the root in metres, and its variance where undetermined, from those of each frame, m^2 per axis."""
+    """Return the smooth path of the root in metres, and its variance where undetermined, from those of each frame (m^2)."""
     power = estimate_acceleration_power(root_position, variance, rate, MAX_POWER_SAMPLE_SD / 10)
     return smooth_path(root_position, variance, power, rate), compute_gap_variance(variance > MAX_ROOT_SD_M**2, power, rate)
 

@@ -230,9 +230,7 @@ class AutoencoderModel(PoseModel):
         return decoded + self._compute_residual(codes), np.concatenate([jacobian, residual_jacobian], axis=-1)
 
     def serialise(self) -> tuple[Header, Tensors]:
-        """Return header and tensors; the weights in half precision, for which standard deviations and code scale were
-        estimated.
-        """
+        """Return header and tensors, in half precision, for which standard deviations and code scale were estimated."""
         weights = {_name_file_weight(name): values.astype(np.float16) for name, values in self.weights.items()}
         tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_AUTOENCODER_TENSOR.items()}
         shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}

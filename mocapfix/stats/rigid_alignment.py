@@ -16,10 +16,7 @@ ALIGNMENT_ROUNDS = 6  # in which poses and shape are estimated in turn
 def compute_cross_covariance(
     points: Float[np.ndarray, "T K 3"], model: Float[np.ndarray, "K 3"], weight: Float[np.ndarray, "T K"]
 ) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
-    """Return the cross-covariances of points and a model about their weighted means, and the means of points and of the model.
-
-    A point of weight 0 may be NaN.
-    """
+    """Return cross-covariances of points (NaN if of weight 0) and a model about their weighted means, and these means."""
     frames = len(points)
     cross, mean_points, mean_model = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3))
     compute_cross_covariance_frames(

@@ -226,10 +226,7 @@ def measure_learned_body(
 
 
 def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", guess: MarkerSet) -> str:
-    """Return why the motion contradicts the words of the labels, "" if it does not.
-
-    Words may name a neighbouring segment, such as the thigh for a marker on the knee.
-    """
+    """Return why the motion contradicts the labels' words, "" if not; words may name a neighbouring segment."""
     attached = np.array([fit.attachment.joints[labels.index(label)] for label in guess.labels])
     is_attached = attached >= 0
     pairs = zip(guess.joints[is_attached].tolist(), attached[is_attached].tolist(), strict=True)

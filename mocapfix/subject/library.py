@@ -38,10 +38,7 @@ LENGTH_DECIMALS = 7  # decimals of the lengths in the file: a tenth of a microme
 
 
 def read_subject(path: str | Path) -> Subject:
-    """Return the subject in a file that `write_subject` wrote, possibly edited since.
-
-    Raises SceneError with the file and the path of the invalid key.
-    """
+    """Return the subject in a file, possibly edited. Raises SceneError with the file and the path of the invalid key."""
     model = read_yaml_model(_SubjectModel, Path(path))
     _check_bones(Path(path), model.bones)
     skeleton, markers = load_cmu31_body().skeleton, model.markers.values()

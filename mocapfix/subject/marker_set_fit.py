@@ -246,10 +246,7 @@ def find_posed_joints(part: BodyModel, body: BodyModel) -> Bool[np.ndarray, " J"
 
 
 def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:
-    """Return the attached markers as a set on the average body.
-
-    Where the guess has the correct segment its offset is kept, otherwise the measured one is used.
-    """
+    """Return the attached markers as a set on the average body; where the guess has the right segment, with its offset."""
     guessed = {label: k for k, label in enumerate(guess.labels)}
     attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0]
     offsets, spread = attachment.offsets[attached] / size, np.full(len(attached), ONE_TAKE_MARKER_SPREAD_M)

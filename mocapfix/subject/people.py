@@ -204,10 +204,7 @@ class CalibratedPerson:
 def calibrate_one_person(
     paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
 ) -> list[CalibratedPerson]:
-    """Calibrate the person whom all takes show. Returns one person, none if no take is left by `guard`.
-
-    Raises TakeError as `calibrate_takes`.
-    """
+    """Calibrate the person of all takes; none if `guard` leaves no take. Raises TakeError as `calibrate_takes`."""
     from mocapfix.surveys import survey_person
 
     surveys: list[CalibrationFrames] = []
