@@ -240,7 +240,6 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
     """Find the contacts and the events of gait of the solved body, and hold its feet.
 
     Args:
-        body: The solved body.
         take: The take as it was read, whose file may have force plates and events.
         mode: One of FEET_MODES.
     """

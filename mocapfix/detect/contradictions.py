@@ -126,7 +126,6 @@ def select_consistent_set(marker_set: MarkerSet, without_set: Detected, with_set
     """Return a learned set if its body contradicts hardly any sample, else a part of it that may not; None if there is none.
 
     Args:
-        marker_set: The learned set.
         without_set: What is detected in the take without the set.
         with_set: What is detected with it.
     """

@@ -186,7 +186,6 @@ def detect_on_trajectories(
 
     Args:
         take: The take as it was read.
-        marker_set: Its marker set, if it has one.
         subject: The subject from an earlier calibration, if it is known.
         review: What a reviewer decided.
         options: Those of detection and `fill.refill`.

@@ -324,10 +324,8 @@ def build_report(
 
     Args:
         take: The take as it was read.
-        subject: Its subject and marker set.
         standing: The body that was solved; None without a marker set.
         decided: The cleaned take, its faults and its changes.
-        options: Those of the cleaning.
         stage_seconds: The seconds of each stage.
     """
     detected, solve, body_notes = decided.filled.detected, None, list[str]()

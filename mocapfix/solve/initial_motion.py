@@ -172,7 +172,6 @@ def initialise_motion(
     Args:
         take: The markers in the subject's order, NaN if not visible or an outlier.
         prior: Its mean pose is that of the joints that the body does not turn.
-        method: One of INIT_METHODS.
     """
     if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
         return initialise_in_blocks(take, subject, body, prior, method)
@@ -273,7 +272,6 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
     Args:
         subject: The subject and the samples that the solver uses.
         solved: The body as it was solved before, if it was.
-        method: One of INIT_METHODS.
     """
     take, body = subject.take, subject.extended_subject.body_model
     changes = change_all_frames(take.frame_count)

@@ -39,8 +39,6 @@ def estimate_body_size_ratio(
     median over pairs of each pair's median over frames, limited to MIN_SIZE_RATIO..MAX_SIZE_RATIO; 1 if no pair qualifies.
 
     Args:
-        skeleton: The average one.
-        marker_set: The set with K markers.
         markers: Metres, NaN if not visible or an outlier.
         min_frames: Frames in which both markers of a pair must be visible.
     """

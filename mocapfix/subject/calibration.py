@@ -266,7 +266,6 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
     """Calibrate a subject from the inliers of a take.
 
     Args:
-        detected: The take and its faults.
         subject: The subject if it is known: it is not calibrated.
         previous: The result of the round before. Its calibration goes on, unless labels were corrected since.
 
