@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test test-lab test-lab-slice bench docs install addon blender browser gltf-validator lint clean
+.PHONY: demo test test-package test-lab test-lab-slice bench docs dist install addon blender browser gltf-validator lint clean
 
 demo: $(VENV)/installed
 	@$(VENV)/bin/mocapfix demo
@@ -16,7 +16,11 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin
 	--durations 20
 test: $(VENV)/installed-dev
 	$(VENV)/bin/python -m mocapfix.kernels.compilation
-	$(PYTEST) --ignore tests/lab
+	$(PYTEST) --ignore tests/lab --ignore tests/test_packaging.py
+
+# The sdist and the wheel, checked and installed into an empty environment, in which a take is cleaned.
+test-package: $(VENV)/installed-dev
+	$(VENV)/bin/python -m pytest tests/test_packaging.py
 
 # The tests of benchmarks, training and fuzzing; test-lab-slice is the part of them that every change must pass.
 LAB_SLICE := $(addprefix tests/lab/test_,baseline.py damaged_take.py fuzz.py settings.py stage_takes.py)
@@ -32,6 +36,12 @@ bench: $(VENV)/installed-dev
 # The documentation as a site, in site/index.html. Any warning is an error.
 docs: $(VENV)/installed-dev
 	$(VENV)/bin/mkdocs build --strict --quiet
+
+# The packages to publish, in dist/: the wheel is built from the sdist.
+dist: $(VENV)/installed-dev
+	rm -f dist/mocapfix-*
+	$(VENV)/bin/python -m build --no-isolation
+	$(VENV)/bin/python -m twine check --strict dist/mocapfix-*
 
 install: $(VENV)/installed-dev
 

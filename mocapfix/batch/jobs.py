@@ -5,8 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, get_args
@@ -24,6 +22,7 @@ from mocapfix.batch.records import (
     write_record,
 )
 from mocapfix.errors import MocapfixError
+from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
 
 CLEAN_FUNCTION = "mocapfix.batch.jobs:clean_recorded_take"
@@ -49,14 +48,6 @@ class CleanRequest:
     options: CleanOptions  # with the subject of the take, if it is known
     # for the record: the subject files among the options, by subject, relative to the batch's folder
     subject_files: tuple[tuple[str, str], ...] = ()
-
-
-@cache
-def get_version() -> str:
-    try:
-        return version("mocapfix")
-    except PackageNotFoundError:  # a checkout that is not installed
-        return ""
 
 
 def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -> TakeRecord | None:

@@ -25,7 +25,6 @@ from mocapfix.batch.jobs import (
     CleanRequest,
     clean_take,
     find_current_record,
-    get_version,
     run_with_retries,
     sort_by_size,
     try_to_hash,
@@ -34,6 +33,7 @@ from mocapfix.batch.records import TakeRecord, get_record_path, hash_options, lo
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.io.files import make_output_folder, replace_atomically
+from mocapfix.io.shipped import get_version
 from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 from mocapfix.options import CleanOptions
 

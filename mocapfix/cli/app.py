@@ -25,6 +25,7 @@ from mocapfix.cli.clean import print_summary, run_clean, run_inspect, run_scene
 from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS, run_calibrate, run_label
 from mocapfix.cli.review import run_review, run_status
 from mocapfix.errors import OptionError, ReadError, describe_error
+from mocapfix.io.shipped import get_version
 
 
 def run_demo(
@@ -130,6 +131,9 @@ def run_command_line(arguments: list[str] | None = None) -> None:
 
 def run_command(arguments: list[str]) -> int:
     """Run a command, and print what is raised as a sentence; return the exit status."""
+    if arguments == ["--version"]:
+        console.print_line(f"mocapfix {get_version()}")
+        return console.EXIT_DONE
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
         app.command(name=name)(command)
@@ -147,7 +151,7 @@ def run_command(arguments: list[str]) -> int:
         return app.cli(
             prog="mocapfix",
             description="Clean optical motion capture: writes the cleaned file, a BVH, a report and a before/after recording. "
-            "After an unexpected error, --debug shows where in mocapfix it was raised.",
+            "--version prints the version. After an unexpected error, --debug shows where in mocapfix it was raised.",
             args=arguments,
         )
     except SystemExit as end:  # help, or wrong usage

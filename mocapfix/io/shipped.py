@@ -2,7 +2,9 @@
 
 import math
 import re
-from importlib import resources
+import tomllib
+from functools import cache
+from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +19,16 @@ BRACKET_PATTERN = re.compile(r"[\[{\]}]")
 DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)  # many of these make a document deep
 YAML_LOADER: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """the loader of libyaml if PyYAML was built with it, which is ten times as fast"""
+
+
+@cache
+def get_version() -> str:
+    """Return the version, which pyproject.toml states: of the installed package, or of a checkout that is not installed."""
+    try:
+        return metadata.version("mocapfix")
+    except metadata.PackageNotFoundError:
+        project = find_shipped_folder("scenes").parent / "pyproject.toml"
+        return tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
 
 
 def find_shipped_folder(name: str) -> Path:

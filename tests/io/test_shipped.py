@@ -1,5 +1,9 @@
 """Finding and reading shipped files."""
 
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
 import pytest
 import yaml
 
@@ -20,6 +24,16 @@ def test_folder_within_the_package_takes_precedence(tmp_path, monkeypatch):
     assert shipped.find_shipped_folder("scenes") == tmp_path / "scenes"
     (package / "scenes").mkdir()
     assert shipped.find_shipped_folder("scenes") == package / "scenes"
+
+
+def test_version_of_a_checkout_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def find_nothing(name: str) -> str:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(shipped.metadata, "version", find_nothing)
+    project = Path(__file__).parents[2] / "pyproject.toml"
+    expected = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+    assert shipped.get_version.__wrapped__() == expected
 
 
 def test_every_shipped_yaml_is_read():
