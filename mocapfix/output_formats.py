@@ -12,11 +12,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
+from mocapfix.characters.rig import Rig, load_rig, write_rig_bvh
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
-from mocapfix.io import rig
 from mocapfix.io.asf_amc import write_asf_amc
-from mocapfix.io.bvh import write_bvh, write_rig_bvh
+from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, Review, write_changes_file
 from mocapfix.io.files import get_source_suffixes, replace_atomically
@@ -24,7 +24,6 @@ from mocapfix.io.gltf import write_gltf
 from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
 from mocapfix.io.resampling import FRAME_TOLERANCE, resample_motion
-from mocapfix.io.rig import Rig
 from mocapfix.io.source_file import append_computed_points
 from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.model.changes import Change
@@ -315,7 +314,7 @@ def get_file_version(path: Path) -> FileVersion | None:
 def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | None, ...]) -> tuple[OutputFormat, ...]:
     """Return the formats, with the rigs and characters as they are in these versions of their files."""
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
-    rigs = [build_rig_format(rig.load_rig(name)) for name in dict.fromkeys(options.rigs)]
+    rigs = [build_rig_format(load_rig(name)) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
     formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
     suffixes = [suffix for each in formats for suffix in each.all_suffixes]

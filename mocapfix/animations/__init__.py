@@ -1,7 +1,6 @@
 """Animations: BVH and AMC input, cleaned in joint rotations and in the root's position, without markers.
 
 clean           the stages in order, and the animation as they leave it
-joint_mapping   its joints as those of the 31-joint skeleton, by their names, and as points in the world
 detect          its faults; offsets, those that are constant over some frames (pops and flips)
 repair          their repair, by the method that suits each kind
 apply_repairs   which repairs are applied; feet that are held (`--feet lock`)

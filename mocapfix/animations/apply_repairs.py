@@ -13,15 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from mocapfix.animations import joint_mapping
-from mocapfix.animations.joint_mapping import SkeletonAlignment, compute_file_rotation
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
+from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.contacts.body_contacts import hold_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.fill.gap_filling import compute_gap_durations, explain_unfilled_samples
 from mocapfix.io.changes_file import ReviewedChange
 from mocapfix.model import changes
-from mocapfix.model.animation import Animation
+from mocapfix.model.animation import Animation, build_joint_take, build_tip_take, compute_joint_point_sd
 from mocapfix.model.changes import Change, UnfilledRun, compute_editable_mask, find_unfilled_runs
 from mocapfix.model.faults import Fault, Faults, build_fault_mask
 from mocapfix.model.motion import Motion
@@ -62,7 +61,7 @@ def apply_repairs(
     options   those of detection (the kinds to repair) and of gap filling are used
     reviewed  decisions on the changes of an earlier cleaning
     """
-    tips = joint_mapping.build_tip_take(animation)
+    tips = build_tip_take(animation)
     is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
     before = tips.masked(~is_absent)
     selected = [fault for fault in faults if _is_selected(fault, options.detect.repair_kinds, reviewed)]
@@ -73,9 +72,9 @@ def apply_repairs(
     is_repaired = editable & (rejection_reasons == "")
     repaired = insert_repairs(animation, repair, is_repaired)
     variance = np.where(is_repaired, repair.variance, 0.0)
-    after = joint_mapping.build_tip_take(repaired)
+    after = build_tip_take(repaired)
     after = _add_sd(repaired, after, variance, is_repaired | ~before.visible).masked(is_repaired | ~is_absent)
-    joint_take = joint_mapping.build_joint_take(repaired)
+    joint_take = build_joint_take(repaired)
     joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
     applied = _list_changes(before, after, selected, repair, is_repaired)
     unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
@@ -125,7 +124,7 @@ def _find_rejection_reasons(
     lost_faults = [fault for fault in faults if fault.kind in LOST_KINDS]
     is_lost = build_fault_mask(lost_faults, editable.shape)
     fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
-    sd = joint_mapping.compute_joint_point_sd(fully_repaired, joint_mapping.build_tip_take(fully_repaired), repair.variance)
+    sd = compute_joint_point_sd(fully_repaired, build_tip_take(fully_repaired), repair.variance)
     sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
     reasons = explain_unfilled_samples(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
     for fault in lost_faults:
@@ -138,7 +137,7 @@ def _add_sd(
     animation: Animation, points: Take, variance: Float[np.ndarray, "T N"], is_estimated: Bool[np.ndarray, "T M"]
 ) -> Take:
     """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
-    sd = joint_mapping.compute_joint_point_sd(animation, points, variance)
+    sd = compute_joint_point_sd(animation, points, variance)
     return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
 
 
@@ -224,7 +223,7 @@ def lock_feet(
 def _find_leg(animation: Animation, alignment: SkeletonAlignment, side: str) -> _Leg | None:
     """Return a leg whose joints can take any rotation; None if the animation has none on this side."""
     model_joints = [alignment.skeleton.names.index(side.capitalize() + bone) for bone in LEG_BONES]
-    file_joints = alignment.file_joints[model_joints].tolist()
+    file_joints = alignment.source_joints[model_joints].tolist()
     if min(file_joints) < 0:
         return None
     channel_counts = [len(set(animation.get_rotation_channels(joint)[1].tolist())) for joint in file_joints]
@@ -254,7 +253,7 @@ def _turn_leg(animation: Animation, alignment: SkeletonAlignment, held: Motion, 
     rotations = animation.compute_local_rotations()[frames]
     model_rotations = held.local_rotations[frames]
     for model_joint, file_joint in zip(leg.model_joints, leg.file_joints, strict=True):
-        rotations[:, file_joint] = compute_file_rotation(animation.parents, rotations, alignment, model_joint, model_rotations)
+        rotations[:, file_joint] = alignment.convert_rotation_back(model_joint, model_rotations, animation.parents, rotations)
     return animation.replace_rotations(np.array(leg.file_joints), frames, rotations[:, leg.file_joints])
 
 
@@ -282,11 +281,11 @@ def _record_changes(
     """Return the cleaned animation with its changed legs; their tips have the distance moved as their uncertainty."""
     if not faults:
         return repaired
-    tips, before = joint_mapping.build_tip_take(animation), repaired.tips_after
+    tips, before = build_tip_take(animation), repaired.tips_after
     was_known = before.visible
     sd = _combine_sd(before.sample_sd, np.where(is_changed & was_known, _measure_distance(tips.markers, before.markers), np.nan))
     after = before.replace_markers(np.where(was_known[..., None], tips.markers, np.nan), sd)
-    joints = joint_mapping.build_joint_take(animation)
+    joints = build_joint_take(animation)
     joint_distance = _measure_distance(joints.markers, repaired.joint_take.markers)
     joint_sd = _combine_sd(repaired.joint_take.sample_sd, np.where(joint_distance > 0, joint_distance, np.nan))
     own_points = before.replace_markers(np.where(is_changed[..., None], after.markers, before.markers), sd)

@@ -6,7 +6,7 @@
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected
     contacts  = find_animation_contacts(...)           with the floor, and events of gait
 
-All other values stay as they are. Faults and changes refer to the joint tips (see `joint_mapping.build_tip_take`).
+All other values stay as they are. Faults and changes refer to the joint tips (see `build_tip_take`).
 `MappedPriorConditioner` applies the trained models of poses and motion to the joints of the animation.
 """
 
@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import joint_mapping
 from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
-from mocapfix.animations.joint_mapping import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.animations.repair import repair_animation
+from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
+from mocapfix.characters.bone_names import map_joints
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
@@ -34,11 +34,11 @@ from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
-from mocapfix.model.animation import Animation
+from mocapfix.model.animation import Animation, build_joint_take, build_tip_take
 from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import compose_transforms, find_ancestor, load_cmu31_body
+from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -96,13 +96,13 @@ def find_placed_joints(animation: Animation, alignment: SkeletonAlignment) -> Bo
 
     A ball of a foot without a joint is placed if the foot has an end site, which shows where the foot points.
     """
-    names, is_known = alignment.skeleton.names, alignment.file_joints >= 0
+    names, is_known = alignment.skeleton.names, alignment.is_mapped
     is_placed = np.ones(len(names), bool)
     for joint in (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS):
         is_placed[names.index(joint)] = is_known[names.index(joint)]
     for foot, toe in (map(names.index, joints) for joints in FOOT_JOINTS.values()):
         if is_known[foot] and not is_known[toe]:
-            end_sites = animation.end_sites[alignment.file_joints[foot]]
+            end_sites = animation.end_sites[alignment.source_joints[foot]]
             is_placed[toe] = len(end_sites) > 0 and bool(np.any(end_sites[0]))
     return is_placed
 
@@ -116,17 +116,12 @@ class MappedPriorConditioner(PriorConditioner):
 
     def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:
         """As `PriorConditioner.predict_gap`, for joints of the file."""
-        if self.predict_motion is None or self.alignment.file_joints[0] != 0:  # the root's position is that of the hips
+        if self.predict_motion is None or self.alignment.source_joints[0] != 0:  # the root's position is that of the hips
             return None
-        context, file_joints = context.crop(), self.alignment.file_joints
+        context, file_joints = context.crop(), self.alignment.source_joints
         _, world = compose_transforms(self.parents, np.zeros(context.local_rotations.shape[:3]), context.local_rotations)
-        # A joint without a counterpart is known where the nearest joint above it that has one is known.
-        is_mapped, parents = file_joints >= 0, self.alignment.skeleton.parents
-        sources = [j if is_mapped[j] else find_ancestor(j, parents, is_mapped) for j in range(len(file_joints))]
-        is_known = context.is_known[:, file_joints[sources]]
-        model = context._replace(
-            local_rotations=joint_mapping.convert_rotations_to_cmu31(world, self.alignment), is_known=is_known
-        )
+        is_known = context.is_known[:, self.alignment.carriers]
+        model = context._replace(local_rotations=self.alignment.convert_rotations(world), is_known=is_known)
         size_ratio = self.alignment.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
         predicted = self.predict_motion(model, size_ratio)
         if predicted is None:
@@ -135,10 +130,10 @@ class MappedPriorConditioner(PriorConditioner):
         variance = np.full(file_rotations.shape[:2], np.inf)
         for joint in np.flatnonzero((file_joints >= 0) & np.isin(file_joints, joints)).tolist():
             if np.isfinite(predicted.variance[:, joint]).all():
-                rotations = joint_mapping.compute_file_rotation(
-                    self.parents, file_rotations, self.alignment, joint, predicted.rotations
+                file_rotations[:, file_joints[joint]] = self.alignment.convert_rotation_back(
+                    joint, predicted.rotations, self.parents, file_rotations
                 )
-                file_rotations[:, file_joints[joint]], variance[:, file_joints[joint]] = rotations, predicted.variance[:, joint]
+                variance[:, file_joints[joint]] = predicted.variance[:, joint]
         return predicted._replace(rotations=file_rotations, variance=variance).select_joints(joints)
 
     def predict_rotations(
@@ -150,23 +145,23 @@ class MappedPriorConditioner(PriorConditioner):
         reference: Float[np.ndarray, "N Q"],
     ) -> Float[np.ndarray, "N Q"]:
         """As `PriorConditioner.predict_rotations`, for joints of the file; `reference` for joints without a counterpart."""
-        file_joints = self.alignment.file_joints[1:]
+        file_joints = self.alignment.source_joints[1:]
         observed, occluded = (1 + np.flatnonzero(np.isin(file_joints, joints)) for joints in (observed_joints, occluded_joints))
         if not len(observed) or not len(occluded):
             return reference
         file_rotations = local_rotations[frames]
         _, world_rotations = compose_transforms(self.parents, np.zeros(file_rotations.shape[:3]), file_rotations)
-        model_rotations = joint_mapping.convert_rotations_to_cmu31(world_rotations, self.alignment)
+        model_rotations = self.alignment.convert_rotations(world_rotations)
         any_sign = np.ones((len(frames), 4 * len(occluded)))
         predicted = super().predict_rotations(model_rotations, observed, occluded, np.arange(len(frames)), any_sign)
         for i, joint in enumerate(occluded):
             model_rotations[:, joint] = Rotation.from_quat(predicted[:, 4 * i : 4 * i + 4]).as_matrix()
-            file_rotations[:, self.alignment.file_joints[joint]] = joint_mapping.compute_file_rotation(
-                self.parents, file_rotations, self.alignment, int(joint), model_rotations
+            file_rotations[:, self.alignment.source_joints[joint]] = self.alignment.convert_rotation_back(
+                int(joint), model_rotations, self.parents, file_rotations
             )
         result = reference.reshape(len(frames), len(occluded_joints), 4).copy()
         for i, joint in enumerate(occluded_joints):
-            if joint in self.alignment.file_joints[occluded]:
+            if joint in self.alignment.source_joints[occluded]:
                 all_frames = np.ones(len(frames), bool)
                 joint_quaternions = 2 * lie.extract_joint_quaternions(file_rotations, int(joint), all_frames)
                 is_opposite = (joint_quaternions * result[:, i]).sum(1, keepdims=True) < 0
@@ -178,7 +173,7 @@ class MappedPriorConditioner(PriorConditioner):
 class AnimationResult(CleaningResult):
     """A cleaned animation.
 
-    The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `joint_mapping.build_tip_take`). Subject and
+    The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `build_tip_take`). Subject and
     motion are those of the 31-joint skeleton, None if the joint names are not those of a body.
     """
 
@@ -234,14 +229,9 @@ class AnimationBody:
 
         joint_take  joint positions of the animation, with standard deviations
         """
-        root_position, local_rotations = convert_to_cmu31(animation, self.alignment)
+        root_position, local_rotations = self.alignment.convert_poses(*animation.compute_world_poses())
         if not (np.isfinite(root_position).all() and np.isfinite(local_rotations).all()):
             return None
-        skeleton, is_known = self.alignment.skeleton, self.alignment.file_joints >= 0
-        # A joint without counterpart has the uncertainty of the nearest joint above it that has one.
-        sources = [
-            joint if is_known[joint] else find_ancestor(joint, skeleton.parents, is_known) for joint in range(len(is_known))
-        ]
         sd = np.zeros(joint_take.visible.shape)
         if joint_take.sample_sd is not None:
             sd = np.nan_to_num(joint_take.sample_sd)
@@ -252,9 +242,9 @@ class AnimationBody:
             zeros + FrameStatus.PLACED,
             zeros,
             np.zeros((joint_take.frame_count, 0)),
-            sd[:, self.alignment.file_joints[sources]],
+            sd[:, self.alignment.carriers],
         )
-        return Subject(skeleton, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
+        return Subject(self.alignment.skeleton, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
 
 
 def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tuple[AnimationBody | None, str]:
@@ -265,7 +255,7 @@ def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tupl
     Returns the body, None if the animation is not of a whole body, and a sentence that gives the reason. Raises SceneError if
     there is no such convention or if the given one does not match.
     """
-    mapping = joint_mapping.map_joints(animation.names, animation.parents, hierarchy)
+    mapping = map_joints(animation.names, animation.parents, hierarchy)
     if mapping.file_joints is None:
         if hierarchy is not None:
             raise SceneError(f"{hierarchy}: does not fit {animation.name}. {mapping.reason}")
@@ -290,8 +280,8 @@ def clean_animation(
     Raises as `pipeline.clean`.
     """
     reject_marker_options(animation, options)
-    check_fill_options(joint_mapping.build_joint_take(animation), options.fill, "joint")
-    review = read_changes_files(options.review.review_files, [joint_mapping.build_tip_take(animation)])[0]
+    check_fill_options(build_joint_take(animation), options.fill, "joint")
+    review = read_changes_files(options.review.review_files, [build_tip_take(animation)])[0]
     reject_corrections(review, animation.name, "this is an animation")
     with timer("detect"):
         body, mapping_note = find_body(animation, options.subject.hierarchy)
@@ -356,8 +346,8 @@ def inspect_animation(animation: Animation, options: CleanOptions) -> Inspection
     """Return the report of the faults that `clean_animation` would detect, without repairing them."""
     reject_marker_options(animation, options)
     _, mapping_note = find_body(animation, options.subject.hierarchy)
-    tips, faults = joint_mapping.build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
-    joint_take = joint_mapping.build_joint_take(animation)
+    tips, faults = build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
+    joint_take = build_joint_take(animation)
     return build_report.build_inspection_report(joint_take, None, tips, faults, [*animation.notes, mapping_note])
 
 

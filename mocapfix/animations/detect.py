@@ -23,10 +23,9 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.animations import offsets
-from mocapfix.animations.joint_mapping import list_track_names
 from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
 from mocapfix.kernels import lie
-from mocapfix.model.animation import AXIS_LETTERS, Animation
+from mocapfix.model.animation import AXIS_LETTERS, Animation, list_track_names
 from mocapfix.model.faults import Fault, FaultKind
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.constant_offsets import multiply_quaternions
@@ -242,7 +241,7 @@ EVIDENCE_AT_ZERO_CONFIDENCE = 10.0  # evidence of an offset at which its confide
 def detect_animation_faults(animation: Animation) -> list[Fault]:
     """Detect the faults of an animation, ordered by joint and first frame.
 
-    The markers of the faults are indices of tracks, and of points in `joint_mapping.build_tip_take`.
+    The markers of the faults are indices of tracks, and of points in `build_tip_take`.
     """
     local_rotations = animation.compute_local_rotations()
     root_position = animation.compute_local_positions()[:, animation.moving_joint]

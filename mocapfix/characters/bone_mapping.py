@@ -4,193 +4,21 @@ Names are those of the shipped characters and naming conventions. Twist bones be
 its axis and carry a share of its twist.
 """
 
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
+from mocapfix.characters.bone_names import find_segments_by_name
 from mocapfix.characters.character import (
-    REQUIRED_SEGMENTS,
-    SEGMENT_CHAINS,
-    SEGMENT_JOINTS,
     SIDES,
-    TRUNK_JOINTS,
     TWISTING_SEGMENTS,
     BoneMapping,
     Character,
     get_next_segment,
 )
 from mocapfix.errors import SceneError
-from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
-from mocapfix.model.skeleton import find_common_joint, is_below, list_path
-from mocapfix.options import CHARACTER_PRESETS
-
-NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
-SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
-CENTRE_WORD = "c"  # marks bones in the middle in some conventions, such as J_Bip_C_Hips
-MIN_PREFIX_SHARE = 0.5  # share of the bones that begin with a word from which it is a prefix, such as mixamorig or DEF
-MAX_PREFIX_PARTS = 4
-SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() for joint in joints} | {
-    f"{side.capitalize()}{joint}": f"{side}_{segment}" for side in SIDES for segment, joint in SEGMENT_JOINTS.items()
-}
-"""the segments of the 31 joints that the naming conventions name; joints that are missing here have none"""
-NameKey = tuple[str, str]
-"""side ("left", "right" or "") and the other words of a name, in lower case without separators and leading zeros"""
-
-
-@dataclass(frozen=True)
-class NameTable:
-    """The names that one program or convention gives to the segments."""
-
-    title: str  # for people
-    entries: tuple[tuple[str, tuple[NameKey, ...]], ...]  # segment and the names of one of its bones, the most likely first
-    all_names: frozenset[NameKey]  # names of all bones, those without a segment too
-
-
-@dataclass(frozen=True)
-class NamedSegments:
-    """The segments that names give, and the title of the table that gave them."""
-
-    title: str
-    bones: Mapping[str, tuple[int, ...]]
-
-
-def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> NamedSegments | None:
-    """Find the bones of the segments by their names.
-
-    Case, separators, namespaces, a prefix of most names, and the way in which names give the side are ignored. Bones between two
-    bones of a limb are parts of the upper segment. The table that gives the most bones is chosen, among
-    equals the one with the most similar set of names.
-
-    Returns:
-        The segments, or None if no table gives all that a body needs.
-    """
-    keys = parse_bone_names(names)
-    all_names = frozenset(spellings[0] for spellings in keys)
-    best: tuple[tuple[int, float], NamedSegments] | None = None
-    for table in _load_tables():
-        bones = _match_table(table, keys, parents)
-        likeness = len(table.all_names & all_names) / len(table.all_names | all_names)
-        score = sum(map(len, bones.values())), likeness
-        if all(bones.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
-            best = score, NamedSegments(table.title, bones)
-    return None if best is None else best[1]
-
-
-def parse_bone_names(names: Sequence[str]) -> list[tuple[NameKey, ...]]:
-    """Return the spellings of each name that tables are searched for: as it is, and without the prefix of most names."""
-    words = [NAME_PARTS.findall(re.split(r"[:|]", name)[-1]) for name in names]
-    prefix: list[str] = []
-    for count in range(1, MAX_PREFIX_PARTS + 1):
-        beginnings = Counter(tuple(each[:count]) for each in words if len(each) >= count)
-        if len(names) < 2 or not beginnings:
-            break
-        beginning, uses = beginnings.most_common(1)[0]
-        if uses < MIN_PREFIX_SHARE * len(names) or beginning[-1].lower() in SIDE_WORDS:
-            break
-        prefix = list(beginning)
-    spellings: list[tuple[NameKey, ...]] = []
-    for each in words:
-        short = each[len(prefix) :] if prefix and each[: len(prefix)] == prefix else each
-        spellings.append(tuple(dict.fromkeys((_build_key(each), _build_key(short or each)))))
-    return spellings
-
-
-def _build_key(words: Sequence[str]) -> NameKey:
-    lower = [word.lower() for word in words]
-    side = next((SIDE_WORDS[word] for word in lower if word in SIDE_WORDS), "")
-    rest = [
-        word.lstrip("0") or "0" if word.isdigit() else word for word in lower if word not in SIDE_WORDS and word != CENTRE_WORD
-    ]
-    return side, "".join(rest)
-
-
-@cache
-def _load_tables() -> tuple[NameTable, ...]:
-    """Return the tables of the presets, then those of the naming conventions."""
-    tables: list[NameTable] = []
-    for preset_name in CHARACTER_PRESETS:
-        preset = read_shipped_yaml(f"rigs/{preset_name}.yaml")
-        names = [bone["name"] for bone in preset["bones"]]
-        keys = parse_bone_names(names)
-        entries = tuple((segment, keys[names.index(name)]) for segment, chain in preset["segments"].items() for name in chain)
-        tables.append(NameTable(preset["title"], entries, frozenset(spellings[0] for spellings in keys)))
-    for path in sorted((find_shipped_folder("scenes") / "hierarchies").glob("*.yaml")):
-        convention = read_shipped_yaml(f"hierarchies/{path.name}")
-        entries = tuple(
-            (SEGMENT_OF_JOINT[joint], tuple(_build_key(NAME_PARTS.findall(name)) for name in candidates))
-            for joint, candidates in convention["joints"].items()
-            if joint in SEGMENT_OF_JOINT
-        )
-        tables.append(NameTable(convention["title"], entries, frozenset(key for _, group in entries for key in group)))
-    return tuple(tables)
-
-
-def _match_table(table: NameTable, keys: list[tuple[NameKey, ...]], parents: Int[np.ndarray, " J"]) -> dict[str, tuple[int, ...]]:
-    index: dict[NameKey, int] = {}
-    for spelling in (0, -1):  # whole names before those without the prefix
-        for bone, spellings in enumerate(keys):
-            index.setdefault(spellings[spelling], bone)
-    segments: dict[str, list[int]] = {}
-    used: set[int] = set()
-    for segment, candidates in table.entries:
-        bone = next((index[key] for key in candidates if index.get(key, -1) not in (-1, *used)), -1)
-        if bone >= 0:
-            used.add(bone)
-            segments.setdefault(segment, []).append(bone)
-    chains = {segment: sorted(chain) for segment, chain in segments.items()}  # parents have lower indices
-    _correct_pelvis(chains, parents)
-    _discard_misplaced_bones(chains, parents)
-    _fill_chains(chains, parents)
-    return {segment: tuple(chain) for segment, chain in chains.items() if chain}
-
-
-def _correct_pelvis(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
-    """Move the pelvis up to the bone that carries both legs and both arms, where the named one does not."""
-    limbs = [chains[segment][0] for side in SIDES for segment in (f"{side}_thigh", f"{side}_upper_arm") if chains.get(segment)]
-    pelvis = chains.get("pelvis", [])[:1]
-    if pelvis and limbs and not all(is_below(bone, pelvis[0], parents) for bone in limbs):
-        common = find_common_joint(parents, [*limbs, *pelvis])
-        pelvis = [common] if common >= 0 else []
-    if "pelvis" in chains:
-        chains["pelvis"] = pelvis
-
-
-def _discard_misplaced_bones(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
-    """Discard bones that are not below the bone before them."""
-    for order in SEGMENT_CHAINS:
-        above = -1
-        for segment in order:
-            kept: list[int] = []
-            for bone in chains.get(segment, ()):
-                if above < 0 or is_below(bone, above, parents):
-                    kept.append(bone)
-                    above = bone
-            if segment in chains:
-                chains[segment] = kept
-
-
-def _fill_chains(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
-    """Add the bones between the named ones of the spine, the neck and the limbs."""
-    if spine := chains.get("spine"):
-        chains["spine"] = list_path(spine[-1], int(parents[spine[0]]), parents)
-    if head := chains.get("head"):
-        neck, below = chains.get("neck"), (chains.get("spine") or chains.get("pelvis") or [-1])[-1]
-        between = list_path(int(parents[head[0]]), int(parents[neck[0]]) if neck else below, parents)
-        arms = [
-            chains[segment][0] for side in SIDES for segment in (f"{side}_clavicle", f"{side}_upper_arm") if chains.get(segment)
-        ]
-        chains["neck"] = [bone for bone in between if not any(is_below(arm, bone, parents) for arm in arms)]
-    for upper in TWISTING_SEGMENTS:
-        lower = get_next_segment(upper)
-        if chains.get(upper) and chains.get(lower):
-            chains[upper] = list_path(int(parents[chains[lower][0]]), int(parents[chains[upper][0]]), parents)
-
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""

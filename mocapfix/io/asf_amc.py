@@ -18,7 +18,6 @@ from typing import NoReturn
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError, WriteError, format_name_list
 from mocapfix.io.animation_inference import infer_conventions
 from mocapfix.io.file_content import (
@@ -33,6 +32,7 @@ from mocapfix.io.file_content import (
 )
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import FileFrames, choose_rate, count_frame_steps, describe_missing_frames
+from mocapfix.io.shipped import read_shipped_yaml
 from mocapfix.io.source_file import format_rows
 from mocapfix.kernels import euler_angles
 from mocapfix.model.animation import Animation
@@ -510,7 +510,7 @@ def write_asf_amc(
 
 def get_cmu_bone_names(skeleton: Skeleton) -> list[str]:
     """Return CMU's name of the bone that begins at each joint."""
-    acclaim = joint_mapping.load_naming_convention("acclaim").candidate_names
+    acclaim = read_shipped_yaml("hierarchies/acclaim.yaml")["joints"]
     return [acclaim[name][0] for name in skeleton.names]
 
 

@@ -29,7 +29,6 @@ from mocapfix.io.file_content import (
 )
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
-from mocapfix.io.rig import Rig, retarget_to_rig
 from mocapfix.io.source_file import format_rows
 from mocapfix.kernels import euler_angles
 from mocapfix.model.animation import Animation
@@ -468,9 +467,3 @@ def write_bvh(
         WriteError: If `target` is not writable or a leaf of the skeleton has no end site.
     """
     write_bvh_tree(target, skeleton, {0: motion.root_position}, motion.local_rotations, rate, unit_m, rotation_order)
-
-
-def write_rig_bvh(target: Path, rig: Rig, skeleton: Skeleton, motion: Motion, rate: float) -> None:
-    """Write a motion on the rig of another program. Raise WriteError as `write_bvh` and `retarget_to_rig` do."""
-    rig_skeleton, rig_motion = retarget_to_rig(rig, skeleton, motion)
-    write_bvh(target, rig_skeleton, rig_motion, rate, rig.unit_m, rig.rotation_order)

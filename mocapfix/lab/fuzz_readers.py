@@ -16,15 +16,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.joint_mapping import load_naming_convention
 from mocapfix.batch.job_files import read_cleaning_job
+from mocapfix.characters.bone_names import load_naming_convention
+from mocapfix.characters.rig import load_rig
 from mocapfix.errors import SceneError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import read_changes_file
-from mocapfix.io.rig import load_rig
 from mocapfix.io.shipped import read_yaml
 from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.keypoints.keypoint_scene import read_keypoint_scene

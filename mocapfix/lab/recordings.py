@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.joint_mapping import align_skeleton, convert_to_cmu31, map_joints
+from mocapfix.characters.alignment import align_skeleton
+from mocapfix.characters.bone_names import map_joints
 from mocapfix.errors import ReadError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import read_bvh
@@ -248,7 +249,7 @@ def _read_recording(path: Path, read: Callable[[Path], Animation]) -> Recording:
         raise ReadError(f"{path}: the figure never stands upright, so the axes of its joints cannot be determined.")
     step = compute_frame_step(animation.rate)
     kept = animation.replace_values(animation.values[int(animation.has_reference_pose) :: step])
-    root, rotations = convert_to_cmu31(kept, alignment)
+    root, rotations = alignment.convert_poses(*kept.compute_world_poses())
     is_complete = ~np.isnan(rotations).any((1, 2, 3)) & ~np.isnan(root).any(1)
     return Recording(path.stem, infer_subject(path), rotations[is_complete], animation.rate / step, root[is_complete])
 

@@ -1,4 +1,4 @@
-"""An animation: a tree of joints and the channel values that move it, as stored in a BVH or ASF/AMC file."""
+"""An animation: a tree of joints and the channel values that move it, as stored in a BVH or ASF/AMC file; and its points."""
 
 import re
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import euler_angles
 from mocapfix.model.skeleton import Skeleton, compose_transforms, find_common_joint, list_path
+from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
 
 AXIS_LETTERS = "XYZ"
@@ -268,3 +269,66 @@ def _iterate_runs(
         else:
             start = max(first - 1, 0)
         yield run, index_of_frame[run], start
+
+
+def build_joint_take(animation: Animation) -> Take:
+    """Build the take of an animation's joint positions."""
+    return _build_point_take(animation, animation.compute_world_poses()[0], animation.names)
+
+
+def build_tip_take(animation: Animation) -> Take:
+    """Build the take of an animation's joint tips, followed by the position of the joint that moves the figure.
+
+    The tip of a joint is the mean of its children and end sites. A rotation error of a joint displaces its tip but not the
+    joint itself, so faults and changes refer to tips.
+    """
+    positions, rotations = animation.compute_world_poses()
+    points = np.empty((animation.frame_count, len(animation.names) + 1, 3))
+    for joint in range(len(animation.names)):
+        end_offsets = animation.end_sites[joint] @ animation.rotation_y_up_file.T * animation.unit_m
+        end_positions = positions[:, [joint]] + end_offsets @ np.swapaxes(rotations[:, joint], -1, -2)
+        outer = np.concatenate([positions[:, animation.parents == joint], end_positions], axis=1)
+        points[:, joint] = outer.mean(1) if outer.shape[1] else positions[:, joint]
+    points[:, -1] = positions[:, animation.moving_joint]
+    return _build_point_take(animation, points, list_track_names(animation.names, animation.moving_joint))
+
+
+def list_track_names(joint_names: tuple[str, ...], moving_joint: int = 0) -> tuple[str, ...]:
+    """Return the names of an animation's J + 1 tracks: the rotations of its joints and the position of the one that moves it."""
+    return (*joint_names, f"{joint_names[moving_joint]} position")
+
+
+def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[np.ndarray, "T N"]) -> Float[np.ndarray, "T M"]:
+    """Compute the standard deviations per axis, in metres, of an animation's joints or tips from those of its tracks.
+
+    A small rotation about an axis moves a point by the angle times the point's distance from the axis.
+
+    Args:
+        animation: The animation.
+        points: As from `build_joint_take` or `build_tip_take`.
+        variance: Per axis, of the joints' rotations (rad^2) and of the root's position (m^2), as the last of N = J + 1 tracks.
+    """
+    frames = np.flatnonzero(variance.any(1))
+    positions, frame_variance = animation.replace_values(animation.values[frames]).compute_world_poses()[0], variance[frames]
+    squared = np.tile(frame_variance[:, -1:], (1, len(points.labels)))
+    for joint in range(len(animation.parents)):
+        ancestor = joint
+        while ancestor >= 0:
+            squared_distance = ((points.markers[frames, joint] - positions[:, ancestor]) ** 2).sum(-1)
+            squared[:, joint] += frame_variance[:, ancestor] * squared_distance * 2 / 3
+            ancestor = animation.parents[ancestor]
+    sd = np.zeros(points.visible.shape)
+    sd[frames] = np.sqrt(squared)
+    return sd
+
+
+def _build_point_take(animation: Animation, points: Float[np.ndarray, "T M 3"], labels: tuple[str, ...]) -> Take:
+    return Take(
+        points,
+        labels,
+        animation.rate,
+        animation.first_frame,
+        animation.path,
+        notes=animation.notes,
+        point_kind="joint",
+    )

@@ -129,6 +129,11 @@ class Skeleton:
         position, rotation = compose_transforms(self.parents, self.offsets[None], self.rest_rotations[None])
         return position[0], rotation[0]
 
+    def compute_rest_ends(self) -> Float[np.ndarray, "J 3"]:
+        """Compute the ends of the bones in the world, in metres, in the rest pose; NaN where none is known."""
+        positions, rotations = self.compute_rest_pose()
+        return positions + (rotations @ self.ends[..., None])[..., 0]
+
     def find_joint(self, name: str) -> int:
         """Return the index of a joint. Raises ValueError for an unknown name."""
         return self.names.index(name)

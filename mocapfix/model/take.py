@@ -186,7 +186,7 @@ class Take:
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
         up_axis: The axis of the file that points up; None if there is no file.
-        point_kind: "joint" if the points are the joints of an animation (see mocapfix.animations.joint_mapping).
+        point_kind: "joint" if the points are the joints of an animation (see mocapfix.model.animation).
     """
 
     markers: Float[np.ndarray, "T M 3"]

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from pydantic import Field, ValidationError
 
-from mocapfix.animations.joint_mapping import build_tip_take
 from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
@@ -33,7 +32,7 @@ from mocapfix.io.changes_file import (
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_atomically, return_free_memory
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.model.animation import Animation
+from mocapfix.model.animation import Animation, build_tip_take
 from mocapfix.model.faults import Decision
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, ReadOptions, parse_arguments

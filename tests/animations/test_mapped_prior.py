@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.clean import MappedPriorConditioner
-from mocapfix.animations.joint_mapping import SkeletonAlignment
+from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
 from mocapfix.solve import trained_priors
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
@@ -42,7 +42,7 @@ def convert_axes(local: np.ndarray, turns: np.ndarray) -> np.ndarray:
 def test_mapping_to_the_same_skeleton_equals_the_model(model):
     local, frames = posed(6), np.array([1, 3, 4])
     reference = np.tile([0.0, 0, 0, 2.0], (3, len(OCCLUDED)))
-    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    fit = SkeletonAlignment(SKELETON, np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)))
     expected = PriorConditioner(lambda: model, 1.0).predict_rotations(local, OBSERVED, OCCLUDED, frames, reference)
     found = MappedPriorConditioner(lambda: model, 1.0, parents=SKELETON.parents, alignment=fit).predict_rotations(
         local, OBSERVED, OCCLUDED, frames, reference
@@ -54,7 +54,7 @@ def test_other_axes_and_joint_order_give_the_same_prediction(model):
     """The file has the same poses with other joint axes and an additional joint at the end."""
     local, frames, rng = posed(6), np.arange(6), np.random.default_rng(1)
     turns = Rotation.random(COUNT, rng).as_matrix()
-    fit = SkeletonAlignment(np.arange(COUNT), turns, SKELETON)
+    fit = SkeletonAlignment(SKELETON, np.arange(COUNT), turns)
     file_rotations = np.concatenate([convert_axes(local, turns), np.tile(np.eye(3), (6, 1, 1, 1))], axis=1)
     parents = np.r_[SKELETON.parents, 0]
     reference = np.tile([0.0, 0, 0, 2.0], (6, len(OCCLUDED) + 1))
@@ -74,7 +74,7 @@ def test_other_axes_and_joint_order_give_the_same_prediction(model):
 
 def test_unmapped_joints_return_the_reference(model):
     reference = np.ones((2, 8))
-    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    fit = SkeletonAlignment(SKELETON, np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)))
     found = MappedPriorConditioner(lambda: model, 1.0, parents=SKELETON.parents, alignment=fit).predict_rotations(
         posed(2), np.zeros(0, int), OCCLUDED, np.arange(2), reference
     )
@@ -100,7 +100,7 @@ def build_gap(rotations: np.ndarray, root: np.ndarray, joint_count: int) -> GapC
 def test_motion_prior_predicts_the_same_in_other_axes(model):
     root, local = move(110)
     turns = Rotation.random(COUNT, np.random.default_rng(1)).as_matrix()
-    fit, joints = SkeletonAlignment(np.arange(COUNT), turns, SKELETON), np.arange(COUNT)
+    fit, joints = SkeletonAlignment(SKELETON, np.arange(COUNT), turns), np.arange(COUNT)
     expected = PriorConditioner(lambda: model, 1.0, predict_shipped_gap).predict_gap(build_gap(local, root, COUNT), joints)
     conditioner = MappedPriorConditioner(lambda: model, 1.0, predict_shipped_gap, parents=SKELETON.parents, alignment=fit)
     found = conditioner.predict_gap(build_gap(convert_axes(local, turns), root, COUNT), joints)
@@ -116,7 +116,7 @@ def test_motion_prior_predicts_the_same_in_other_axes(model):
 def test_joints_without_counterpart_are_not_predicted(model):
     root, local = move(110)
     extra = np.concatenate([local, np.tile(np.eye(3), (110, 1, 1, 1))], axis=1)
-    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    fit = SkeletonAlignment(SKELETON, np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)))
     conditioner = MappedPriorConditioner(
         lambda: model, 1.0, predict_shipped_gap, parents=np.r_[SKELETON.parents, 0], alignment=fit
     )
@@ -128,7 +128,7 @@ def test_joints_without_counterpart_are_not_predicted(model):
 
 def test_hips_below_another_root_are_not_predicted(model):
     root, local = move(110)
-    fit = SkeletonAlignment(np.arange(COUNT) + 1, np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    fit = SkeletonAlignment(SKELETON, np.arange(COUNT) + 1, np.tile(np.eye(3), (COUNT, 1, 1)))
     conditioner = MappedPriorConditioner(
         lambda: model, 1.0, predict_shipped_gap, parents=np.r_[-1, SKELETON.parents + 1], alignment=fit
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.io import rig
+from mocapfix.characters import rig
 from mocapfix.options import RIG_NAMES, OutputOptions
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
 def lead(kind: str) -> int:
     """Return the number of frames before the first frame of the motion."""
     name = kind.removesuffix(".bvh")
-    return int(name in RIG_NAMES and rig.load_rig(name).starts_with_t_pose)
+    return int(name in RIG_NAMES and rig.load_rig(name).first_frame == "t-pose")
 
 
 def joints_of(kind: str, names: tuple[str, ...]) -> dict[str, str]:

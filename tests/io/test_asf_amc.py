@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations import joint_mapping
+from mocapfix.characters.bone_names import map_joints
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io import asf_amc, bvh
 from mocapfix.io.asf_amc import get_bone_axes_deg, get_cmu_bone_names, read_amc, write_asf_amc
@@ -245,7 +245,7 @@ def test_invalid_asf_files_are_refused_with_the_line(tmp_path, old, new, message
 
 def map_to_31_joints(animation: Animation) -> np.ndarray:
     """Return the animation's joint for each of the 31 joints."""
-    file_joints = joint_mapping.map_joints(animation.names, animation.parents).file_joints
+    file_joints = map_joints(animation.names, animation.parents).file_joints
     assert file_joints is not None
     return file_joints
 

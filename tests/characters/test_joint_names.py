@@ -4,42 +4,42 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.animations import joint_mapping
-from mocapfix.animations.joint_mapping import NamingConvention
+from mocapfix.characters.bone_names import NameTable, load_naming_convention, load_shipped_conventions, map_joints
 from mocapfix.errors import SceneError
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.io.shipped import read_shipped_yaml
+from mocapfix.model.skeleton import find_ancestor, load_cmu31_body
 
 MODEL = load_cmu31_body().skeleton
 
 
-def build_named_tree(convention: NamingConvention) -> tuple[list[str], np.ndarray]:
+def build_named_tree(convention: NameTable) -> tuple[list[str], np.ndarray]:
     """Return names and parents of a body with a convention's names: for each joint the most likely one that is free."""
     names: dict[int, str] = {}
-    for joint, candidates in convention.candidate_names.items():
+    for joint, candidates in read_shipped_yaml(f"hierarchies/{convention.name}.yaml")["joints"].items():
         free = [name for name in candidates if name not in names.values()]
         if free:
             names[MODEL.find_joint(joint)] = free[0]
     joints = sorted(names)
     is_named = np.isin(np.arange(31), joints)
-    above = [joint_mapping.find_ancestor(joint, MODEL.parents, is_named) for joint in joints]
+    above = [find_ancestor(joint, MODEL.parents, is_named) for joint in joints]
     return [names[joint] for joint in joints], np.array([joints.index(joint) if joint >= 0 else -1 for joint in above])
 
 
 def map_names(names, parents: Sequence[int], convention: str | Path | None = None) -> dict[str, str]:
     """Return the names of a file's joints by model joint."""
-    mapping = joint_mapping.map_joints(names, np.asarray(parents), convention)
+    mapping = map_joints(names, np.asarray(parents), convention)
     assert mapping.file_joints is not None, mapping.reason
     return {model: names[joint] for model, joint in zip(MODEL.names, mapping.file_joints.tolist(), strict=True) if joint >= 0}
 
 
-@pytest.mark.parametrize("convention", joint_mapping.load_shipped_conventions(), ids=lambda convention: convention.name)
-def test_no_convention_matches_more_joints_of_a_body_than_its_own(convention: NamingConvention):
+@pytest.mark.parametrize("convention", load_shipped_conventions(), ids=lambda convention: convention.name)
+def test_no_convention_matches_more_joints_of_a_body_than_its_own(convention: NameTable):
     names, parents = build_named_tree(convention)
-    mapping = joint_mapping.map_joints(names, parents)
+    mapping = map_joints(names, parents)
     assert mapping.file_joints is not None, mapping.reason
     assert (mapping.file_joints >= 0).sum() == len(names)
     assert len(names) >= 17
-    np.testing.assert_array_equal(mapping.file_joints, convention.match_joints(names, parents))
+    np.testing.assert_array_equal(mapping.file_joints, map_joints(names, parents, convention.name).file_joints)
 
 
 # fmt: off
@@ -93,11 +93,11 @@ def test_joint_below_another_limb_is_discarded():
 
 def test_body_without_a_limb_is_not_mapped():
     names = [name.replace("RightForeArm", "Prop") for name in MIXAMO_NAMES]
-    mapping = joint_mapping.map_joints(names, np.array(MIXAMO_PARENTS))
+    mapping = map_joints(names, np.array(MIXAMO_PARENTS))
     assert mapping.file_joints is None
     assert "MotionBuilder" in mapping.reason
     assert "lacks RightForeArm" in mapping.reason
-    unknown = joint_mapping.map_joints(["a", "b"], np.array([-1, 0]))
+    unknown = map_joints(["a", "b"], np.array([-1, 0]))
     assert unknown.file_joints is None
     assert "no joint name is known" in unknown.reason
 
@@ -108,17 +108,17 @@ def test_convention_from_file(tmp_path):
     lines = ["name: mine", "title: My own", "joints:", *(f"  {model}: [{name}]" for model, name in name_by_model.items())]
     (tmp_path / "mine.yaml").write_text("\n".join(lines), encoding="utf-8")
     assert map_names(names, MIXAMO_PARENTS, tmp_path / "mine.yaml") == name_by_model
-    mapping = joint_mapping.map_joints(names, np.array(MIXAMO_PARENTS), tmp_path / "mine.yaml")
+    mapping = map_joints(names, np.array(MIXAMO_PARENTS), tmp_path / "mine.yaml")
     assert mapping.reason == f"My own: found {len(name_by_model)} of the 31 joints."
-    assert joint_mapping.map_joints(MIXAMO_NAMES, np.array(MIXAMO_PARENTS), "cmu").reason.startswith("CMU")
+    assert map_joints(MIXAMO_NAMES, np.array(MIXAMO_PARENTS), "cmu").reason.startswith("CMU")
 
 
 def test_unknown_or_invalid_convention_is_refused(tmp_path):
     with pytest.raises(SceneError, match=r"naming convention.*acclaim, biped"):
-        joint_mapping.load_naming_convention("mayan")
+        load_naming_convention("mayan")
     (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: [a], Tail: [b]}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Tail.*no joint 'Tail'"):
-        joint_mapping.load_naming_convention(tmp_path / "a.yaml")
+        load_naming_convention(tmp_path / "a.yaml")
     (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Hips"):
-        joint_mapping.load_naming_convention(Path(tmp_path / "a.yaml"))
+        load_naming_convention(Path(tmp_path / "a.yaml"))

@@ -10,14 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.joint_mapping import (
-    SkeletonAlignment,
-    align_skeleton,
-    compute_file_rotation,
-    convert_to_cmu31,
-    find_descendants,
-    map_joints,
-)
+from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
+from mocapfix.characters.bone_names import map_joints
 from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
@@ -88,6 +82,13 @@ def compute_model_positions(alignment: SkeletonAlignment, root_position: np.ndar
     return compose_transforms(alignment.skeleton.parents, offsets, rotations)[0]
 
 
+def find_descendants(joint: int, parents: np.ndarray, is_candidate: np.ndarray) -> list[int]:
+    """Return a joint if it is a candidate, otherwise the nearest candidates below it."""
+    if is_candidate[joint]:
+        return [joint]
+    return [each for child in np.flatnonzero(parents == joint) for each in find_descendants(int(child), parents, is_candidate)]
+
+
 def apply_model_rotations(
     animation: Animation, alignment: SkeletonAlignment, joints: Iterable[int], frames: np.ndarray, rotations: np.ndarray
 ) -> Animation:
@@ -95,21 +96,21 @@ def apply_model_rotations(
 
     For a joint without counterpart the nearest ones below it that have one are rotated.
     """
-    is_known, parents = alignment.file_joints >= 0, alignment.skeleton.parents
+    is_known, parents = alignment.is_mapped, alignment.skeleton.parents
     file_rotations = animation.replace_values(animation.values[frames]).compute_local_rotations()
     affected = sorted({each for joint in joints for each in find_descendants(joint, parents, is_known)})
-    computed = [compute_file_rotation(animation.parents, file_rotations, alignment, joint, rotations) for joint in affected]
-    return animation.replace_rotations(alignment.file_joints[affected], frames, np.stack(computed, axis=1))
+    computed = [alignment.convert_rotation_back(joint, rotations, animation.parents, file_rotations) for joint in affected]
+    return animation.replace_rotations(alignment.source_joints[affected], frames, np.stack(computed, axis=1))
 
 
 def check_round_trip(animation: Animation) -> None:
     """Check that mapped joints coincide with the file's, and that converted rotations give the file's again."""
     alignment = align(animation)
-    root_position, rotations = convert_to_cmu31(animation, alignment)
-    is_known = alignment.file_joints >= 0
+    root_position, rotations = alignment.convert_poses(*animation.compute_world_poses())
+    is_known = alignment.source_joints >= 0
     expected, _ = animation.compute_world_poses()
     positions = compute_model_positions(alignment, root_position, rotations)
-    np.testing.assert_allclose(positions[:, is_known], expected[:, alignment.file_joints[is_known]], atol=1e-6)
+    np.testing.assert_allclose(positions[:, is_known], expected[:, alignment.source_joints[is_known]], atol=1e-6)
     again = apply_model_rotations(animation, alignment, range(31), np.arange(animation.frame_count), rotations)
     np.testing.assert_allclose(again.compute_local_rotations(), animation.compute_local_rotations(), atol=1e-8)
 
@@ -129,7 +130,7 @@ def test_captures_are_converted_and_back(path: Path):
 def test_rest_pose_is_converted_to_model_axes():
     resting = build_figure(0, frame_count=1, amplitude=0.0)
     alignment = align(resting)
-    _, rotations = convert_to_cmu31(resting, alignment)
+    _, rotations = alignment.convert_poses(*resting.compute_world_poses())
     positions = compute_model_positions(alignment, np.zeros((1, 3)), np.tile(np.eye(3), (1, 31, 1, 1)))[0]
     position_by_name = dict(zip(MODEL.names, positions, strict=True))
     for elbow, (shoulder, direction) in {"LeftForeArm": ("LeftArm", 1), "RightForeArm": ("RightArm", -1)}.items():
@@ -147,7 +148,7 @@ def test_trunk_rotation_is_shared_evenly():
     bent = build_figure(0, frame_count=1, amplitude=0.0)
     values = bent.values.copy()
     values[:, bent.get_rotation_channels(bent.names.index("Chest"))[0]] = [30, 0, 0]
-    _, rotations = convert_to_cmu31(bent.replace_values(values), align(bent))
+    _, rotations = align(bent).convert_poses(*bent.replace_values(values).compute_world_poses())
     degrees = np.degrees(Rotation.from_matrix(rotations[0]).magnitude())
     shares = [degrees[MODEL.find_joint(name)] for name in ("LowerBack", "Spine", "Spine1")]
     np.testing.assert_allclose(shares, 10, atol=1e-9)
@@ -158,8 +159,8 @@ def test_absent_values_are_absent_after_conversion():
     values = complete.values.copy()
     values[2, complete.get_rotation_channels(complete.names.index("Chest"))[0][1]] = np.nan
     incomplete, alignment = complete.replace_values(values), align(complete)
-    root_position, rotations = convert_to_cmu31(incomplete, alignment)
-    _, expected = convert_to_cmu31(complete, alignment)
+    root_position, rotations = alignment.convert_poses(*incomplete.compute_world_poses())
+    _, expected = alignment.convert_poses(*complete.compute_world_poses())
     assert np.isfinite(root_position).all()
     is_absent = np.asarray(np.isnan(rotations).any((2, 3)))
     assert set(np.argwhere(is_absent)[:, 0]) == {2}
@@ -185,7 +186,7 @@ def test_rotation_of_one_model_joint_changes_its_counterpart_only(joint: str, fi
     roll_column = before.get_rotation_channels(before.names.index("LeftRoll"))[0][0]
     before = before.replace_values(np.where(np.arange(before.values.shape[1]) == roll_column, 25.0, before.values))
     alignment = align(before)
-    _, rotations = convert_to_cmu31(before, alignment)
+    _, rotations = alignment.convert_poses(*before.compute_world_poses())
     rotations[:, MODEL.find_joint(joint)] = rotations[:, MODEL.find_joint(joint)] @ rotation
     frames = np.array([1, 3])
     after = apply_model_rotations(before, alignment, [MODEL.find_joint(joint)], frames, rotations[frames])
@@ -194,7 +195,7 @@ def test_rotation_of_one_model_joint_changes_its_counterpart_only(joint: str, fi
         file_joint
     }
     assert not is_changed[[0, 2, 4]].any()
-    _, again = convert_to_cmu31(after, alignment)
+    _, again = alignment.convert_poses(*after.compute_world_poses())
     chain = {"Chest": ("LowerBack", "Spine", "Spine1"), "Head": ("Neck1", "Head")}.get(file_joint, (joint,))
     expected, found = np.eye(3), np.eye(3)
     for name in chain:
@@ -228,6 +229,6 @@ def test_upright_frame_replaces_an_unusable_rest_pose():
     other = other.replace_rotations(np.arange(len(other.names)), frames, rotations)
     other = other.replace_positions(hips, frames, plain.compute_local_positions()[:, hips] @ parent_axes[hips])
     np.testing.assert_allclose(other.compute_world_poses()[0], plain.compute_world_poses()[0], atol=1e-9)
-    expected, found = convert_to_cmu31(plain, align(plain)), convert_to_cmu31(other, align(other))
+    expected, found = (align(each).convert_poses(*each.compute_world_poses()) for each in (plain, other))
     np.testing.assert_allclose(found[0], expected[0], atol=1e-9)
     np.testing.assert_allclose(found[1], expected[1], atol=1e-6)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mocapfix.characters.rig import Rig, load_rig, retarget_to_rig, write_rig_bvh
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.io.bvh import read_bvh, write_rig_bvh
-from mocapfix.io.rig import Rig, load_rig, retarget_to_rig
+from mocapfix.io.bvh import read_bvh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
@@ -50,13 +50,13 @@ def test_shipped_rig_refers_to_joints_of_the_skeleton(name: str):
 def test_motionbuilder_rig_has_names_that_are_mapped_automatically():
     rig = load_rig("motionbuilder")
     assert {joint.name for joint in rig.joints} == HUMAN_IK_NAMES
-    assert (rig.rest_pose, rig.starts_with_t_pose) == ("t-pose", True)
+    assert (rig.rest, rig.first_frame) == ("t-pose", "t-pose")
 
 
 def test_biped_rig_follows_its_specification():
     rig = load_rig("3dsmax")
     assert {joint.name: joint.parent for joint in rig.joints} == BIPED_PARENTS
-    assert (rig.rest_pose, rig.starts_with_t_pose) == ("arms-down", False)
+    assert (rig.rest, rig.first_frame) == ("arms-down", "motion")
 
 
 def test_cmu_rig_has_all_joints_of_the_skeleton_in_order():
@@ -148,7 +148,7 @@ def test_rig_joints_have_the_positions_of_the_skeletons(tmp_path_factory, name: 
     rig, bvh = write_for_rig(tmp_path_factory.mktemp("rig"), name, skeleton, motion)
     expected, _ = kinematics.compute_world_poses(skeleton, motion)
     written_joints = [bvh.names.index(joint.name) for joint in rig.joints]
-    positions = bvh.compute_world_positions()[int(rig.starts_with_t_pose) :, written_joints] * rig.unit_m
+    positions = bvh.compute_world_positions()[int(rig.first_frame == "t-pose") :, written_joints] * rig.unit_m
     assert bvh.names[0] == "Hips"
     skeleton_joints = [skeleton.find_joint(joint.joint) for joint in rig.joints]
     np.testing.assert_allclose(positions, expected[:, skeleton_joints], atol=1e-5)
@@ -159,7 +159,7 @@ def test_rig_joints_rotate_like_the_skeletons(name: str):
     rig, motion = load_rig(name), build_motion()
     rig_skeleton, rig_motion = retarget_to_rig(rig, SKELETON, motion)
     _, rotations = kinematics.compute_world_poses(SKELETON, motion)
-    rig_rotations = kinematics.compute_world_poses(rig_skeleton, rig_motion)[1][int(rig.starts_with_t_pose) :]
+    rig_rotations = kinematics.compute_world_poses(rig_skeleton, rig_motion)[1][int(rig.first_frame == "t-pose") :]
     for index, joint in enumerate(rig.joints):
         difference = rotations[:, SKELETON.find_joint(joint.axes)].swapaxes(-1, -2) @ rig_rotations[:, index]
         np.testing.assert_allclose(difference, np.tile(difference[0], (len(difference), 1, 1)), atol=1e-12)
@@ -199,7 +199,7 @@ def test_rest_pose_is_the_one_that_the_program_expects(tmp_path: Path, name: str
     assert position["LeftUpLeg"] @ LEFT > 0 > position["RightUpLeg"] @ LEFT
 
 
-@pytest.mark.parametrize("name", [name for name in RIG_NAMES if load_rig(name).starts_with_t_pose])
+@pytest.mark.parametrize("name", [name for name in RIG_NAMES if load_rig(name).first_frame == "t-pose"])
 def test_first_frame_is_a_t_pose_on_the_floor_at_the_first_position(tmp_path: Path, name: str):
     motion = build_motion()
     rig, bvh = write_for_rig(tmp_path, name, SKELETON, motion)
@@ -211,7 +211,7 @@ def test_first_frame_is_a_t_pose_on_the_floor_at_the_first_position(tmp_path: Pa
     np.testing.assert_allclose(position["RightHand"][1:], position["RightArm"][1:], atol=1e-6)
     toe_heights = [position[f"{side}ToeBase"][1] for side in ("Left", "Right")]
     assert min(toe_heights) == pytest.approx(0, abs=1e-6)  # the end sites of the toes are level with them
-    assert rig.rest_pose != "t-pose" or np.abs(bvh.rows[0, 3:]).max() < 1e-6
+    assert rig.rest != "t-pose" or np.abs(bvh.rows[0, 3:]).max() < 1e-6
 
 
 def test_t_pose_of_cmu_rig_has_whole_degrees(tmp_path: Path):
@@ -226,7 +226,7 @@ def test_t_pose_of_cmu_rig_has_whole_degrees(tmp_path: Path):
 @pytest.mark.parametrize("name", RIG_NAMES)
 def test_t_pose_is_detected_when_the_file_is_read(tmp_path: Path, name: str):
     rig, _ = write_for_rig(tmp_path, name, vary_skeleton(2), build_motion())
-    assert read_bvh(tmp_path / "walk.bvh").has_reference_pose == rig.starts_with_t_pose
+    assert read_bvh(tmp_path / "walk.bvh").has_reference_pose == (rig.first_frame == "t-pose")
 
 
 def test_joint_that_rotates_cannot_be_omitted(tmp_path: Path):

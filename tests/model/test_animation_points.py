@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.animations import joint_mapping
 from mocapfix.io import bvh
-from mocapfix.model.animation import Animation
+from mocapfix.model.animation import Animation, build_joint_take, build_tip_take, compute_joint_point_sd
 from tests.bvh_files import TEXT
 
 
@@ -14,7 +13,7 @@ def figure(tmp_path) -> Animation:
 
 
 def test_joint_take_holds_world_positions_of_joints(figure: Animation):
-    take = joint_mapping.build_joint_take(figure)
+    take = build_joint_take(figure)
     np.testing.assert_array_equal(take.markers, figure.compute_world_poses()[0])
     assert take.labels == figure.names
     assert (take.first_frame, take.rate, take.layout, take.path) == (1, figure.rate, None, figure.path)
@@ -22,7 +21,7 @@ def test_joint_take_holds_world_positions_of_joints(figure: Animation):
 
 
 def test_tip_is_mean_of_children_and_end_sites(figure: Animation):
-    take, (positions, rotations) = joint_mapping.build_tip_take(figure), figure.compute_world_poses()
+    take, (positions, rotations) = build_tip_take(figure), figure.compute_world_poses()
     assert take.labels == (*figure.names, "Hips position")
     np.testing.assert_allclose(take.markers[:, 0], (positions[:, 1] + positions[:, 3]) / 2)
     np.testing.assert_allclose(take.markers[:, 1], positions[:, 2])
@@ -37,8 +36,8 @@ def test_sd_of_points_equals_that_of_sampled_rotations(figure: Animation):
     rng, sd, draws = np.random.default_rng(0), 0.01, 4000
     variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[1, 3] = sd**2
-    tips = joint_mapping.build_tip_take(figure)
-    predicted = joint_mapping.compute_joint_point_sd(figure, tips, variance)
+    tips = build_tip_take(figure)
+    predicted = compute_joint_point_sd(figure, tips, variance)
     assert not predicted[[0, 2]].any()
     assert (predicted[1] > 0).tolist() == [False, False, False, True, True, False]
     positions = figure.compute_world_poses()[0][1]
@@ -51,8 +50,8 @@ def test_sd_of_points_equals_that_of_sampled_rotations(figure: Animation):
 def test_sd_of_root_position_applies_to_all_points(figure: Animation):
     variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[:, -1] = 0.02**2
-    take = joint_mapping.build_joint_take(figure)
-    np.testing.assert_allclose(joint_mapping.compute_joint_point_sd(figure, take, variance), 0.02)
+    take = build_joint_take(figure)
+    np.testing.assert_allclose(compute_joint_point_sd(figure, take, variance), 0.02)
 
 
 def test_joint_skeleton_is_in_metres(figure: Animation):
@@ -75,9 +74,9 @@ def test_the_position_track_is_that_of_the_hips_below_a_reference_that_does_not_
         f"{head}.0083333\n" + "".join(f"0 0 0 {row}\n" for row in rows.splitlines()), encoding="utf-8"
     )
     figure = bvh.read_bvh(tmp_path / "a.bvh")
-    tips = joint_mapping.build_tip_take(figure)
+    tips = build_tip_take(figure)
     assert tips.labels[-1] == "Hips position"
     np.testing.assert_allclose(tips.markers[:, -1], [[0.105, 0.9, -0.0325], [0.106, 0.901, -0.0315], [0.107, 0.902, -0.0305]])
     values = np.tile(figure.values, (40, 1))
     values[60:62, :3] = 1e6  # a fault of the reference
-    assert joint_mapping.build_tip_take(figure.replace_values(values)).labels[-1] == "Hips position"
+    assert build_tip_take(figure.replace_values(values)).labels[-1] == "Hips position"

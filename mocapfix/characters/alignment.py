@@ -1,0 +1,214 @@
+"""Rotations of one skeleton as those of another whose joints turn with the same parts of a body.
+
+The axes of a joint are rotated by a constant A relative to those of its counterpart, since both move with the same part: W = V A
+for the world rotations W of the joint and V of its counterpart.
+
+Rest poses differ: a file's arms may hang, its legs may be parallel. So A follows from a pose in which a file's figure is upright,
+with the 31-joint skeleton posed like it: hips, trunk and head face the same way, and each bone of the limbs points along the
+file's bone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import Skeleton, find_ancestor, list_path, load_cmu31_body
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+
+SIDE_PREFIXES = ("Left", "Right")
+LIMB_BONES = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
+LIMB_BONE_ENDS = {side + start: side + end for side in SIDE_PREFIXES for start, end in LIMB_BONES}
+"""by joint: the next joint of the limb, to which its bone points"""
+PARENT_ALIGNED_JOINTS = ("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # suffixes of joints with their parent's axes
+TRUNK_CHAIN_JOINTS = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+"""joints that share the rotation between two of them evenly"""
+MIN_UPRIGHT_COSINE = 0.8  # a figure is upright if trunk, thighs and shins are within 37 degrees of the vertical
+MIN_VECTOR_LENGTH_M = 1e-9  # below which a vector has no direction
+MAX_ALIGNMENT_FRAMES = 200  # frames from which the upright pose and the bone lengths are taken
+
+
+@dataclass(frozen=True)
+class SkeletonAlignment:
+    """How the joints of a skeleton follow those of another one, the source."""
+
+    skeleton: Skeleton
+    source_joints: Int[np.ndarray, " J"]  # index of the source's joint for each, -1 if there is none
+    rotation_source_joint: Float[np.ndarray, "J 3 3"]  # A: the axes of each joint in those of the source's joint
+
+    @property
+    def is_mapped(self) -> Bool[np.ndarray, " J"]:
+        """The joints that have a counterpart."""
+        return self.source_joints >= 0
+
+    @property
+    def carriers(self) -> Int[np.ndarray, " J"]:
+        """The source's joint with which each joint moves: its counterpart, or that of the nearest joint above that has one."""
+        count = len(self.source_joints)
+        return self.source_joints[[j if self.is_mapped[j] else self.find_mapped_ancestor(j) for j in range(count)]]
+
+    def find_mapped_ancestor(self, joint: int) -> int:
+        """Return the nearest joint above one that has a counterpart, -1 if there is none."""
+        return find_ancestor(joint, self.skeleton.parents, self.is_mapped)
+
+    def convert_poses(
+        self, positions: Float[np.ndarray, "T S 3"], rotations: Float[np.ndarray, "T S 3 3"]
+    ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]:
+        """Convert poses of the source's joints in the world to root positions and local rotations of the skeleton."""
+        return positions[:, self.source_joints[0]], self.convert_rotations(rotations)
+
+    def convert_rotations(self, rotations: Float[np.ndarray, "T S 3 3"]) -> Float[np.ndarray, "T J 3 3"]:
+        """Convert the world rotations of the source's joints to local rotations of the skeleton.
+
+        Joints without counterpart keep their rest rotation, except in the trunk and neck, where the rotation between two joints
+        with counterparts is shared evenly.
+        """
+        names = self.skeleton.names
+        local = np.tile(self.skeleton.rest_rotations, (len(rotations), 1, 1, 1))
+        world = local.copy()
+        world[:, self.is_mapped] = rotations[:, self.source_joints[self.is_mapped]] @ self.rotation_source_joint[self.is_mapped]
+        for joint in np.flatnonzero(self.is_mapped).tolist():
+            above = self.find_mapped_ancestor(joint)
+            rotation = np.swapaxes(world[:, above], 1, 2) @ world[:, joint] if above >= 0 else world[:, joint]
+            path = list_path(joint, above, self.skeleton.parents)
+            is_shared = len(path) > 1 and all(names[each] in TRUNK_CHAIN_JOINTS for each in path)
+            if is_shared:
+                local[:, path] = _scale_rotations(rotation, 1 / len(path))[:, None]
+            else:
+                local[:, joint] = rotation
+        return local
+
+    def convert_rotation_back(
+        self,
+        joint: int,
+        local_rotations: Float[np.ndarray, "T J 3 3"],
+        source_parents: Int[np.ndarray, " S"],
+        source_rotations: Float[np.ndarray, "T S 3 3"],
+    ) -> Float[np.ndarray, "T 3 3"]:
+        """Compute the local rotation of the counterpart of a joint from the rotations of the skeleton.
+
+        Args:
+            joint: A joint with a counterpart.
+            local_rotations: Of the skeleton.
+            source_parents: The tree of the source.
+            source_rotations: Its local rotations, of which those above the counterpart are used.
+        """
+        above, source_joint = self.find_mapped_ancestor(joint), int(self.source_joints[joint])
+        source_above = int(self.source_joints[above]) if above >= 0 else -1
+        rotation_source_above = self.rotation_source_joint[above] if above >= 0 else np.eye(3)
+        rotation_above_joint = _multiply_rotations(local_rotations, list_path(joint, above, self.skeleton.parents))
+        path = list_path(int(source_parents[source_joint]), source_above, source_parents)
+        rotation_parent_above = np.swapaxes(_multiply_rotations(source_rotations, path), 1, 2)
+        return rotation_parent_above @ rotation_source_above @ rotation_above_joint @ self.rotation_source_joint[joint].T
+
+
+def _multiply_rotations(rotations: Float[np.ndarray, "T J 3 3"], path: list[int]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the product of the local rotations along a path of joints."""
+    product = np.tile(np.eye(3), (len(rotations), 1, 1))
+    for joint in path:
+        product = product @ rotations[:, joint]
+    return product
+
+
+def _scale_rotations(rotations: Float[np.ndarray, "T 3 3"], fraction: float) -> Float[np.ndarray, "T 3 3"]:
+    """Return rotations about the same axes by a fraction of the angles, NaN where the rotations are."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
+    scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * fraction).as_matrix()
+    return scaled
+
+
+def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) -> SkeletonAlignment | None:
+    """Align the 31-joint skeleton with an animation. Returns None if the figure is never upright, not even in its rest pose.
+
+    The joints coincide with the file's as far as these are at a constant distance from each other.
+
+    Args:
+        animation: The animation.
+        file_joints: As in `JointMapping`, with the required joints.
+    """
+    sampled = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
+    names, moving_poses = load_cmu31_body().skeleton.names, sampled.compute_world_poses()
+    for positions, rotations in ([each[None] for each in animation.skeleton.compute_rest_pose()], moving_poses):
+        places = {name: positions[:, joint] for name, joint in zip(names, file_joints.tolist(), strict=True) if joint >= 0}
+        uprightness = np.nan_to_num(_compute_uprightness(places), nan=-1.0)
+        frame = int(np.argmax(uprightness))
+        if uprightness[frame] > MIN_UPRIGHT_COSINE:
+            pose = {name: place[frame] for name, place in places.items()}
+            rotation_file_model = _compute_axis_rotations(animation.skeleton, file_joints, pose, rotations[frame])
+            skeleton = _build_aligned_skeleton(animation.skeleton, *moving_poses, file_joints, rotation_file_model)
+            return SkeletonAlignment(skeleton, file_joints, rotation_file_model)
+    return None
+
+
+def _compute_uprightness(places: Mapping[str, Float[np.ndarray, "T 3"]]) -> Float[np.ndarray, " T"]:
+    """Compute how upright a figure is: the least cosine of trunk, thighs and shins with the vertical."""
+    upward = [(places["LeftArm"] + places["RightArm"]) / 2 - places["Hips"]]
+    for side in SIDE_PREFIXES:
+        upward.append(places[side + "UpLeg"] - places[side + "Leg"])
+        if side + "Foot" in places:
+            upward.append(places[side + "Leg"] - places[side + "Foot"])
+    return np.min([each[:, 1] / np.maximum(np.linalg.norm(each, axis=1), MIN_VECTOR_LENGTH_M) for each in upward], axis=0)
+
+
+def _compute_axis_rotations(
+    source: Skeleton,
+    file_joints: Int[np.ndarray, " 31"],
+    pose: Mapping[str, Float[np.ndarray, " 3"]],
+    rotations: Float[np.ndarray, "J 3 3"],
+) -> Float[np.ndarray, "31 3 3"]:
+    """Compute A from places by joint and world rotations of an upright pose; the identity for joints without counterparts."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    model = load_cmu31_body().skeleton
+    leftward = pose["LeftUpLeg"] - pose["RightUpLeg"]
+    facing = Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
+    rotation_world_model, rotation_file_model = (np.tile(each, (len(model.names), 1, 1)) for each in (facing, np.eye(3)))
+    for joint, (name, file_joint) in enumerate(zip(model.names, file_joints.tolist(), strict=True)):
+        if name.endswith(PARENT_ALIGNED_JOINTS):
+            rotation_world_model[joint] = rotation_world_model[model.parents[joint]]
+        elif name in LIMB_BONE_ENDS and name in pose:
+            end = LIMB_BONE_ENDS[name]
+            bone = pose[end] - pose[name] if end in pose else np.nan_to_num(rotations[file_joint] @ source.ends[file_joint])
+            model_bone = facing @ model.offsets[model.find_joint(end)]
+            rotation_world_model[joint] = compute_shortest_rotation(model_bone, bone) @ facing
+        if file_joint >= 0:
+            rotation_file_model[joint] = rotations[file_joint].T @ rotation_world_model[joint]
+    return rotation_file_model
+
+
+def _build_aligned_skeleton(
+    source: Skeleton,
+    positions: Float[np.ndarray, "T J 3"],
+    rotations: Float[np.ndarray, "T J 3 3"],
+    file_joints: Int[np.ndarray, " 31"],
+    rotation_file_model: Float[np.ndarray, "31 3 3"],
+) -> Skeleton:
+    """Return the 31-joint skeleton with the bone lengths of a file, whose joints have these poses in the world.
+
+    Joints without counterpart between two that have one coincide with the lower one, so that it is where the file has it
+    whatever their rotations. Joints without counterpart at the ends of the body have the lengths of the average body, scaled
+    to this one's size.
+    """
+    model, is_known = load_cmu31_body().skeleton, file_joints >= 0
+    offsets, lengths_m = model.offsets.copy(), np.zeros(2)  # of the model and the file
+    offsets[0], is_beyond = 0.0, ~is_known
+    for joint in np.flatnonzero(is_known)[1:].tolist():
+        above = find_ancestor(joint, model.parents, is_known)
+        path = list_path(joint, above, model.parents)
+        rotation_above = rotations[:, file_joints[above]] @ rotation_file_model[above]
+        vector_world = positions[:, file_joints[joint]] - positions[:, file_joints[above]]
+        vector = np.nanmean(np.einsum("tij,ti->tj", rotation_above, vector_world), axis=0)
+        lengths_m += np.linalg.norm(model.offsets[path].sum(0)), np.linalg.norm(vector)
+        offsets[path], is_beyond[path] = 0.0, False
+        offsets[path[0]] = vector
+    scale = lengths_m[1] / lengths_m[0]
+    offsets[is_beyond] *= scale
+    ends = model.ends * scale
+    for joint in np.flatnonzero(is_known & model.is_leaf):
+        if (end := np.nan_to_num(source.ends[file_joints[joint]])).any():
+            ends[joint] = end @ rotation_file_model[joint]
+    return replace(model, offsets=offsets, ends=ends)
