@@ -25,7 +25,7 @@ from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.repair import repair_animation
 from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
-from mocapfix.characters.bone_names import map_joints
+from mocapfix.characters.bone_mapping import map_joints
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events

@@ -1,24 +1,318 @@
-"""Map the bones of a character to the segments of a body: by their names, otherwise by the shape of the skeleton.
+"""Find which joint or bone is which part of a body: by its name, and for a character otherwise by the shape of its skeleton.
 
-Names are those of the shipped characters and naming conventions. Twist bones beside the chain of a limb are children that lie on
-its axis and carry a share of its twist.
+The naming conventions of scenes/hierarchies give names to the 31 joints of the body, the characters of scenes/rigs to the
+segments that their bones form. Case, separators, namespaces ("Jim:Hips"), a prefix of most names, and the way in which a name
+gives its side are ignored.
 """
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import takewhile
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from pydantic import Field
 
 from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
-from mocapfix.characters.bone_names import find_segments_by_name
 from mocapfix.characters.character import (
+    REQUIRED_SEGMENTS,
+    SEGMENT_CHAINS,
+    SEGMENT_JOINTS,
     SIDES,
+    TRUNK_JOINTS,
     TWISTING_SEGMENTS,
     BoneMapping,
     Character,
     get_next_segment,
 )
-from mocapfix.errors import SceneError
+from mocapfix.errors import SceneError, format_name_list
+from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
+from mocapfix.io.yaml_files import JointName, StrictModel, find_by_name, read_yaml_model
+from mocapfix.model.skeleton import find_ancestor, find_common_joint, is_below, list_path, load_cmu31_body
+from mocapfix.options import CHARACTER_PRESETS
+
+NAMESPACE_END = re.compile(r"[:|]")
+NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
+IGNORED_CHARACTERS = re.compile(r"[\W_]+")
+SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
+CENTRE_WORD = "c"  # marks bones in the middle in some conventions, such as J_Bip_C_Hips
+MIN_PREFIX_SHARE = 0.5  # share of the bones that begin with a word from which it is a prefix, such as mixamorig or DEF
+MAX_PREFIX_PARTS = 4
+MIN_COMMON_PREFIX_LENGTH = 3  # letters: a shorter prefix of all names is regarded as chance
+NameKey = tuple[str, str]
+"""side ("left", "right" or "") and the other words of a name, in lower case without separators and leading zeros; or "" and all
+letters of a name, whose side is then not distinguished from its words"""
+
+
+class _NamingConventionFile(StrictModel):
+    name: str
+    title: str
+    joints: dict[JointName, tuple[str, ...]] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class NameTable:
+    """The names that one program or convention gives to the parts of a body."""
+
+    name: str  # name, title: short, and for people
+    title: str
+    # one of the 31 joints or a segment, and the names of one of its bones, the most likely first
+    parts: tuple[tuple[str, tuple[NameKey, ...]], ...]
+    other_names: frozenset[NameKey] = frozenset()  # names of bones that are no part
+
+    def find_parts(self, spellings: Sequence[Sequence[NameKey]]) -> list[tuple[str, int]]:
+        """Return the parts with the bones that have their names; a bone is the first part of its name that it can be."""
+        bone_by_key: dict[NameKey, int] = {}
+        for same_spelling in zip(*spellings, strict=True):
+            for bone, key in enumerate(same_spelling):
+                bone_by_key.setdefault(key, bone)
+        found: list[tuple[str, int]] = []
+        used = {-1, bone_by_key.pop(("", ""), -1)}
+        for part, keys in self.parts:
+            bone = next((bone_by_key[key] for key in keys if bone_by_key.get(key, -1) not in used), -1)
+            if bone >= 0:
+                used.add(bone)
+                found.append((part, bone))
+        return found
+
+    def compare_names(self, spellings: Sequence[Sequence[NameKey]]) -> float:
+        """Return how similar all names are to those of the table: the share of the spellings of both that are common."""
+        names = {key for each in spellings for key in each}
+        own_names = self.other_names.union(*(keys for _, keys in self.parts))
+        return len(own_names & names) / len(own_names | names)
+
+
+def spell_names(names: Sequence[str]) -> list[tuple[NameKey, NameKey, NameKey, NameKey]]:
+    """Return the spellings of each name by which tables are searched.
+
+    They are the letters of the whole name, those without the prefix of most names, and the words of both.
+    """
+    bare = [NAMESPACE_END.split(name)[-1] for name in names]
+    words, prefix = [NAME_PARTS.findall(name) for name in bare], list[str]()
+    all_letters = [_join_letters(name) for name in bare]
+    # The root is excluded because its whole name may be the prefix, such as Bip01.
+    common = takewhile(lambda letters: len(set(letters)) == 1, zip(*all_letters[1:], strict=False))
+    letter_prefix = "".join(letters[0] for letters in common)
+    if len(letter_prefix) < MIN_COMMON_PREFIX_LENGTH or len(names) < len(REQUIRED_JOINTS):
+        letter_prefix = ""
+    for count in range(1, MAX_PREFIX_PARTS + 1):
+        beginnings = Counter(tuple(each[:count]) for each in words if len(each) >= count)
+        if len(names) < 2 or not beginnings:
+            break
+        beginning, uses = beginnings.most_common(1)[0]
+        if uses < MIN_PREFIX_SHARE * len(names) or beginning[-1].lower() in SIDE_WORDS:
+            break
+        prefix = list(beginning)
+    spellings: list[tuple[NameKey, NameKey, NameKey, NameKey]] = []
+    for letters, each in zip(all_letters, words, strict=True):
+        short = (each[len(prefix) :] if prefix and each[: len(prefix)] == prefix else each) or each
+        short_letters = letters.removeprefix(letter_prefix or _join_letters("".join(prefix))) or letters
+        spellings.append((("", letters), ("", short_letters), _build_key(each), _build_key(short)))
+    return spellings
+
+
+def _join_letters(name: str) -> str:
+    return IGNORED_CHARACTERS.sub("", name).lower()
+
+
+def _build_key(words: Sequence[str]) -> NameKey:
+    lower = [word.lower() for word in words]
+    side = next((SIDE_WORDS[word] for word in lower if word in SIDE_WORDS), "")
+    rest = [word for word in lower if word not in SIDE_WORDS and word != CENTRE_WORD]
+    return side, "".join(word.lstrip("0") or "0" if word.isdigit() else word for word in rest)
+
+
+@cache
+def load_shipped_conventions() -> tuple[NameTable, ...]:
+    """Load the shipped naming conventions of the 31 joints, sorted by name."""
+    return tuple(_read_naming_convention(path) for path in sorted((find_shipped_folder("scenes") / "hierarchies").glob("*.yaml")))
+
+
+def load_naming_convention(name_or_path: str | Path) -> NameTable:
+    """Load a shipped naming convention by name, or one from a YAML file.
+
+    Raises:
+        SceneError: If there is none of the name, with the shipped ones, or if a file is invalid, with the wrong key.
+    """
+    shipped = {each.name: each for each in load_shipped_conventions()}
+    return find_by_name(name_or_path, shipped, "naming convention", _read_naming_convention)
+
+
+def _read_naming_convention(path: Path) -> NameTable:
+    model = read_yaml_model(_NamingConventionFile, path)
+    parts: list[tuple[str, tuple[NameKey, ...]]] = []
+    for joint, names in model.joints.items():
+        letters, words = ([("", _join_letters(name)) for name in names], [_build_key(NAME_PARTS.findall(name)) for name in names])
+        parts.append((joint, (*letters, *words)))
+    return NameTable(model.name, model.title, tuple(parts))
+
+
+REQUIRED_JOINTS = ("Hips", "Spine1") + tuple(
+    side + bone for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Arm", "ForeArm")
+)
+
+
+@dataclass(frozen=True)
+class JointMapping:
+    """The 31 joints in a file's tree."""
+
+    # index of the file's joint for each, -1 if there is none; None if the file lacks required joints
+    file_joints: Int[np.ndarray, " 31"] | None
+    reason: str  # sentence on what was found
+
+
+def map_joints(names: Sequence[str], parents: Int[np.ndarray, " J"], convention: str | Path | None = None) -> JointMapping:
+    """Map the joints of a tree to the 31-joint skeleton, by the naming convention that matches the most or by the given one.
+
+    Hips, thorax, both legs and both arms are required.
+
+    Args:
+        names: The names of the joints.
+        parents: The index of each joint's parent, -1 for roots.
+        convention: Name of a shipped naming convention, or a YAML file.
+
+    Raises:
+        SceneError: If there is no such convention.
+    """
+    conventions = (load_naming_convention(convention),) if convention is not None else load_shipped_conventions()
+    spellings = spell_names(names)
+    matches = [(each, _match_joints(each, spellings, parents)) for each in conventions]
+    best, file_joints = max(
+        matches,
+        key=lambda match: (not _find_missing_joints(match[1]), (match[1] >= 0).sum(), match[0].compare_names(spellings)),
+    )
+    count = int((file_joints >= 0).sum())
+    if missing := _find_missing_joints(file_joints):
+        lacks = f"the nearest convention, {best.title}, lacks {format_name_list(missing)}"
+        problem = f"The joint names are not those of a body: {lacks if count else 'no joint name is known'}"
+        return JointMapping(None, f"{problem}; give a YAML file of the names (--hierarchy).")
+    return JointMapping(file_joints, f"{best.title}: found {count} of the {len(file_joints)} joints.")
+
+
+def _match_joints(
+    table: NameTable, spellings: Sequence[Sequence[NameKey]], parents: Int[np.ndarray, " J"]
+) -> Int[np.ndarray, " 31"]:
+    """Return the file's joint for each of the 31, without those that are not below that of the nearest joint above them."""
+    model = load_cmu31_body().skeleton
+    file_joints = np.full(len(model.names), -1)
+    for part, bone in table.find_parts(spellings):
+        file_joints[model.find_joint(part)] = bone
+    for joint, file_joint in enumerate(file_joints.tolist()):
+        above = find_ancestor(joint, model.parents, file_joints >= 0)
+        if above >= 0 and file_joint >= 0 and not is_below(file_joint, int(file_joints[above]), parents):
+            file_joints[joint] = -1
+    return file_joints
+
+
+def _find_missing_joints(file_joints: Int[np.ndarray, " 31"]) -> list[str]:
+    names = load_cmu31_body().skeleton.names
+    return [name for name in REQUIRED_JOINTS if file_joints[names.index(name)] < 0]
+
+
+SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() for joint in joints} | {
+    f"{side.capitalize()}{joint}": f"{side}_{segment}" for side in SIDES for segment, joint in SEGMENT_JOINTS.items()
+}
+"""the segments of the 31 joints that the naming conventions name; joints that are missing here have none"""
+
+
+@dataclass(frozen=True)
+class NamedSegments:
+    """The segments that names give, and the title of the table that gave them."""
+
+    title: str
+    bones: Mapping[str, tuple[int, ...]]
+
+
+def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> NamedSegments | None:
+    """Find the bones of the segments by their names; None if no table gives all that a body needs.
+
+    Bones between two bones of a limb are parts of the upper segment. The table that gives the most bones is chosen, among equals
+    the one with the most similar set of names.
+    """
+    spellings = spell_names(names)
+    best: tuple[tuple[int, float], NamedSegments] | None = None
+    for table in _load_segment_tables():
+        bones = _match_segments(table, spellings, parents)
+        score = sum(map(len, bones.values())), table.compare_names(spellings)
+        if all(bones.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
+            best = score, NamedSegments(table.title, bones)
+    return None if best is None else best[1]
+
+
+@cache
+def _load_segment_tables() -> tuple[NameTable, ...]:
+    """Return the tables of the presets, then those of the naming conventions, whose joints are in segments."""
+    tables: list[NameTable] = []
+    for name in CHARACTER_PRESETS:
+        preset = read_shipped_yaml(f"rigs/{name}.yaml")
+        names = [bone["name"] for bone in preset["bones"]]
+        spellings = spell_names(names)
+        parts = tuple((segment, spellings[names.index(bone)]) for segment, chain in preset["segments"].items() for bone in chain)
+        tables.append(NameTable(name, preset["title"], parts, frozenset(key for each in spellings for key in each)))
+    for table in load_shipped_conventions():
+        parts = tuple((SEGMENT_OF_JOINT[joint], keys) for joint, keys in table.parts if joint in SEGMENT_OF_JOINT)
+        tables.append(NameTable(table.name, table.title, parts))
+    return tuple(tables)
+
+
+def _match_segments(
+    table: NameTable, spellings: Sequence[Sequence[NameKey]], parents: Int[np.ndarray, " J"]
+) -> dict[str, tuple[int, ...]]:
+    segments: dict[str, list[int]] = {}
+    for segment, bone in table.find_parts(spellings):
+        segments.setdefault(segment, []).append(bone)
+    chains = {segment: sorted(chain) for segment, chain in segments.items()}  # parents have lower indices
+    _correct_pelvis(chains, parents)
+    _discard_misplaced_bones(chains, parents)
+    _fill_chains(chains, parents)
+    return {segment: tuple(chain) for segment, chain in chains.items() if chain}
+
+
+def _correct_pelvis(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+    """Move the pelvis up to the bone that carries both legs and both arms, where the named one does not."""
+    limbs = [chains[segment][0] for side in SIDES for segment in (f"{side}_thigh", f"{side}_upper_arm") if chains.get(segment)]
+    pelvis = chains.get("pelvis", [])[:1]
+    if pelvis and limbs and not all(is_below(bone, pelvis[0], parents) for bone in limbs):
+        common = find_common_joint(parents, [*limbs, *pelvis])
+        pelvis = [common] if common >= 0 else []
+    if "pelvis" in chains:
+        chains["pelvis"] = pelvis
+
+
+def _discard_misplaced_bones(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+    """Discard bones that are not below the bone before them."""
+    for order in SEGMENT_CHAINS:
+        above = -1
+        for segment in order:
+            kept: list[int] = []
+            for bone in chains.get(segment, ()):
+                if above < 0 or is_below(bone, above, parents):
+                    kept.append(bone)
+                    above = bone
+            if segment in chains:
+                chains[segment] = kept
+
+
+def _fill_chains(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+    """Add the bones between the named ones of the spine, the neck and the limbs."""
+    if spine := chains.get("spine"):
+        chains["spine"] = list_path(spine[-1], int(parents[spine[0]]), parents)
+    if head := chains.get("head"):
+        neck, below = chains.get("neck"), (chains.get("spine") or chains.get("pelvis") or [-1])[-1]
+        between = list_path(int(parents[head[0]]), int(parents[neck[0]]) if neck else below, parents)
+        arms = [
+            chains[segment][0] for side in SIDES for segment in (f"{side}_clavicle", f"{side}_upper_arm") if chains.get(segment)
+        ]
+        chains["neck"] = [bone for bone in between if not any(is_below(arm, bone, parents) for arm in arms)]
+    for upper in TWISTING_SEGMENTS:
+        lower = get_next_segment(upper)
+        if chains.get(upper) and chains.get(lower):
+            chains[upper] = list_path(int(parents[chains[lower][0]]), int(parents[chains[upper][0]]), parents)
+
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.alignment import align_skeleton
-from mocapfix.characters.bone_names import map_joints
+from mocapfix.characters.bone_mapping import map_joints
 from mocapfix.errors import ReadError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import read_bvh

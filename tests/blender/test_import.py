@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.characters import rig
+from mocapfix.characters.alignment import load_rig
 from mocapfix.options import RIG_NAMES, OutputOptions
 
 ROOT = Path(__file__).parents[2]
@@ -52,15 +52,13 @@ def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
 def lead(kind: str) -> int:
     """Return the number of frames before the first frame of the motion."""
     name = kind.removesuffix(".bvh")
-    return int(name in RIG_NAMES and rig.load_rig(name).first_frame == "t-pose")
+    return int(name in RIG_NAMES and load_rig(name).first_frame == "t-pose")
 
 
 def joints_of(kind: str, names: tuple[str, ...]) -> dict[str, str]:
     """Return the joint of the skeleton at which each bone begins."""
     name = kind.removesuffix(".bvh")
-    return (
-        {joint.name: joint.joint for joint in rig.load_rig(name).joints} if name in RIG_NAMES else {each: each for each in names}
-    )
+    return {joint.name: joint.joint for joint in load_rig(name).joints} if name in RIG_NAMES else {each: each for each in names}
 
 
 @pytest.mark.parametrize("kind", SCALES)

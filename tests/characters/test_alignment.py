@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
-from mocapfix.characters.bone_names import map_joints
+from mocapfix.characters.bone_mapping import map_joints
 from mocapfix.io import asf_amc, bvh
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import compose_transforms, load_cmu31_body

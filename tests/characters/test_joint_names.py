@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.characters.bone_names import NameTable, load_naming_convention, load_shipped_conventions, map_joints
+from mocapfix.characters.bone_mapping import NameTable, load_naming_convention, load_shipped_conventions, map_joints
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import read_shipped_yaml
 from mocapfix.model.skeleton import find_ancestor, load_cmu31_body

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.bone_names import map_joints
+from mocapfix.characters.bone_mapping import map_joints
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io import asf_amc, bvh
 from mocapfix.io.asf_amc import get_bone_axes_deg, get_cmu_bone_names, read_amc, write_asf_amc
