@@ -4,7 +4,6 @@
 feet, fill, apply decisions. Each stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -39,7 +38,7 @@ from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleaningResult, merge_results
 from mocapfix.solve.initial_motion import initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
-from mocapfix.solve.parallel import map_in_processes
+from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
@@ -141,34 +140,24 @@ def clean_subjects(
     results are those of cleaning one after the other.
     """
     results: list[CleaningResult] = []
-    unlabelled, report_progress = takes[0].unlabelled, report_in_this_process(timer.report_progress)
+    unlabelled = takes[0].unlabelled
 
     def clean_one(index: int) -> CleaningResult:
         take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        choice, own_timer = identify_subject(take, options.subject), StageTimer(dict(timer.stage_seconds), report_progress)
+        choice, is_next = identify_subject(take, options.subject), index == len(results)
+        own_timer = StageTimer(dict(timer.stage_seconds), timer.report_progress if is_next else None)
         return clean_subject(take, choice, reviews[index], options, conditioner, own_timer)
 
     while len(results) < len(takes):
-        for result in map_in_processes(clean_one, range(len(results), len(takes)), multi_subject.list_shared_data(takes)):
+        for result in map_in_threads(clean_one, range(len(results), len(takes))):
             results.append(result)
-            if len(takes) > 1:
-                report_progress(f"{len(results)} of {len(takes)} subjects")
+            if timer.report_progress and len(takes) > 1:
+                timer.report_progress(f"{len(results)} of {len(takes)} subjects")
             if not multi_subject.is_same_data(result.take.unlabelled, unlabelled):
                 unlabelled = result.take.unlabelled
                 break
     return results
-
-
-def report_in_this_process(progress: ProgressCallback | None) -> ProgressCallback:
-    """Return a progress callback that does nothing in copies of this process: a terminal shows the stages of one of them."""
-    process = os.getpid()
-
-    def report_stage(stage: str) -> None:
-        if progress and os.getpid() == process:
-            progress(stage)
-
-    return report_stage
 
 
 def clean_subject(
@@ -312,7 +301,7 @@ def inspect(
     Raises MocapfixError where the file or its subject cannot be used. A take that `clean` refuses because it contradicts its body
     as a whole is inspected, and so is one without the markers or frames that the options of filling name.
     """
-    options, timer = options.change(**changed_options), StageTimer(report_progress=report_in_this_process(progress))
+    options = options.change(**changed_options)
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
@@ -323,6 +312,7 @@ def inspect(
     def inspect_one(take: Take) -> InspectionReport:
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         choice = identify_subject(take, options.subject)
+        timer = StageTimer(report_progress=progress)
         choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, conditioner, timer)
         notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take)]
         if marker_set := choice.marker_set:
@@ -331,4 +321,4 @@ def inspect(
             notes += [note for note in choice.notes if note != NO_BODY_NOTE]
         return build_inspection_report(take, marker_set and marker_set.name, take, detected.faults, notes)
 
-    return list(map_in_processes(inspect_one, split_corrected_subjects(capture, options)[0]))
+    return list(map_in_threads(inspect_one, split_corrected_subjects(capture, options)[0]))

@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, cast
@@ -20,6 +20,7 @@ from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.io.files import LOCK_TEXT_ENCODING, build_lock, hold_process_lock, make_output_folder, replace_atomically
 from mocapfix.io.yaml_files import StrictModel
 from mocapfix.options import CleanOptions
+from mocapfix.system import avoid_reserved_name
 
 RECORD_SUFFIX = ".record.json"
 
@@ -51,7 +52,8 @@ class TakeRecord(StrictModel):
 
 def get_take_folder(output_folder: Path, take: str) -> Path:
     """Return the folder for the outputs of a take, given its id: its path without the suffix."""
-    return output_folder / PurePosixPath(take).with_suffix("")
+    path = output_folder / PurePosixPath(take)
+    return path.with_name(avoid_reserved_name(path.stem))
 
 
 def get_record_path(output_folder: Path, take: str) -> Path:
@@ -145,7 +147,8 @@ def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
         yield attempts
         if not attempts.count_all():
             attempts.clear()
-            Path(lock.lock_file).unlink(missing_ok=True)
+            with suppress(PermissionError):  # on Windows its file is removed with the lock
+                Path(lock.lock_file).unlink(missing_ok=True)
 
 
 def hash_file(path: Path) -> str:

@@ -28,6 +28,7 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.model.faults import FaultKind
 from mocapfix.report.html_report import write_page
 from mocapfix.report.terms import format_fault_counts, format_number
+from mocapfix.system import make_file_name
 
 CSV_NAME = "summary.csv"
 PARQUET_NAME = "summary.parquet"
@@ -254,7 +255,7 @@ def select_subject_outputs(record: TakeRecord, subject: str) -> dict[str, str]:
 
     The suffixes of one of several subjects begin with its name, written as in file names.
     """
-    names = {each.subject: re.sub(r"[^\w. -]", "_", each.subject) for each in record.subjects}
+    names = {each.subject: make_file_name(each.subject) for each in record.subjects}
     owners = {
         suffix: max((name for name in names.values() if name and suffix.startswith(f"{name}.")), key=len, default="")
         for suffix in record.outputs

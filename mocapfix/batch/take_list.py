@@ -7,16 +7,16 @@ in them, and the options of cleaning.
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
 from mocapfix.batch.job_files import build_job_model, build_job_options, expand_paths, has_wildcards
-from mocapfix.batch.records import ATTEMPTS_SUFFIX, RECORD_SUFFIX
+from mocapfix.batch.records import ATTEMPTS_SUFFIX, RECORD_SUFFIX, get_take_folder
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.file_content import check_path_encoding
-from mocapfix.io.files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX
+from mocapfix.io.files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX, find_common_folder
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.options import CleanOptions
 
@@ -163,11 +163,11 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
         check_path_encoding(path)
     if not absolute:
         return ()
-    base = make_absolute(root) if root else Path(os.path.commonpath([path.parent for path in absolute]))
+    base = make_absolute(root) if root else find_common_folder(absolute)
     takes = sorted((BatchTake(path.relative_to(base).as_posix(), path) for path in absolute), key=lambda take: take.id)
     by_folder: dict[str, BatchTake] = {}
     for take in takes:
-        other = by_folder.setdefault(PurePosixPath(take.id).with_suffix("").as_posix().casefold(), take)
+        other = by_folder.setdefault(get_take_folder(base, take.id).as_posix().casefold(), take)
         if other is not take:
             raise ReadError(
                 f"{take.path}: its outputs would be in the same folder as those of {other.path.name}; name one of the two only."

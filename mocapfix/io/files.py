@@ -15,17 +15,13 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath
 from tempfile import gettempdir, mkdtemp
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from mocapfix.errors import WriteError
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from mocapfix.errors import ReadError, WriteError
+from mocapfix.system import get_system
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -37,6 +33,8 @@ TEMPORARY_PATTERN = ".mocapfix-" + "?" * HOST_DIGEST_LENGTH + "-*"
 LOCK_NAME = ".lock"  # the file in a temporary folder that its owner has locked
 FOREIGN_AGE_S = 24 * 3600.0
 """age from which what another machine left is removed too: not every network file system knows the locks of other machines"""
+OPEN_FILE_LIMIT_S, OPEN_FILE_INTERVAL_S = 3.0, 0.05
+"""how long, and between which attempts, a file is waited for that a program has open, such as a virus scanner"""
 
 
 @contextmanager
@@ -47,26 +45,22 @@ def open_temporary_folder(folder: Path) -> Generator[Path]:
     """
     while True:
         path = Path(mkdtemp(dir=folder, prefix=TEMPORARY_PREFIX))
+        lock = build_lock(path / LOCK_NAME)
         try:
-            handle = os.open(path / LOCK_NAME, os.O_CREAT | os.O_RDWR, 0o600)
+            lock.acquire()
+            break
         except FileNotFoundError:
-            if folder.is_dir():  # another process has removed it before it was locked
-                continue
-            raise
+            if not folder.is_dir():  # otherwise another process has removed it before it was locked
+                raise
         except OSError:
+            if (path / LOCK_NAME).exists():  # a file system without locks
+                break
             path.rmdir()
             raise
-        if fcntl is not None:
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(handle, fcntl.LOCK_EX)
-        if os.fstat(handle).st_nlink:
-            break
-        os.close(handle)
     try:
         yield path
     finally:
-        _remove_folder(path)
-        os.close(handle)
+        _remove_folder(path, lock)
 
 
 def remove_abandoned_files(folder: Path) -> None:
@@ -78,23 +72,18 @@ def remove_abandoned_files(folder: Path) -> None:
 
 
 def _remove_if_abandoned(path: Path) -> None:
-    if fcntl is None:
-        return
     if not path.name.startswith(TEMPORARY_PREFIX) and time.time() - path.stat().st_mtime < FOREIGN_AGE_S:
         return
     if not (path / LOCK_NAME).exists():
         path.rmdir()  # it is empty
         return
-    handle = os.open(path / LOCK_NAME, os.O_RDWR)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
-        _remove_folder(path)
-    finally:
-        os.close(handle)
+    lock = build_lock(path / LOCK_NAME)
+    lock.acquire(blocking=False)  # raises OSError while the owner lives
+    _remove_folder(path, lock)
 
 
-def _remove_folder(path: Path) -> None:
-    """Remove a temporary folder, its lock last."""
+def _remove_folder(path: Path, lock: "FileLock") -> None:
+    """Remove a temporary folder and release its lock, whose file is removed last."""
     with suppress(OSError):
         for each in path.iterdir():
             if each.name != LOCK_NAME:
@@ -102,7 +91,10 @@ def _remove_folder(path: Path) -> None:
                     shutil.rmtree(each, ignore_errors=True)
                 else:
                     each.unlink(missing_ok=True)
+    with suppress(PermissionError):  # on Windows it is removed with the lock
         (path / LOCK_NAME).unlink(missing_ok=True)
+    lock.release()
+    with suppress(OSError):
         path.rmdir()
 
 
@@ -126,11 +118,9 @@ def replace_atomically(target: Path) -> Generator[Path]:
         with open_temporary_folder(target.parent) as temporary:
             part = temporary / target.name
             yield part
-            part.replace(target)
+            replace_file(part, target)
     except OSError as error:
-        if part is None:
-            raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder.") from error
-        raise WriteError(f"{target}: could not be written ({error.strerror or error}).") from error
+        raise WriteError(describe_write_failure(target, error, "" if part else "; choose another folder")) from error
 
 
 @contextmanager
@@ -149,16 +139,46 @@ def replace_together(targets: Iterable[Path], folder: Path) -> Generator[Path]:
         with open_temporary_folder(folder) as temporary:
             yield temporary
             with hold_signals():
+                targets = list(targets)
+                for target in targets:  # all can be replaced, or none is
+                    if target.exists():
+                        replace_file(target, target)
                 for target in targets:
                     part = temporary / target.name
                     if part.exists():
-                        part.replace(target)
+                        replace_file(part, target)
                     else:  # an output of an earlier run
                         target.unlink(missing_ok=True)
     except WriteError as error:
         raise WriteError(str(error).replace(f"{temporary}{os.sep}", f"{folder}{os.sep}")) from error
     except OSError as error:
-        raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
+        raise WriteError(describe_write_failure(folder, error, "; choose another folder")) from error
+
+
+def replace_file(part: Path, target: Path) -> None:
+    """Rename a file to `target`, in place of the file of that name; wait for a program that has that one open. Raises OSError."""
+    deadline = time.monotonic() + (OPEN_FILE_LIMIT_S if get_system().keeps_open_files else 0.0)
+    while True:
+        try:
+            part.replace(target)
+            return
+        except PermissionError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(OPEN_FILE_INTERVAL_S)
+
+
+def describe_write_failure(path: Path, error: OSError, advice: str) -> str:
+    """Return the sentence on a file or folder that cannot be written; `advice` is its end, without a full stop."""
+    system, file = get_system(), str(error.filename2 or error.filename or path)
+    if len(file) > system.max_path_length:
+        return (
+            f"{path}: cannot be written: the path of an output has {len(file)} characters, of which this system opens "
+            f"{system.max_path_length}; choose a folder with a shorter path."
+        )
+    if isinstance(error, PermissionError) and system.keeps_open_files and Path(file).is_file():
+        return f"{file}: cannot be replaced while another program has it open; close it there, and repeat the command."
+    return f"{path}: cannot be written ({error.strerror or error}){advice}."
 
 
 @contextmanager
@@ -210,8 +230,18 @@ def make_output_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WriteError(f"{folder}: the folder cannot be created ({error.strerror}); choose another with --out.") from error
+        raise WriteError(describe_write_failure(folder, error, "; choose another folder with --out")) from error
     remove_abandoned_files(folder)
+
+
+def find_common_folder(paths: Iterable[PurePath]) -> Path:
+    """Return the deepest folder that contains files, given by absolute paths. Raises ReadError if they are on several drives."""
+    folders = [path.parent for path in paths]
+    try:
+        return Path(os.path.commonpath(folders))
+    except ValueError:
+        others = [each for each in folders if each.drive != folders[0].drive]
+        raise ReadError(f"{others[0]}: is on another drive than {folders[0]}; name takes of one drive at a time.") from None
 
 
 def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
@@ -243,7 +273,7 @@ def hold_process_lock(path: Path, describe_refusal: Callable[[str], str]) -> Gen
             holder = path.read_text(encoding=LOCK_TEXT_ENCODING).strip()
         raise WriteError(describe_refusal(holder or "unknown process")) from None
     except OSError as error:
-        raise WriteError(describe_lock_failure(path, error)) from error
+        raise WriteError(describe_write_failure(path, error, "; choose another folder")) from error
     try:
         text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
         with suppress(PermissionError):  # Windows
@@ -260,13 +290,8 @@ def build_lock(path: Path) -> "FileLock":
     return FileLock(path, fallback_to_soft=False)
 
 
-def describe_lock_failure(path: Path, error: OSError) -> str:
-    """Return the sentence on a lock file that cannot be written or locked."""
-    return f"{path}: cannot be written ({error.strerror or error}); choose another folder."
-
-
 def return_free_memory() -> None:
     """Collect garbage, and return freed memory to the system where the C library can do so (glibc)."""
     gc.collect()
-    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+    if get_system().name == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
         trim(0)

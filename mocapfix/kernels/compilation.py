@@ -36,6 +36,8 @@ import numba
 from numba import njit, types
 from numba.extending import register_jitable
 
+from mocapfix.system import get_system
+
 config: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
 
 PACKAGE_FOLDER = Path(__file__).parent.parent
@@ -75,7 +77,7 @@ def choose_cache_folder() -> Path | None:
     if requested := os.environ.get("NUMBA_CACHE_DIR"):  # Numba's own value is this module's once it was imported
         candidates.insert(0, Path(requested) / installation)
     with suppress(RuntimeError):  # no home
-        candidates.append(_find_user_cache_folder() / installation)
+        candidates.append(get_system().cache_folder / installation)
     candidates.append(Path(tempfile.gettempdir()) / installation)
     for candidate in candidates:
         folder = candidate / f"{FOLDER_PREFIX}{compute_kernels_digest()}"
@@ -87,14 +89,6 @@ def choose_cache_folder() -> Path | None:
                 remove_outdated_files(folder)
             return folder
     return None
-
-
-def _find_user_cache_folder() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _compute_digest(data: bytes) -> str:

@@ -5,7 +5,7 @@ that are not the body's (such as a prop) are filled from markers that move with 
 cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -110,14 +110,6 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
 def format_subject_names(takes: Iterable[Take]) -> str:
     """Return the names of the subjects for a sentence: "Jim and Ann"."""
     return join_names([take.subject_name for take in takes if take.subject_name != UNASSIGNED_SUBJECT])
-
-
-def list_shared_data(takes: Sequence[Take]) -> list[object]:
-    """Return the takes of several subjects and the arrays in them, which a result may hold as they are."""
-    held = [
-        each for take in takes for each in (take, take.unlabelled, take.computed_points and take.computed_points.take) if each
-    ]
-    return [*held, *(value for each in held for value in vars(each).values() if isinstance(value, np.ndarray | bytes))]
 
 
 def is_same_data(one: Take | None, other: Take | None) -> bool:

@@ -27,7 +27,7 @@ from mocapfix.model.changes import Change, build_changes, compute_editable_mask
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.solve.parallel import map_in_processes
+from mocapfix.solve.parallel import map_in_threads
 from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
@@ -421,7 +421,7 @@ def correct_subject_labels(
     pairs, done = list(combinations(names, 2)), 0
     while done < len(pairs):
         detect = partial(_detect_in_pair, corrected)
-        for detected in map_in_processes(detect, pairs[done:]):
+        for detected in map_in_threads(detect, pairs[done:]):
             done += 1
             found = [
                 fault

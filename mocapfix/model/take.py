@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.stats.point_functions import PointFunction
+from mocapfix.system import make_file_name
 
 # C3D processor types: byte order and floating-point format of the file.
 INTEL_PROCESSOR = 84  # little endian, IEEE floats
@@ -242,7 +243,7 @@ class Take:
     @property
     def output_stem(self) -> str:
         """Stem of the names of output files: "walk", or "walk.Jim" if the take is one subject's part."""
-        stem, subject = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.subject_name)
+        stem, subject = self.path.stem if self.path else "take", make_file_name(self.subject_name)
         return f"{stem}.{subject}" if subject else stem
 
     @cached_property

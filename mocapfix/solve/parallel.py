@@ -1,29 +1,21 @@
-"""Run compiled loops over frames in parallel threads, in an order that keeps dependent frames together, and whole functions in
-parallel processes.
+"""Run compiled loops over frames in parallel threads, in an order that keeps dependent frames together, and whole functions.
 
 The kernels release the interpreter's lock. Each thread takes a block of frames and writes only there, so the result does not
 depend on the number of threads. (Numba's own parallel loops do the same but take several times as long to compile.)
 """
 
-import io
-import os
-import pickle
-import signal
-import sys
 import threading
-import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextvars import copy_context
 from functools import cache
-from typing import Any, BinaryIO, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from mocapfix.errors import MocapfixError
-from mocapfix.kernels.compilation import THREADS_VARIABLE, count_cores
+from mocapfix.kernels.compilation import count_cores
 
 
 class SolveOrder(NamedTuple):
@@ -111,112 +103,36 @@ def get_thread_pool(workers: int) -> ThreadPoolExecutor:
 Value = TypeVar("Value")
 
 
-def map_in_processes(
-    function: Callable[[Part], Value], parts: Iterable[Part], shared: Sequence[object] = ()
-) -> Generator[Value, None, None]:
-    """Yield function(part) of each part in order, computed in as many processes at a time as there are cores.
+def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> Generator[Value]:
+    """Yield function(part) of each part in order, computed in as many threads at a time as there are cores.
 
-    A process is a copy of this one, in which compiled loops have one thread; only its result is sent. So the function can use
-    whatever is in memory, and what it changes there is lost. Processes that are not needed because the caller stops are ended.
-    On one core, of one part, in a thread, and where a system has no safe copies, the function is called here for one part after
-    the other.
-
-    Args:
-        function: What to compute.
-        parts: Its arguments.
-        shared: Objects that a result may contain, which are not sent.
+    Half of the time of a clean passes in kernels, beside which the other threads run. Parts that have not begun when the caller
+    stops are left out. Those that have begun do not delay the end of the program.
 
     Raises:
-        MocapfixError: If a process was ended by the system.
         Exception: Whatever the function raises.
     """
-    remaining, workers = list(parts), count_cores()
-    if min(workers, len(remaining)) < 2 or sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
-        yield from map(function, remaining)
+    remaining = deque((part, Future[Value]()) for part in parts)
+    futures = [future for _, future in remaining]
+    if min(count_cores(), len(remaining)) < 2:
+        yield from (function(part) for part, _ in remaining)
         return
-    remaining.reverse()
-    running = deque[_Child]()
-    try:
-        while remaining or running:
-            while remaining and len(running) < workers:
-                running.append(_Child.start(function, remaining.pop(), shared))
-            yield running[0].receive(shared)
-            running.popleft().end()
-    finally:
-        for each in running:
-            each.end()
 
-
-class _Child(NamedTuple):
-    """A process that computes one value, and the pipe from it."""
-
-    process: int
-    replies: BinaryIO
-
-    @classmethod
-    def start(cls, function: Callable[[Part], object], part: Part, shared: Sequence[object]) -> "_Child":
-        """Copy this process; the copy computes the value, sends it and ends."""
-        source, target = os.pipe()
-        process = os.fork()
-        if process:
-            os.close(target)
-            return cls(process, os.fdopen(source, "rb"))
-        try:
-            os.close(source)
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process ends its copies
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            os.environ[THREADS_VARIABLE] = "1"
-            get_thread_pool.cache_clear()  # a copy has no threads
+    def compute_remaining() -> None:
+        while True:
             try:
-                reply = _dump((True, function(part)), shared)
-            except BaseException as error:
-                error.add_note(traceback.format_exc())
-                try:
-                    reply = pickle.dumps((False, error))
-                    pickle.loads(reply)
-                except Exception:  # the error cannot be sent
-                    reply = pickle.dumps((False, RuntimeError(repr(error))))
-            with os.fdopen(target, "wb") as stream:
-                stream.write(reply)
-        finally:
-            os._exit(0)
+                part, future = remaining.popleft()
+            except IndexError:
+                return
+            try:
+                future.set_result(function(part))
+            except BaseException as error:  # it is raised where the value is awaited
+                future.set_exception(error)
 
-    def receive(self, shared: Sequence[object]) -> Any:
-        """Return the value, or raise what was raised."""
-        try:
-            is_value, value = _load(self.replies, shared)
-        except (EOFError, pickle.UnpicklingError):
-            problem = "A process of this take was ended by the system; there may be too little memory"
-            raise MocapfixError(f"{problem}. Set {THREADS_VARIABLE}=1 to use one process.") from None
-        if not is_value:
-            raise value
-        return value
-
-    def end(self) -> None:
-        """End the process if it still runs."""
-        self.replies.close()
-        with suppress(ProcessLookupError):
-            os.kill(self.process, signal.SIGKILL)
-        with suppress(ChildProcessError):
-            os.waitpid(self.process, 0)
-
-
-def _dump(value: object, shared: Sequence[object]) -> memoryview:
-    """Return a pickle in which shared objects are numbers."""
-    number = {id(each): n for n, each in enumerate(shared)}
-
-    class Pickler(pickle.Pickler):
-        def persistent_id(self, obj: Any) -> int | None:
-            return number.get(id(obj))
-
-    stream = io.BytesIO()
-    Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(value)
-    return stream.getbuffer()
-
-
-def _load(stream: BinaryIO, shared: Sequence[object]) -> Any:
-    class Unpickler(pickle.Unpickler):
-        def persistent_load(self, pid: int) -> object:
-            return shared[pid]
-
-    return Unpickler(stream).load()
+    try:
+        for _ in range(min(count_cores(), len(remaining))):
+            threading.Thread(target=copy_context().run, args=(compute_remaining,), daemon=True).start()
+        for each in futures:
+            yield each.result()
+    finally:
+        remaining.clear()

@@ -6,7 +6,6 @@ the pose. Subjects of one take are never the same person. A person has one subje
 which markers lie elsewhere.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
+from mocapfix.io.files import find_common_folder
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
@@ -24,6 +24,7 @@ from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.calibration import CalibrationFrames
 from mocapfix.subject.library import write_subject
 from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
+from mocapfix.system import make_file_name
 
 MAX_MEASURED_FRAMES = 200
 MIN_COMPARED_PAIRS = 8  # marker pairs that two takes must have in common to compare their bodies
@@ -150,7 +151,7 @@ def _name_uniquely(groups: Sequence[tuple[str, str, list[BodyMeasurements]]], no
     """Return the groups as people with different names, by a number where names agree."""
     people: list[Person] = []
     for g, (name, reason, takes) in enumerate(groups):
-        safe = "".join(character if character.isalnum() or character in "-_ " else "_" for character in name) or UNNAMED_PERSON
+        safe = make_file_name(name.replace(".", "_")) or UNNAMED_PERSON
         number, unique = 2, safe
         while any(each.name.casefold() == unique.casefold() for each in people):
             unique, number = f"{safe}-{number}", number + 1
@@ -244,9 +245,9 @@ def calibrate_people(
 
 
 def name_takes(paths: Sequence[Path]) -> list[str]:
-    """Return an id of each take: its path relative to the folder that contains all of them, with "/"."""
+    """Return an id of each take: its path relative to the folder that contains all of them, with "/". Raises ReadError."""
     resolved = [path.resolve() for path in paths]
-    folder = os.path.commonpath([path.parent for path in resolved])
+    folder = find_common_folder(resolved)
     return [path.relative_to(folder).as_posix() for path in resolved]
 
 

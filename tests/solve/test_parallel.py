@@ -1,16 +1,13 @@
-"""Blocks of frames on every core, and functions in several processes."""
+"""Blocks of frames on every core, and functions in several threads."""
 
 import os
-import signal
-import sys
 import threading
 
 import numpy as np
 import pytest
 
-from mocapfix.errors import MocapfixError, OptionError, TakeError
-from mocapfix.kernels.compilation import count_cores
-from mocapfix.solve.parallel import map_in_processes, run_over_frames
+from mocapfix.errors import TakeError
+from mocapfix.solve.parallel import map_in_threads, run_over_frames
 
 
 @pytest.mark.parametrize("frames", [1, 2, 7, 8, 9, 100])
@@ -41,23 +38,13 @@ def cores(request, monkeypatch):
     return request.param
 
 
-needs_copies = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-
-
 def test_values_come_in_the_order_of_their_parts(cores):
     base = np.arange(1000.0)
-    values = list(map_in_processes(lambda part: base * part, range(7)))
+    values = list(map_in_threads(lambda part: base * part, range(7)))
     assert len(values) == 7
     for part, value in enumerate(values):
         np.testing.assert_array_equal(value, base * part)
-    assert list(map_in_processes(lambda part: part, [])) == []
-
-
-def test_shared_objects_are_not_sent(cores):
-    shared = [np.arange(5), np.arange(6)]
-    values = list(map_in_processes(lambda part: {"own": shared[part], "other": shared[part].copy()}, range(2), shared))
-    assert [value["own"] is shared[part] for part, value in enumerate(values)] == [True, True]
-    np.testing.assert_array_equal(values[1]["other"], shared[1])
+    assert list(map_in_threads(lambda part: part, [])) == []
 
 
 @pytest.mark.parametrize("error", [TakeError("take.c3d: has no body."), KeyError("x"), MemoryError()])
@@ -67,43 +54,35 @@ def test_errors_come_after_the_values_before_them(cores, error):
             raise error
         return part
 
-    values = map_in_processes(fail_at_two, range(5))
+    values = map_in_threads(fail_at_two, range(5))
     assert [next(values), next(values)] == [0, 1]
     with pytest.raises(type(error)) as raised:
         next(values)
-    assert str(raised.value) == str(error)
-
-
-@needs_copies
-@pytest.mark.parametrize("cores", [3], indirect=True)
-def test_processes_are_ended_when_the_caller_stops(cores):
-    values = map_in_processes(lambda part: (part, os.getpid(), count_cores(), signal.pause() if part else None), range(9))
-    part, process, threads, _ = next(values)
-    assert (part, threads) == (0, 1)
-    assert process != os.getpid()
-    assert count_cores() == 3
-    values.close()  # the others would wait for ever
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
-
-
-@needs_copies
-@pytest.mark.parametrize("cores", [3], indirect=True)
-def test_a_process_that_ends_and_an_error_that_cannot_be_sent_are_errors(cores):
-    with pytest.raises(MocapfixError, match="MOCAPFIX_NUM_THREADS=1"):
-        list(map_in_processes(lambda part: os.kill(os.getpid(), signal.SIGKILL), range(2)))
-
-    def fail(part):
-        raise OptionError("prior", "--prior", "solve.prior", "must be a name")
-
-    with pytest.raises(RuntimeError, match="must be a name"):
-        list(map_in_processes(fail, range(2)))
+    assert raised.value is error
 
 
 @pytest.mark.parametrize("cores", [3], indirect=True)
-def test_threads_do_not_copy_the_process(cores):
-    processes: list[int] = []
-    thread = threading.Thread(target=lambda: processes.extend(map_in_processes(lambda part: os.getpid(), range(3))))
-    thread.start()
-    thread.join()
-    assert processes == [os.getpid()] * 3
+def test_as_many_parts_run_at_a_time_as_there_are_cores(cores):
+    barrier = threading.Barrier(cores)
+    assert list(map_in_threads(lambda part: barrier.wait(timeout=10) is not None, range(6))) == [True] * 6
+
+
+@pytest.mark.parametrize("cores", [3], indirect=True)
+def test_parts_that_have_not_begun_are_left_out_when_the_caller_stops(cores):
+    begun, stopped = [], threading.Event()
+
+    def begin(part):
+        begun.append(part)
+        return part if part == 0 else stopped.wait(10)
+
+    values = map_in_threads(begin, range(9))
+    assert next(values) == 0
+    values.close()
+    stopped.set()
+    assert len(begun) <= cores + 1
+
+
+@pytest.mark.parametrize("cores", [3], indirect=True)
+def test_settings_of_the_caller_hold_in_the_threads(cores):
+    with np.errstate(divide="raise"), pytest.raises(FloatingPointError):
+        list(map_in_threads(lambda part: np.ones(1) / part, range(2)))
