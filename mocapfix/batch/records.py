@@ -1,4 +1,5 @@
-"""The records of a batch: for each take what was cleaned, with what, and how it ended. One JSON file beside the outputs.
+"""The records of a batch: for each take what was cleaned, with what, and how it ended, in a JSON file beside the outputs; and who
+is in which take, in people.yaml.
 
 The records are the whole state of a batch. A take whose record agrees with its input, the options and the version, and whose
 outputs exist, is not cleaned again: `hash_file` and `hash_options` tell. `lock_batch_folder` and `hold_take` lock the folder of a
@@ -18,9 +19,9 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.io.files import LOCK_TEXT_ENCODING, build_lock, hold_process_lock, make_output_folder, replace_atomically
-from mocapfix.io.yaml_files import StrictModel
+from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
+from mocapfix.model.system import avoid_reserved_name
 from mocapfix.options import CleanOptions
-from mocapfix.system import avoid_reserved_name
 
 RECORD_SUFFIX = ".record.json"
 
@@ -87,6 +88,44 @@ def list_record_paths(output_folder: Path) -> list[Path]:
     """Return the paths of all records in the folder of a batch. Folders that appear or vanish at this moment do no harm."""
     walk = os.walk(output_folder, followlinks=True)
     return sorted(Path(folder, name) for folder, _, names in walk for name in names if name.endswith(RECORD_SUFFIX))
+
+
+PEOPLE_FILE_NAME = "people.yaml"
+
+
+class PersonEntry(StrictModel):
+    """One person of a session. Paths are relative to the folder of the batch."""
+
+    name: str
+    basis: str = ""  # from what it is known which takes are this person's, in words such as "subject prefix" or "body"
+    takes: dict[str, str] = Field(default_factory=dict)  # by id of a take, the name of the subject in it; "" if it has only one
+    subject_file: str = ""  # calibrated from all takes
+    # by id of a take, the subject file with which it was cleaned, where marker places differ
+    take_files: dict[str, str] = Field(default_factory=dict)
+    moved_markers: tuple[str, ...] = ()  # a sentence for each marker that moved between takes
+    # by id of a take, why it is not this person's although the names agree
+    rejected: dict[str, str] = Field(default_factory=dict)
+
+
+class SessionPeople(StrictModel):
+    """All people of a session, and sentences on how takes were assigned to them."""
+
+    people: tuple[PersonEntry, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def write_people_file(output_folder: Path, people: SessionPeople) -> Path:
+    """Write people.yaml into the folder of a batch and return its path. Raises WriteError."""
+    path = output_folder / PEOPLE_FILE_NAME
+    with replace_atomically(path) as part:
+        part.write_text(dump_yaml(people.model_dump(mode="json")), encoding="utf-8")
+    return path
+
+
+def read_people_file(output_folder: Path) -> SessionPeople | None:
+    """Return the people of a batch, None if the session has no such file. Raises SceneError if it cannot be read."""
+    path = output_folder / PEOPLE_FILE_NAME
+    return read_yaml_model(SessionPeople, path) if path.exists() else None
 
 
 BATCH_LOCK_NAME = ".batch.lock"

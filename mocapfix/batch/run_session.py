@@ -16,8 +16,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, cast
 
-from pydantic import Field
-
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
 from mocapfix.batch.jobs import (
@@ -29,12 +27,21 @@ from mocapfix.batch.jobs import (
     sort_by_size,
     try_to_hash,
 )
-from mocapfix.batch.records import TakeRecord, get_record_path, hash_options, lock_batch_folder, read_record, resolve_option_files
+from mocapfix.batch.records import (
+    PersonEntry,
+    SessionPeople,
+    TakeRecord,
+    get_record_path,
+    hash_options,
+    lock_batch_folder,
+    read_record,
+    resolve_option_files,
+    write_people_file,
+)
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.io.files import make_output_folder, replace_atomically
 from mocapfix.io.shipped import get_version
-from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
 from mocapfix.options import CleanOptions
 
 if TYPE_CHECKING:
@@ -42,44 +49,6 @@ if TYPE_CHECKING:
 
     from mocapfix.subject.people import Person
     from mocapfix.surveys import BodyToCalibrate
-
-
-PEOPLE_FILE_NAME = "people.yaml"
-
-
-class PersonEntry(StrictModel):
-    """One person of a session. Paths are relative to the folder of the batch."""
-
-    name: str
-    basis: str = ""  # from what it is known which takes are this person's, in words such as "subject prefix" or "body"
-    takes: dict[str, str] = Field(default_factory=dict)  # by id of a take, the name of the subject in it; "" if it has only one
-    subject_file: str = ""  # calibrated from all takes
-    # by id of a take, the subject file with which it was cleaned, where marker places differ
-    take_files: dict[str, str] = Field(default_factory=dict)
-    moved_markers: tuple[str, ...] = ()  # a sentence for each marker that moved between takes
-    # by id of a take, why it is not this person's although the names agree
-    rejected: dict[str, str] = Field(default_factory=dict)
-
-
-class SessionPeople(StrictModel):
-    """All people of a session, and sentences on how takes were assigned to them."""
-
-    people: tuple[PersonEntry, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-def write_people_file(output_folder: Path, people: SessionPeople) -> Path:
-    """Write people.yaml into the folder of a batch and return its path. Raises WriteError."""
-    path = output_folder / PEOPLE_FILE_NAME
-    with replace_atomically(path) as part:
-        part.write_text(dump_yaml(people.model_dump(mode="json")), encoding="utf-8")
-    return path
-
-
-def read_people_file(output_folder: Path) -> SessionPeople | None:
-    """Return the people of a batch, None if the session has no such file. Raises SceneError if it cannot be read."""
-    path = output_folder / PEOPLE_FILE_NAME
-    return read_yaml_model(SessionPeople, path) if path.exists() else None
 
 
 PEOPLE_FOLDER = "people"

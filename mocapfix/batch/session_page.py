@@ -20,15 +20,14 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.run_session import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, read_people_file
+from mocapfix.batch.records import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, TakeRecord, read_people_file
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.errors import SceneError, join_words
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.faults import FaultKind
+from mocapfix.model.system import make_file_name
 from mocapfix.report.html_report import write_page
 from mocapfix.report.terms import format_fault_counts, format_number
-from mocapfix.system import make_file_name
 
 CSV_NAME = "summary.csv"
 PARQUET_NAME = "summary.parquet"

@@ -21,7 +21,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from mocapfix.errors import ReadError, WriteError
-from mocapfix.system import get_system
+from mocapfix.model.system import get_system
 
 if TYPE_CHECKING:
     from filelock import FileLock

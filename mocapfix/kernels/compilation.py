@@ -36,7 +36,7 @@ import numba
 from numba import njit, types
 from numba.extending import register_jitable
 
-from mocapfix.system import get_system
+from mocapfix.model.system import get_system
 
 config: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
 

@@ -10,4 +10,5 @@
 - `body_fit`: a calibrated subject in a take, with its motion
 - `changes`: what was changed, with its reason; the filled and the decided take
 - `stage_timer`: the seconds of each stage
+- `system`: what the operating system is and has, and names of files that all systems allow
 """

@@ -11,8 +11,8 @@ from typing import Any, Literal, SupportsIndex
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from mocapfix.model.system import make_file_name
 from mocapfix.stats.point_functions import PointFunction
-from mocapfix.system import make_file_name
 
 # C3D processor types: byte order and floating-point format of the file.
 INTEL_PROCESSOR = 84  # little endian, IEEE floats

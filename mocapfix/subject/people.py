@@ -18,13 +18,13 @@ from threadpoolctl import threadpool_limits
 from mocapfix.io.files import find_common_folder
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.system import make_file_name
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.calibration import CalibrationFrames
 from mocapfix.subject.library import write_subject
 from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
-from mocapfix.system import make_file_name
 
 MAX_MEASURED_FRAMES = 200
 MIN_COMPARED_PAIRS = 8  # marker pairs that two takes must have in common to compare their bodies

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.run_session import PersonEntry, SessionPeople, read_people_file, write_people_file
+from mocapfix.batch.records import PersonEntry, SessionPeople, read_people_file, write_people_file
 from mocapfix.errors import SceneError
 
 

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markupsafe import escape
 
-from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.run_session import PersonEntry, SessionPeople, write_people_file
+from mocapfix.batch.records import PersonEntry, SessionPeople, TakeRecord, write_people_file
 from mocapfix.batch.session_page import (
     build_session_page,
     check_picture,

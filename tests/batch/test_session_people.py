@@ -10,7 +10,7 @@ from mocapfix.batch import run_session as session_people
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.cluster import BatchProgress
 from mocapfix.batch.jobs import CleanRequest
-from mocapfix.batch.run_session import read_people_file
+from mocapfix.batch.records import read_people_file
 from mocapfix.options import CleanOptions
 
 run_stage: Any = session_people._run_stage  # pyright: ignore

@@ -19,7 +19,7 @@ from mocapfix.io.files import (
     replace_atomically,
     replace_together,
 )
-from mocapfix.system import get_system
+from mocapfix.model.system import get_system
 
 OWNER = """
 import sys, time

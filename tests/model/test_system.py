@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.system import avoid_reserved_name, get_system, make_file_name
+from mocapfix.model.system import avoid_reserved_name, get_system, make_file_name
 
 
 @pytest.mark.parametrize(
