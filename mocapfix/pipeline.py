@@ -298,8 +298,11 @@ def inspect(
 ) -> list[InspectionReport]:
     """Return what `clean` would detect, one report for each subject in the file. Nothing is written.
 
-    Raises MocapfixError where the file or its subject cannot be used. A take that `clean` refuses because it contradicts its body
-    as a whole is inspected, and so is one without the markers or frames that the options of filling name.
+    A take that `clean` refuses because it contradicts its body as a whole is inspected, and so is one without the markers or
+    frames that the options of filling name.
+
+    Raises:
+        MocapfixError: If the file or its subject cannot be used.
     """
     options = options.change(**changed_options)
     load_pose_model = build_pose_model_loader(options.prior.name_used)

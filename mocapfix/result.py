@@ -152,10 +152,7 @@ class CleaningResult:
         return {suffix: path for suffix, path in paths.items() if suffix not in unavailable}
 
     def write_source_copy(self, target: Path) -> list[tuple[int, int]]:
-        """Write a copy of the input file with the changed samples replaced.
-
-        Returns the (frame, marker) indices of the samples that the file's format cannot store.
-        """
+        """Write a copy of the input file with the changed samples; return frame and marker of those that it cannot store."""
         unstorable = write_cleaned_copy(target, self.input_take, self.take)
         layout = self.input_take.layout
         if self.requested.contacts.write_events and isinstance(layout, C3dLayout):
