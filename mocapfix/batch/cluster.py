@@ -16,6 +16,7 @@ from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.errors import MocapfixError, format_name_list
+from mocapfix.model.system import get_system
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -88,6 +89,9 @@ def block_interrupts() -> Generator[None]:
 
     The batch ends its workers itself; each would report the interrupt.
     """
+    if not get_system().has_signal_masks:
+        yield
+        return
     resource_tracker.ensure_running()  # otherwise a thread that starts the first process starts it, and receives interrupts again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -1,6 +1,5 @@
 """What the children of a batch's workers do: clean a take, and write its record."""
 
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,15 +25,7 @@ from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
 
 CLEAN_FUNCTION = "mocapfix.batch.jobs:clean_recorded_take"
-WARM_UP_DURATION_S, WARM_UP_RATE_HZ = 2.0, 60.0  # of the composed take that is cleaned once in each server
-PRELOADED_MODULES = (
-    "mocapfix.batch.take_figures",
-    "mocapfix.report.html_report",
-    "mocapfix.report.recording",
-    "pyarrow.compute",
-    "rerun.blueprint",
-)
-"""what the first outputs would import"""
+LOADING_DURATION_S, LOADING_RATE_HZ = 1.0, 30.0  # of the composed take that is cleaned once in each child
 MAX_LOST_ATTEMPTS = 10  # attempts after which no record was written, because the worker or its computer was lost
 
 
@@ -201,28 +192,17 @@ def format_now() -> str:
 
 
 def load_everything() -> None:
-    """Import what cleaning needs and load the compiled kernels and priors, by cleaning a short composed take. Run in a server."""
-    from importlib import import_module
+    """Compile the kernels unless this was done on this machine, and load what cleaning needs by cleaning a short composed take.
 
+    Run in a child before its first job, whose limit of time is for the job alone.
+    """
     from mocapfix import pipeline
     from mocapfix.kernels.compilation import is_precompiled, precompile_kernels
-    from mocapfix.output_formats import list_output_formats
-    from mocapfix.solve.parallel import get_thread_pool
     from mocapfix.synthetic import compose_take, write_synthetic_take
 
-    for name in PRELOADED_MODULES:
-        import_module(name)
     if not is_precompiled():
         precompile_kernels(lambda done, total: None)
-    take = compose_take(seconds=WARM_UP_DURATION_S, rate=WARM_UP_RATE_HZ)
     with TemporaryDirectory(prefix="mocapfix-") as folder:
         path = Path(folder) / "take.c3d"
-        write_synthetic_take(path, take)
-        result = pipeline.clean(path)
-        content = result.build_content(None)
-        for each in list_output_formats(CleanOptions().output):
-            if not each.needs_body and each.suffix not in ("c3d", "rrd"):  # a recording starts threads, which a fork has not
-                each.write_file(Path(folder) / f"out.{each.suffix}", content)
-    get_thread_pool(1).shutdown()
-    get_thread_pool.cache_clear()
-    os.environ.pop("MOCAPFIX_CHECK_TYPES", None)
+        write_synthetic_take(path, compose_take(seconds=LOADING_DURATION_S, rate=LOADING_RATE_HZ))
+        pipeline.clean(path).write(Path(folder) / "out")

@@ -29,6 +29,7 @@ from mocapfix.cli.clean import print_summary, run_clean, run_inspect, run_scene
 from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS, run_calibrate, run_label
 from mocapfix.errors import OptionError, ReadError, describe_error, format_name_list
 from mocapfix.io.shipped import get_version
+from mocapfix.model.system import get_system
 
 
 def run_demo(
@@ -223,7 +224,8 @@ def run_command(arguments: list[str]) -> int:
             group.command(name=name)(command)
         app.command(group, name=group_name, help=help_text)
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, _stop)
+        for number in get_system().stop_signals:
+            signal.signal(number, _stop)
     try:
         return app.cli(
             prog="mocapfix",
