@@ -31,7 +31,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, compute_local_rotations, find_ancestor, list_path, load_cmu31_body
 from mocapfix.options import RIG_NAMES
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, scale_rotations
 
 SIDE_PREFIXES = ("Left", "Right")
 LIMB_BONES = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
@@ -90,7 +90,7 @@ class SkeletonAlignment:
             path = list_path(joint, above, self.skeleton.parents)
             is_shared = len(path) > 1 and all(names[each] in TRUNK_CHAIN_JOINTS for each in path)
             if is_shared:
-                local[:, path] = _scale_rotations(rotation, 1 / len(path))[:, None]
+                local[:, path] = scale_rotations(rotation, 1 / len(path))[:, None]
             else:
                 local[:, joint] = rotation
         return local
@@ -112,28 +112,13 @@ class SkeletonAlignment:
         """
         above, source_joint = self.find_mapped_ancestor(joint), int(self.source_joints[joint])
         source_above = int(self.source_joints[above]) if above >= 0 else -1
-        rotation_source_above = self.rotation_source_joint[above] if above >= 0 else np.eye(3)
-        rotation_above_joint = _multiply_rotations(local_rotations, list_path(joint, above, self.skeleton.parents))
         path = list_path(int(source_parents[source_joint]), source_above, source_parents)
-        rotation_parent_above = np.swapaxes(_multiply_rotations(source_rotations, path), 1, 2)
-        return rotation_parent_above @ rotation_source_above @ rotation_above_joint @ self.rotation_source_joint[joint].T
-
-
-def _multiply_rotations(rotations: Float[np.ndarray, "T J 3 3"], path: list[int]) -> Float[np.ndarray, "T 3 3"]:
-    """Return the product of the local rotations along a path of joints."""
-    product = np.tile(np.eye(3), (len(rotations), 1, 1))
-    for joint in path:
-        product = product @ rotations[:, joint]
-    return product
-
-
-def _scale_rotations(rotations: Float[np.ndarray, "T 3 3"], fraction: float) -> Float[np.ndarray, "T 3 3"]:
-    """Return rotations about the same axes by a fraction of the angles, NaN where the rotations are."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
-    scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * fraction).as_matrix()
-    return scaled
+        rotation = self.rotation_source_joint[above] if above >= 0 else np.eye(3)
+        for each in list_path(joint, above, self.skeleton.parents):
+            rotation = rotation @ local_rotations[:, each]
+        for each in path:
+            rotation = source_rotations[:, each].swapaxes(1, 2) @ rotation
+        return rotation @ self.rotation_source_joint[joint].T
 
 
 def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) -> SkeletonAlignment | None:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import LIMB_ENDS, SIDE_SEGMENTS, SIDES, Character, CharacterMotion, compute_character_poses
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations, scale_rotations
 
 LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 """Directions of the arms in the standard pose."""
@@ -24,12 +24,10 @@ OUTER_BONE_SEGMENTS = ("upper_arm", "thigh")
 MAX_FOOT_YAW_RAD = np.deg2rad(45.0)  # a foot that points more to the side in the rest pose is not turned straight ahead
 DEFAULT_BALL_HEIGHT = 0.03
 """Height of the ball joint above the sole, as a share of the leg's length, where the rest pose does not stand at height 0."""
-MAX_BALL_HEIGHT = 0.15
-MAX_BALL_DEPTH = 0.03
+MAX_BALL_HEIGHT, MAX_BALL_DEPTH = 0.15, 0.03
 """Heights between which the balls of a figure are that stands on height 0; below 0 they are taken to be at 0."""
-DEFAULT_FOOT_LENGTH = 0.15
-"""Distance from the ankle to the ball of the foot, as a share of the leg's length, of a foot without toes and tail."""
-DEFAULT_ANKLE_HEIGHT = 0.08
+DEFAULT_FOOT_LENGTH, DEFAULT_ANKLE_HEIGHT = 0.15, 0.08
+"""Distance from the ankle to the ball of the foot and its height, as shares of the leg's length, without toes and tail."""
 PALM_SHARE = 0.7  # the middle of the hand, as a share of its bone, which ends at the knuckles
 DEFAULT_PALM = 0.13  # the same as a share of the arm's length, for a hand without a tail
 
@@ -40,39 +38,47 @@ class BodyFrame:
 
     character: Character
     segment_bones: dict[str, int]  # segment to the bone that has the segment's rotation
-    standard_rotations: dict[int, Float[np.ndarray, "3 3"]]  # bone to C (3, 3)
-    rest_position: Float[np.ndarray, "J 3"]  # rest_position, rest_rotation: (J, 3) m and (J, 3, 3): the rest pose in the world
+    standard_rotations: dict[int, Float[np.ndarray, "3 3"]]  # bone to C
+    rest_position: Float[np.ndarray, "J 3"]  # rest_position, rest_end, rest_rotation: of the bones in the world, in the rest pose
+    rest_end: Float[np.ndarray, "J 3"]
     rest_rotation: Float[np.ndarray, "J 3 3"]
-    facing: Float[np.ndarray, "3 3"]  # (3, 3): from axes that face +Z to those of the rest pose in the world, a rotation about Y
+    facing: Float[np.ndarray, "3 3"]  # from axes that face +Z to those of the rest pose in the world, a rotation about Y
 
     def find_head(self, segment: str) -> Float[np.ndarray, " 3"]:
         """Return where a segment begins in the rest pose: the head of its first bone, in metres."""
         return self.rest_position[self.character.mapping.bones[segment][0]]
+
+    def find_centre(self, segment: str) -> Float[np.ndarray, " 3"]:
+        """Return the middle between the beginnings of a segment on both sides."""
+        return np.mean([self.find_head(f"{side}_{segment}") for side in SIDES], axis=0)
 
     def compute_vector(self, segment: str, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
         """Return a point of the rest pose relative to a segment's beginning, in the segment's axes, in metres."""
         bone = self.segment_bones[segment]
         return self.standard_rotations[bone] @ self.rest_rotation[bone].T @ (point - self.find_head(segment))
 
-    def compute_chain_offsets(self, segment: str, end: str | None = None) -> Float[np.ndarray, "n 3"]:
+    def compute_tail(self, segment: str) -> Float[np.ndarray, " 3"]:
+        """Return the end of a segment's bone relative to its beginning, in the segment's axes; NaN where it is not known."""
+        return self.compute_vector(segment, self.rest_end[self.segment_bones[segment]])
+
+    def compute_chain_offsets(self, segment: str) -> Float[np.ndarray, "n 3"]:
         """Return the vectors from each bone of the spine or neck to the next, in the segments' axes, in metres.
 
-        The last is to the beginning of the segment `end`, if it is given and the character has it.
+        The last of the neck is to the beginning of the head, if the character has one.
         """
         heads = [self.rest_position[bone] for bone in self.character.mapping.bones.get(segment, ())]
-        if end in self.segment_bones and heads:
-            heads.append(self.find_head(end))
-        return np.diff(np.reshape(heads, (-1, 3)), axis=0) @ self.facing if len(heads) > 1 else np.zeros((0, 3))
+        if segment == "neck" and "head" in self.segment_bones and heads:
+            heads.append(self.find_head("head"))
+        return np.diff(np.reshape(heads, (-1, 3)), axis=0) @ self.facing
 
-    def compute_length(self, start: str, end: str) -> float:
-        """Return the mean over both sides of the distance in metres between the beginnings of two segments."""
-        return float(
-            np.mean([np.linalg.norm(self.find_head(f"{side}_{end}") - self.find_head(f"{side}_{start}")) for side in SIDES])
-        )
+    def compute_length(self, *segments: str) -> float:
+        """Return the length in metres of the way over the beginnings of segments, the mean over both sides."""
+        places = np.array([[self.find_head(f"{side}_{segment}") for segment in segments] for side in SIDES])
+        return float(np.linalg.norm(np.diff(places, axis=1), axis=2).sum(1).mean())
 
     @property
     def leg_length_m(self) -> float:
-        return self.compute_length("thigh", "shin") + self.compute_length("shin", "foot")
+        return self.compute_length("thigh", "shin", "foot")
 
     @property
     def has_hands(self) -> bool:
@@ -82,41 +88,34 @@ class BodyFrame:
     @property
     def arm_length_m(self) -> float:
         """Length of upper arm and forearm; needs hands."""
-        return self.compute_length("upper_arm", "forearm") + self.compute_length("forearm", "hand")
+        return self.compute_length("upper_arm", "forearm", "hand")
 
     @property
     def trunk_length_m(self) -> float:
         """Distance from the pelvis to the beginning of the arms."""
-        arms = np.mean([self.find_head(f"{side}_upper_arm") for side in SIDES], axis=0)
-        return float(np.linalg.norm(arms - self.find_head("pelvis")))
+        return float(np.linalg.norm(self.find_centre("upper_arm") - self.find_head("pelvis")))
 
     @property
     def hip_centre(self) -> Float[np.ndarray, " 3"]:
         """The point between the hip joints, relative to the pelvis, in its axes, in metres."""
-        centre = np.mean([self.find_head(f"{side}_thigh") for side in SIDES], axis=0)
-        return self.compute_vector("pelvis", centre)
+        return self.compute_vector("pelvis", self.find_centre("thigh"))
 
     def compute_ball(self, side: str) -> Float[np.ndarray, " 3"]:
         """Return the ball of a foot relative to the ankle, in the foot's axes, in metres.
 
         It is the toe's beginning, or the tail of the foot's bone, or estimated from the leg's length.
         """
-        foot = self.segment_bones[f"{side}_foot"]
         if f"{side}_toe" in self.segment_bones:
             return self.compute_vector(f"{side}_foot", self.find_head(f"{side}_toe"))
-        tail = self.rest_position[foot] + self.rest_rotation[foot] @ self.character.skeleton.ends[foot]
-        vector = self.compute_vector(f"{side}_foot", tail)
-        length = DEFAULT_FOOT_LENGTH * self.leg_length_m
-        if np.isfinite(vector).all() and vector[2] > length / 2:
-            return vector
-        return np.array([0.0, (DEFAULT_BALL_HEIGHT - DEFAULT_ANKLE_HEIGHT) * self.leg_length_m, length])
+        tail, leg_length_m = self.compute_tail(f"{side}_foot"), self.leg_length_m
+        if np.isfinite(tail).all() and tail[2] > DEFAULT_FOOT_LENGTH * leg_length_m / 2:
+            return tail
+        return leg_length_m * np.array([0.0, DEFAULT_BALL_HEIGHT - DEFAULT_ANKLE_HEIGHT, DEFAULT_FOOT_LENGTH])
 
     def compute_palm(self, side: str) -> Float[np.ndarray, " 3"]:
         """Return the middle of a hand relative to the wrist, in the hand's axes, in metres, by the tail of its bone."""
-        hand = self.segment_bones[f"{side}_hand"]
-        tail = self.rest_position[hand] + self.rest_rotation[hand] @ self.character.skeleton.ends[hand]
-        vector = self.compute_vector(f"{side}_hand", tail)
-        return PALM_SHARE * vector if np.isfinite(vector).all() else DEFAULT_PALM * self.arm_length_m * LIMB_DIRECTIONS[side]
+        tail = self.compute_tail(f"{side}_hand")
+        return PALM_SHARE * tail if np.isfinite(tail).all() else DEFAULT_PALM * self.arm_length_m * LIMB_DIRECTIONS[side]
 
     @property
     def ball_height_m(self) -> float:
@@ -124,15 +123,13 @@ class BodyFrame:
 
         It is their height in the rest pose where that stands on height 0, as the rest pose of a character with a mesh does.
         """
-        if not self.character.has_feet_flat:
-            return DEFAULT_BALL_HEIGHT * self.leg_length_m
         heights: list[float] = []
         for side in SIDES:
             foot = self.segment_bones[f"{side}_foot"]
             axes = self.rest_rotation[foot] @ self.standard_rotations[foot].T
             heights.append(float((self.find_head(f"{side}_foot") + axes @ self.compute_ball(side))[1]))
         height = float(np.mean(heights)) / self.leg_length_m
-        is_standing = -MAX_BALL_DEPTH <= height < MAX_BALL_HEIGHT
+        is_standing = self.character.has_feet_flat and -MAX_BALL_DEPTH <= height < MAX_BALL_HEIGHT
         return (max(height, 0.0) if is_standing else DEFAULT_BALL_HEIGHT) * self.leg_length_m
 
     @property
@@ -145,46 +142,41 @@ def build_body_frame(character: Character) -> BodyFrame:
     """Compute the standard pose of a character from its rest pose. The mapping must have all required segments."""
     position, rotation = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
-    segment_bones = {segment: find_segment_bone(segment, chain) for segment, chain in bones.items() if chain}
-    facing = _compute_facing(position, bones)
-    turns = _compute_segment_turns(character, position, rotation, facing)
-    standard: dict[int, Float[np.ndarray, "3 3"]] = {}
-    for segment, chain in (*bones.items(), *character.mapping.twists.items()):
-        for bone in chain:
-            standard[bone] = turns.get(segment, np.eye(3)) @ facing.T @ rotation[bone]
-    return BodyFrame(character, segment_bones, standard, position, rotation, facing)
+    facing, ends = compute_facing(character), character.skeleton.compute_rest_ends()
+    heads = {segment: position[chain[0]] @ facing for segment, chain in bones.items() if chain}
+    tails = {segment: ends[chain[-1]] @ facing for segment, chain in bones.items() if chain}
+    turns = _compute_segment_turns(heads, tails, has_feet_flat=character.has_feet_flat)
+    segment_bones = {
+        segment: chain[-1 if segment.partition("_")[2] in OUTER_BONE_SEGMENTS else 0] for segment, chain in bones.items() if chain
+    }
+    standard = {
+        bone: turns.get(segment, np.eye(3)) @ facing.T @ rotation[bone]
+        for segment, chain in (*bones.items(), *character.mapping.twists.items())
+        for bone in chain
+    }
+    return BodyFrame(character, segment_bones, standard, position, ends, rotation, facing)
 
 
-def find_segment_bone(segment: str, chain: tuple[int, ...]) -> int:
-    """Return the bone of a segment's chain that has the segment's rotation."""
-    is_outer = segment.partition("_")[2] in OUTER_BONE_SEGMENTS
-    return chain[-1] if is_outer else chain[0]
-
-
-def _compute_facing(position: Float[np.ndarray, "J 3"], bones: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation about Y that turns +X to the figure's left."""
-    leftward = np.zeros(3)
-    for segment in ("thigh", "upper_arm"):
-        leftward += position[bones[f"left_{segment}"][0]] - position[bones[f"right_{segment}"][0]]
+def compute_facing(character: Character) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation about Y from axes that face +Z to the rest pose: its columns are the figure's left, up and front."""
+    position, bones = character.skeleton.rest_positions, character.mapping.bones
+    thighs, arms = (position[bones[f"left_{each}"][0]] - position[bones[f"right_{each}"][0]] for each in ("thigh", "upper_arm"))
+    leftward = thighs + arms
     return Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
 
 
 def _compute_segment_turns(
-    character: Character, position: Float[np.ndarray, "J 3"], rotation: Float[np.ndarray, "J 3 3"], facing: np.ndarray
+    heads: Mapping[str, Float[np.ndarray, " 3"]], tails: Mapping[str, Float[np.ndarray, " 3"]], *, has_feet_flat: bool
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
     """Return the rotations of the limbs' segments from the rest pose, facing +Z, to the standard pose."""
-    bones = character.mapping.bones
-    heads = {segment: facing.T @ position[chain[0]] for segment, chain in bones.items() if chain}
     turns: dict[str, Float[np.ndarray, "3 3"]] = {}
     for side in SIDES:
         for start, end in LIMB_ENDS.items():
             direction = DOWN if start in ("thigh", "shin") else LIMB_DIRECTIONS[side]
-            bone = bones[f"{side}_{start}"][-1]
-            tail = facing.T @ (position[bone] + rotation[bone] @ character.skeleton.ends[bone])
-            vector = heads.get(f"{side}_{end}", tail) - heads[f"{side}_{start}"]
-            turns[f"{side}_{start}"] = compute_shortest_rotation(vector, direction) if np.isfinite(vector).all() else np.eye(3)
+            vector = heads.get(f"{side}_{end}", tails[f"{side}_{start}"]) - heads[f"{side}_{start}"]
+            turns[f"{side}_{start}"] = compute_shortest_rotation(np.nan_to_num(vector), direction)
         turns[f"{side}_hand"] = turns[f"{side}_forearm"]
-        turn = np.eye(3) if character.has_feet_flat else turns[f"{side}_shin"]
+        turn = np.eye(3) if has_feet_flat else turns[f"{side}_shin"]
         if f"{side}_toe" in heads:
             x, _, z = turn @ (heads[f"{side}_toe"] - heads[f"{side}_foot"])
             yaw = float(np.arctan2(x, z))
@@ -199,39 +191,53 @@ PARENT_SEGMENTS = {
     "thigh": "pelvis", "shin": "thigh", "foot": "shin", "toe": "foot",
 }  # fmt: skip
 """The segment with which one that a body lacks moves; both of the same side, except pelvis and chest."""
-MIN_LENGTH_M = 1e-9
+CHAIN_SEGMENTS = ("spine", "neck")  # segments of which every bone has a rotation of its own
 
 
 @dataclass(frozen=True)
 class SegmentMotion:
     """The segments of a body in every frame."""
 
-    position: Mapping[str, Float[np.ndarray, "T 3"]]  # segment to (T, 3) m: where it begins
-    # segment to S (T, 3, 3), from the segment's axes to the world's. "chest" is the outermost bone of the spine
+    position: Mapping[str, Float[np.ndarray, "T 3"]]  # segment to where it begins, in metres
+    # segment to S, from the segment's axes to the world's. "chest" is the outermost bone of the spine
     rotation: Mapping[str, Float[np.ndarray, "T 3 3"]]
-    spine: Float[np.ndarray, "T n 3 3"]  # (T, n + 1, 3, 3): of the pelvis and the spine's n bones
-    neck: Float[np.ndarray, "T n 3 3"]  # (T, n + 2, 3, 3): of the chest, the neck's n bones and the head
+    # (T, n, 3, 3) by segment of several bones: of pelvis and spine; of chest, neck and head
+    chains: Mapping[str, Float[np.ndarray, "T _ 3 3"]]
+
+    def carry(self, segment: str, point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "T 3"]:
+        """Return where a point is in the world that moves with a segment; it is relative to its beginning, in its axes."""
+        return self.position[segment] + self.rotation[segment] @ point
 
 
 def compute_segment_motion(frame: BodyFrame, motion: CharacterMotion) -> SegmentMotion:
     """Compute the segments of a character's body in every frame of its motion."""
     position, rotation = compute_character_poses(frame.character, motion)
     bones = frame.character.mapping.bones
-    rotations = {segment: rotation[:, bone] @ frame.standard_rotations[bone].T for segment, bone in frame.segment_bones.items()}
-    chains = {
-        segment: [rotation[:, bone] @ frame.standard_rotations[bone].T for bone in bones.get(segment, ())]
-        for segment in ("spine", "neck")
-    }
-    spine = np.stack([rotations["pelvis"], *chains["spine"]], axis=1)
-    rotations["chest"] = spine[:, -1]
-    head = rotations.setdefault("head", chains["neck"][-1] if chains["neck"] else rotations["chest"])
+    standard = {bone: rotation[:, bone] @ each.T for bone, each in frame.standard_rotations.items()}
+    rotations = {segment: standard[bone] for segment, bone in frame.segment_bones.items()}
+    spine, neck = ([standard[bone] for bone in bones.get(segment, ())] for segment in CHAIN_SEGMENTS)
+    spine = [rotations["pelvis"], *spine]
+    rotations["chest"] = spine[-1]
+    neck = [rotations["chest"], *neck]
+    neck.append(rotations.setdefault("head", neck[-1]))
     for side in SIDES:
         for segment in SIDE_SEGMENTS:
             parent = PARENT_SEGMENTS[segment]
             parent = parent if parent in ("chest", "pelvis") else f"{side}_{parent}"
             rotations.setdefault(f"{side}_{segment}", rotations[parent])
     positions = {segment: position[:, chain[0]] for segment, chain in bones.items() if chain}
-    return SegmentMotion(positions, rotations, spine, np.stack([rotations["chest"], *chains["neck"], head], axis=1))
+    return SegmentMotion(positions, rotations, {"spine": np.stack(spine, axis=1), "neck": np.stack(neck, axis=1)})
+
+
+def fit_chain(source: BodyFrame, target: BodyFrame, segments: SegmentMotion, segment: str) -> Float[np.ndarray, "T _ 3 3"]:
+    """Return the rotations of a target's spine or neck, as in `SegmentMotion.chains`, that bends like that of the source."""
+    chain = segments.chains[segment]
+    end_count = chain.shape[1] - len(source.character.mapping.bones.get(segment, ()))
+    fitted = resample_chain(chain, len(target.character.mapping.bones.get(segment, ())) + end_count)
+    if fitted.shape != chain.shape:
+        offsets, source_offsets = target.compute_chain_offsets(segment), source.compute_chain_offsets(segment)
+        fitted[:, 1:-1] = keep_chain_direction(source_offsets, chain[:, 1:-1], offsets, fitted[:, 1:-1])
+    return fitted
 
 
 def resample_chain(rotations: Float[np.ndarray, "T n 3 3"], count: int) -> Float[np.ndarray, "T m 3 3"]:
@@ -244,12 +250,11 @@ def resample_chain(rotations: Float[np.ndarray, "T n 3 3"], count: int) -> Float
         return rotations
     if count == 1 or last == 0:
         return np.repeat(rotations[:, -1:], count, axis=1)
-    resampled = np.empty((len(rotations), count, 3, 3))
-    for k in range(count):
-        place = k * last / (count - 1)
-        low = min(int(place), last - 1)
-        resampled[:, k] = turn_by_share(rotations[:, low], rotations[:, low + 1], place - low)
-    return resampled
+    places = np.arange(count) * last / (count - 1)
+    low = np.minimum(places.astype(int), last - 1)
+    between = np.swapaxes(rotations[:, low], 2, 3) @ rotations[:, low + 1]
+    turns = [scale_rotations(between[:, k], share) for k, share in enumerate((places - low).tolist())]
+    return rotations[:, low] @ np.stack(turns, axis=1)
 
 
 def keep_chain_direction(
@@ -260,8 +265,7 @@ def keep_chain_direction(
 ) -> Float[np.ndarray, "T m 3 3"]:
     """Return the rotations of a chain, turned together so that the chain points in the direction of another one.
 
-    offsets    from the beginning of each bone to that of the next, in its segment's axes, in metres
-    rotations  of these bones
+    Offsets are from the beginning of each bone to that of the next, in its segment's axes, in metres.
     """
     if not len(offsets) or not len(source_offsets):
         return rotations
@@ -269,11 +273,3 @@ def keep_chain_direction(
     rest = compute_shortest_rotation(source_offsets.sum(0), offsets.sum(0))
     reached = np.einsum("tnij,nj->ti", rotations, offsets @ rest)
     return compute_shortest_rotations(reached, wanted)[:, None] @ rotations
-
-
-def turn_by_share(start: Float[np.ndarray, "T 3 3"], end: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:
-    """Return the rotations at a share of the way from one to another."""
-    if share <= 0.0 or share >= 1.0:
-        return start if share <= 0.0 else end
-    vector = Rotation.from_matrix(np.swapaxes(start, 1, 2) @ end).as_rotvec()
-    return start @ Rotation.from_rotvec(share * vector).as_matrix()

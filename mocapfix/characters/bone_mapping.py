@@ -219,27 +219,19 @@ SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() f
 """the segments of the 31 joints that the naming conventions name; joints that are missing here have none"""
 
 
-@dataclass(frozen=True)
-class NamedSegments:
-    """The segments that names give, and the title of the table that gave them."""
-
-    title: str
-    bones: Mapping[str, tuple[int, ...]]
-
-
-def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> NamedSegments | None:
+def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> BoneMapping | None:
     """Find the bones of the segments by their names; None if no table gives all that a body needs.
 
     Bones between two bones of a limb are parts of the upper segment. The table that gives the most bones is chosen, among equals
     the one with the most similar set of names.
     """
     spellings = spell_names(names)
-    best: tuple[tuple[int, float], NamedSegments] | None = None
+    best: tuple[tuple[int, float], BoneMapping] | None = None
     for table in _load_segment_tables():
         bones = _match_segments(table, spellings, parents)
         score = sum(map(len, bones.values())), table.compare_names(spellings)
         if all(bones.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
-            best = score, NamedSegments(table.title, bones)
+            best = score, BoneMapping(bones, reason=f"{table.title} names")
     return None if best is None else best[1]
 
 
@@ -344,7 +336,7 @@ def map_bones(character: Character) -> BoneMapping:
                 f"{source}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only a "
                 "character on two legs can take a person's motion."
             )
-        return _build_mapping(character, positions, dict(named.bones), f"{named.title} names")
+        return _build_mapping(character, positions, dict(named.bones), named.reason)
     if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.skeleton.names):
         raise SceneError(
             f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "

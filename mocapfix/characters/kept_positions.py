@@ -37,8 +37,6 @@ MIN_PLACE_WEIGHT = 1e-12
 MAX_REACH = 0.999  # share of the arm's length up to which a hand's target is reached
 MIN_PALM_DISTANCE_M = 1e-6
 MIN_LINE_LENGTH2_M2 = 1e-12  # squared length of a line below which it has no direction
-
-
 LEG_PARTS = tuple((f"{side}_thigh", f"{side}_shin") for side in SIDES)
 BODY_PARTS = (*LEG_PARTS, ("pelvis", "neck"), ("neck", "head"))
 """Parts of the body near which hands keep their places: lines from one segment's beginning to another's."""
@@ -47,53 +45,48 @@ BODY_PARTS = (*LEG_PARTS, ("pelvis", "neck"), ("neck", "head"))
 def compute_hand_targets(
     source: BodyFrame, target: BodyFrame, motion: SegmentMotion, target_position: Mapping[str, Points]
 ) -> dict[str, Points]:
-    """Return by side where the wrists shall be, in metres.
-
-    motion           of the source
-    target_position  segment to (T, 3) m: where it begins, before the hands are placed
-    """
-    arm_ratio = target.arm_length_m / source.arm_length_m
+    """Return by side where the wrists shall be, from the source's motion and where the target's segments begin without them."""
+    arm_ratio, scale = target.arm_length_m / source.arm_length_m, target.trunk_length_m / source.trunk_length_m
+    source_palms = {side: motion.carry(f"{side}_hand", source.compute_palm(side)) for side in SIDES}
+    offsets = {side: motion.rotation[f"{side}_hand"] @ target.compute_palm(side) for side in SIDES}
+    parts = [each for each in BODY_PARTS if all(end in motion.position and end in target_position for end in each)]
+    ends = [[[position[end] for end in part] for position in (motion.position, target_position)] for part in parts]
     palms: dict[str, Points] = {}
-    source_palms: dict[str, Points] = {}
     for side in SIDES:
-        wrist, hand = motion.position[f"{side}_hand"], motion.rotation[f"{side}_hand"]
-        source_palms[side] = wrist + hand @ source.compute_palm(side)
-        arm = arm_ratio * (wrist - motion.position[f"{side}_upper_arm"])
-        free = target_position[f"{side}_upper_arm"] + arm + hand @ target.compute_palm(side)
-        parts = [each for each in BODY_PARTS if all(end in motion.position and end in target_position for end in each)]
-        ends = [[[position[end] for end in part] for position in (motion.position, target_position)] for part in parts]
-        palms[side] = place_beside_parts(source_palms[side], free, ends, source.trunk_length_m, target.trunk_length_m)
-    palms = keep_palms_together(source_palms, palms, source.trunk_length_m, target.trunk_length_m)
-    wrists = {side: palm - motion.rotation[f"{side}_hand"] @ target.compute_palm(side) for side, palm in palms.items()}
+        arm = arm_ratio * (motion.position[f"{side}_hand"] - motion.position[f"{side}_upper_arm"])
+        free = target_position[f"{side}_upper_arm"] + arm + offsets[side]
+        palms[side] = place_beside_parts(source_palms[side], free, ends, source.trunk_length_m, scale)
+    palms = keep_palms_together(source_palms, palms, source.trunk_length_m, scale)
+    wrists = {side: palm - offsets[side] for side, palm in palms.items()}
     return {side: limit_reach(each, target_position[f"{side}_upper_arm"], target.arm_length_m) for side, each in wrists.items()}
 
 
 def keep_palms_together(
-    source_palms: Mapping[str, Points], palms: Mapping[str, Points], source_trunk_m: float, target_trunk_m: float
+    source_palms: Mapping[str, Points], palms: Mapping[str, Points], source_trunk_m: float, scale: float
 ) -> dict[str, Points]:
-    """Return the palms (T, 3) in metres by side, where they are near each other in the source as far apart as there.
+    """Return the palms by side, as far apart as in the source, scaled, where they are near each other there.
 
-    Their middle stays where it is. Distances are compared in lengths of the trunk.
+    Their middle stays where it is. Nearness is measured in lengths of the source's trunk.
     """
     apart = source_palms["left"] - source_palms["right"]
     nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source_trunk_m)[:, None]
-    middle, half = (palms["left"] + palms["right"]) / 2, target_trunk_m / source_trunk_m * apart / 2
-    return {
-        "left": palms["left"] + nearness * (middle + half - palms["left"]),
-        "right": palms["right"] + nearness * (middle - half - palms["right"]),
-    }
+    correction = nearness * (scale * apart - palms["left"] + palms["right"]) / 2
+    return {"left": palms["left"] + correction, "right": palms["right"] - correction}
 
 
 def place_beside_parts(
-    palm: Points, free: Points, ends: Sequence[Sequence[Sequence[Points]]], source_trunk_m: float, target_trunk_m: float
+    palm: Points, free: Points, ends: Sequence[Sequence[Sequence[Points]]], source_trunk_m: float, scale: float
 ) -> Points:
     """Return the places of a palm in metres: beside the parts of the body where it is near one, `free` where it is near none.
 
     How far along a part it is follows from the arm: a longer arm hangs lower. The nearest part decides.
 
-    palm  of the source
-    free  of the target, by the arm's directions
-    ends  of each part in the source, and in the target
+    Args:
+        palm: Of the source.
+        free: Of the target, by the arm's directions.
+        ends: Of each part in the source, and in the target.
+        source_trunk_m: Length of the source's trunk.
+        scale: Length of the target's trunk over that of the source's.
     """
     total, weights, nearest = np.zeros(free.shape), np.zeros(len(free)), np.zeros(len(free))
     for source_ends, (start, end) in ends:
@@ -101,7 +94,7 @@ def place_beside_parts(
         share, _ = split_along_line(free, start, end)
         nearness = compute_nearness(np.linalg.norm(find_nearest_point(palm, *source_ends)[1], axis=1) / source_trunk_m)
         weight = nearness**NEARNESS_POWER
-        total += weight[:, None] * (start + share[:, None] * (end - start) + target_trunk_m / source_trunk_m * across)
+        total += weight[:, None] * (start + share[:, None] * (end - start) + scale * across)
         weights += weight
         nearest = np.maximum(nearest, nearness)
     beside = total / np.maximum(weights, MIN_PLACE_WEIGHT)[:, None]
@@ -117,18 +110,14 @@ def move_hands_out_of_thighs(
 ) -> dict[str, Points]:
     """Return the targets of the wrists, moved so far that no palm is nearer to the axis of a thigh than in the source.
 
-    Distances are compared in lengths of the trunk, and only where they are less than NEAR_DISTANCE of these.
-
-    motion           of the source
-    solved_position  segment to (T, 3) m: where it begins in the solved poses of the target
-    wanted           (T, 3) m by side: the targets with which it was solved
+    Distances are compared in lengths of the trunk, and only where they are less than NEAR_DISTANCE of these. The target was
+    solved with the `wanted` targets, and its segments then began at `solved_position`.
     """
     ratio = target.trunk_length_m / source.trunk_length_m
     moved = {side: wrist.copy() for side, wrist in wanted.items()}
     for side, wrist in moved.items():
-        hand = motion.rotation[f"{side}_hand"]
-        palm = motion.position[f"{side}_hand"] + hand @ source.compute_palm(side)
-        solved_palm = solved_position[f"{side}_hand"] + hand @ target.compute_palm(side)
+        palm = motion.carry(f"{side}_hand", source.compute_palm(side))
+        solved_palm = solved_position[f"{side}_hand"] + motion.rotation[f"{side}_hand"] @ target.compute_palm(side)
         for start, end in LEG_PARTS:
             vector = find_nearest_point(palm, motion.position[start], motion.position[end])[1]
             solved_vector = find_nearest_point(solved_palm, solved_position[start], solved_position[end])[1]
@@ -186,7 +175,7 @@ class FlatFoot:
     """A foot that lies flat."""
 
     ball_height_m: float  # height of the ball above the floor
-    # (3, 3): S of the foot when it lies flat, without its heading; the identity for a foot without inclination
+    # S of the foot when it lies flat, without its heading; the identity for a foot without inclination
     inclination: Float[np.ndarray, "3 3"]
 
     def compute_ankle_height(self, ball: Float[np.ndarray, " 3"]) -> float:
@@ -197,7 +186,7 @@ class FlatFoot:
 def measure_flat_feet(source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None) -> dict[str, FlatFoot]:
     """Return the flat feet of the source by side, those of its skeleton where they cannot be measured.
 
-    contacts  of the feet at the rate of the motion
+    The contacts are those of the feet at the rate of the motion.
     """
     feet = {side: FlatFoot(source.ball_height_m, np.eye(3)) for side in SIDES}
     if contacts is None:
@@ -206,86 +195,72 @@ def measure_flat_feet(source: BodyFrame, motion: SegmentMotion, contacts: BodyCo
         is_flat = contacts.is_contact[:, [contacts.joints.index(joint) for joint in FOOT_JOINTS[side]]].all(1)
         if is_flat.sum() < MIN_FLAT_S * contacts.rate:
             continue
-        foot = motion.rotation[f"{side}_foot"]
-        ball = motion.position[f"{side}_foot"] + foot @ source.compute_ball(side)
-        heights = contacts.floor.compute_height_above(ball)
+        heights = contacts.floor.compute_height_above(motion.carry(f"{side}_foot", source.compute_ball(side)))
         lowest_m = float(np.percentile(heights, LOWEST_BALL_PERCENTILE))
         height_m = min(float(np.median(heights[is_flat])), lowest_m + MAX_HEIGHT_ABOVE_LOWEST_M)
         limit_m = MAX_HEIGHT_CHANGE * source.leg_length_m
-        upward = np.median(foot[is_flat, 1], axis=0)  # the vertical in the foot's axes: the middle row of S
-        inclination = compute_shortest_rotation(upward, UPWARD)
+        upward = np.median(motion.rotation[f"{side}_foot"][is_flat, 1], axis=0)  # the vertical in the foot's axes
         is_plausible = upward[1] > np.cos(MAX_INCLINATION_RAD) * np.linalg.norm(upward)
         feet[side] = FlatFoot(
             float(np.clip(height_m, source.ball_height_m - limit_m, source.ball_height_m + limit_m)),
-            inclination if is_plausible else np.eye(3),
+            compute_shortest_rotation(upward, UPWARD) if is_plausible else np.eye(3),
         )
     return feet
 
 
 def level_feet(motion: SegmentMotion, feet: Mapping[str, FlatFoot]) -> SegmentMotion:
     """Return the segments with feet and toes turned so that a foot that lies flat in the source has no inclination."""
-    rotation = dict(motion.rotation)
-    for side, foot in feet.items():
-        for segment in (f"{side}_foot", f"{side}_toe"):
-            rotation[segment] = rotation[segment] @ foot.inclination.T
-    return replace(motion, rotation=rotation)
+    turned = {
+        segment: motion.rotation[segment] @ foot.inclination.T
+        for side, foot in feet.items()
+        for segment in (f"{side}_foot", f"{side}_toe")
+    }
+    return replace(motion, rotation={**motion.rotation, **turned})
 
 
 @dataclass(frozen=True)
 class KeptPositions:
     """Targets of a character's joints in every frame, in metres."""
 
-    pelvis: Points  # (T, 3): the head of the pelvis bone
-    ankles: dict[str, Points]  # side to (T, 3)
-    scale: float  # metres of the character per metre of the source
+    pelvis: Points  # the head of the pelvis bone
+    ankles: dict[str, Points]  # by side
 
 
 def compute_kept_positions(
     source: BodyFrame, target: BodyFrame, motion: SegmentMotion, flat_feet: Mapping[str, FlatFoot], floor_height_m: float = 0.0
 ) -> KeptPositions:
-    """Compute where pelvis and ankles of a target body shall be, from the segments of the source.
+    """Compute where pelvis and ankles of a target body shall be, from the segments, flat feet and floor of the source.
 
-    flat_feet       the source's feet when they lie flat, by side
-    floor_height_m  height of the source's floor; the target's floor is at height 0
+    The floor of the target is at height 0.
     """
     scale = target.leg_length_m / source.leg_length_m
-    pelvis, thighs = motion.rotation["pelvis"], [motion.position[f"{side}_thigh"] for side in SIDES]
+    thighs = [motion.position[f"{side}_thigh"] for side in SIDES]
     ankle_height_m = float(np.mean([flat_feet[side].compute_ankle_height(source.compute_ball(side)) for side in SIDES]))
     hips = scale_positions(np.mean(thighs, axis=0), scale, floor_height_m + ankle_height_m, target.ankle_height_m)
     ankles: dict[str, Points] = {}
-    for side in SIDES:
-        foot, flat = motion.rotation[f"{side}_foot"], flat_feet[side]
-        ball = motion.position[f"{side}_foot"] + foot @ source.compute_ball(side)
+    for side, flat in flat_feet.items():
+        ball = motion.carry(f"{side}_foot", source.compute_ball(side))
         kept = scale_positions(ball, scale, floor_height_m + flat.ball_height_m, target.ball_height_m)
-        ankles[side] = kept - foot @ flat.inclination.T @ target.compute_ball(side)
-    return KeptPositions(hips - pelvis @ target.hip_centre, ankles, scale)
+        ankles[side] = kept - motion.rotation[f"{side}_foot"] @ flat.inclination.T @ target.compute_ball(side)
+    return KeptPositions(hips - motion.rotation["pelvis"] @ target.hip_centre, ankles)
 
 
 def scale_positions(position: Points, scale: float, source_height_m: float, target_height_m: float) -> Points:
     """Return positions scaled about the origin, so that one at `source_height_m` comes to `target_height_m`."""
-    scaled = scale * position
-    scaled[:, 1] += target_height_m - scale * source_height_m
-    return scaled
+    return scale * position + [0.0, target_height_m - scale * source_height_m, 0.0]
 
 
 def hold_kept_feet(
     target: BodyFrame, ankles: dict[str, Points], feet: dict[str, Rotations], contacts: BodyContacts
 ) -> tuple[dict[str, Points], dict[str, Rotations]]:
-    """Return ankles (T, 3) in metres and rotations S (T, 3, 3) of the feet, by side, with the feet held in contacts.
-
-    ankles, feet  by side, before
-    contacts      of the source's feet, at the rate of the motion
-    """
+    """Return ankles in metres and rotations S of the feet, by side, with the feet held in contacts at the rate of the motion."""
     balls = {side: ankles[side] + feet[side] @ target.compute_ball(side) for side in SIDES}
     position = np.stack([place[side] for side in FOOT_JOINTS for place in (ankles, balls)], axis=1)
     held = position + compute_foot_displacements(position, contacts, is_locked=True)
-    held_ankles: dict[str, Points] = {}
-    held_feet: dict[str, Rotations] = {}
-    for k, side in enumerate(FOOT_JOINTS):
-        ankle, ball = held[:, 2 * k], held[:, 2 * k + 1]
-        held_ankles[side] = ankle
-        held_feet[side] = compute_shortest_rotations(balls[side] - ankles[side], ball - ankle) @ feet[side]
-    return held_ankles, held_feet
+    held_ankles = {side: held[:, 2 * k] for k, side in enumerate(FOOT_JOINTS)}
+    held_balls = {side: held[:, 2 * k + 1] for k, side in enumerate(FOOT_JOINTS)}
+    turns = {side: compute_shortest_rotations(balls[side] - ankles[side], held_balls[side] - held_ankles[side]) for side in SIDES}
+    return held_ankles, {side: turns[side] @ feet[side] for side in SIDES}
 
 
 def resample_foot_contacts(contacts: BodyContacts, frame_count: int, rate: float) -> BodyContacts:
@@ -306,14 +281,11 @@ MIN_DROP_M = 1e-12
 
 
 def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotation: Rotations) -> KeptPositions:
-    """Return the targets with the pelvis lowered, and feet brought nearer, where a leg would be stretched.
-
-    pelvis_rotation  (T, 3, 3) S of the pelvis
-    """
+    """Return the targets with the pelvis, of rotation S, lowered, and feet brought nearer, where a leg would be stretched."""
     hips = {side: pelvis_rotation @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh")) for side in SIDES}
     drops = [compute_drop(kept.ankles[side] - kept.pelvis - hips[side], target.leg_length_m) for side in SIDES]
     drop = (np.sum(np.power(drops, LARGER_DROP_POWER), axis=0)) ** (1 / LARGER_DROP_POWER)
-    pelvis = kept.pelvis - drop[:, None] * np.array([0.0, 1.0, 0.0])
+    pelvis = kept.pelvis - drop[:, None] * UPWARD
     ankles: dict[str, Points] = {}
     for side in SIDES:
         leg = kept.ankles[side] - pelvis - hips[side]
@@ -321,11 +293,11 @@ def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotati
         is_beside = 1.0 - compute_bearing(leg)
         factor = 1.0 + is_beside * (limit_distance(distance, target.leg_length_m) / distance - 1.0)
         ankles[side] = pelvis + hips[side] + factor[:, None] * leg
-    return KeptPositions(pelvis, ankles, kept.scale)
+    return KeptPositions(pelvis, ankles)
 
 
 def compute_drop(leg: Points, leg_length_m: float) -> Float[np.ndarray, " T"]:
-    """Return how far in metres the hip must be lowered for a leg that bears the body, from hip to ankle (T, 3) in metres."""
+    """Return how far in metres the hip must be lowered for a leg that bears the body, a vector from hip to ankle."""
     across, height = np.linalg.norm(leg[:, [0, 2]], axis=1), -leg[:, 1]
     wanted = limit_distance(np.linalg.norm(leg, axis=1), leg_length_m)
     lower = np.sqrt(np.maximum(wanted**2 - across**2, 0.0))
@@ -333,7 +305,7 @@ def compute_drop(leg: Points, leg_length_m: float) -> Float[np.ndarray, " T"]:
 
 
 def compute_bearing(leg: Points) -> Float[np.ndarray, " T"]:
-    """Return 1 for a leg (T, 3) below its hip, 0 for one that reaches to the side, ahead or up, and a smooth step between."""
+    """Return 1 for a leg below its hip, 0 for one that reaches to the side, ahead or up, and a smooth step between."""
     cosine = -leg[:, 1] / np.maximum(np.linalg.norm(leg, axis=1), MIN_DROP_M)
     return compute_smooth_step(-cosine, -BELOW_COSINE, -BESIDE_COSINE)
 

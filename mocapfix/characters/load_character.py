@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix.characters.body_frames import compute_facing
 from mocapfix.characters.bone_mapping import map_bones
 from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
@@ -52,7 +53,7 @@ def check_sides(character: Character, name: str) -> None:
     if legs @ arms < 0:
         pairs = " and ".join(repr(character.skeleton.names[bones[f"left_{each}"][0]]) for each in ("thigh", "upper_arm"))
         raise SceneError(f"{name}: {pairs}, both of the left, are on different sides of the body; {what_to_do}.")
-    axes = _compute_body_axes(character)
+    axes = compute_facing(character)
     toes: list[str] = []
     for side in SIDES:
         if toe := bones.get(f"{side}_toe"):
@@ -71,7 +72,7 @@ def describe_posed_limbs(character: Character) -> str:
 
     The rest pose is then one of an animation, as exporters may write it, and rotations relative to it are wrong.
     """
-    axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
+    axes, vectors = compute_facing(character), _list_limb_vectors(character)
     tilted: list[tuple[float, str]] = []
     different: list[tuple[float, str]] = []
     if (tilt := _measure_trunk_tilt_deg(character)) > MAX_REST_TILT_DEG:
@@ -90,7 +91,7 @@ def describe_posed_limbs(character: Character) -> str:
                 tilted.append((angle, f"{side} {label} {angle:.0f} degrees from the vertical"))
     if not (found := tilted or different):
         return ""
-    worst = max(found)[1]
+    worst = max(found, key=lambda limb: round(limb[0]))[1]
     return f"Its bones are not in a T- or A-pose ({worst}), so its limbs may be turned wrongly: export it in its rest pose."
 
 
@@ -107,7 +108,7 @@ def are_soles_flat(character: Character) -> bool:
     if not is_bare or not all(bones.get(f"{side}_toe") for side in SIDES):
         return True
     position, _ = character.skeleton.compute_rest_pose()
-    axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
+    axes, vectors = compute_facing(character), _list_limb_vectors(character)
     spreads: list[float] = []
     for side, outward in zip(SIDES, (1.0, -1.0), strict=True):
         shin = axes.T @ vectors[f"{side}_shin"]
@@ -118,18 +119,6 @@ def are_soles_flat(character: Character) -> bool:
         if not MIN_SPREAD_RAD < spreads[-1] < MAX_SPREAD_RAD or abs(turned_yaw) > min(MAX_STRAIGHT_YAW_RAD, abs(yaw)):
             return True
     return bool(np.ptp(spreads) > MAX_SPREAD_DIFFERENCE_RAD)
-
-
-def _compute_body_axes(character: Character) -> Float[np.ndarray, "3 3"]:
-    """Return the axes of the body in the world: to its left, up, and to its front, as left and right give them."""
-    position, _ = character.skeleton.compute_rest_pose()
-    leftward = np.zeros(3)
-    for segment in ("thigh", "upper_arm"):
-        left, right = (position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES)
-        leftward += (left - right) * [1.0, 0.0, 1.0]
-    length = float(np.linalg.norm(leftward))
-    x = leftward / length if length > 0 else np.array([1.0, 0.0, 0.0])
-    return np.stack([x, [0.0, 1.0, 0.0], [-x[2], 0.0, x[0]]], axis=1)
 
 
 def _measure_trunk_tilt_deg(character: Character) -> float:

@@ -26,17 +26,19 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import (
+    CHAIN_SEGMENTS,
     LIMB_DIRECTIONS,
     OUTER_BONE_SEGMENTS,
     BodyFrame,
     SegmentMotion,
     build_body_frame,
     compute_segment_motion,
-    keep_chain_direction,
-    resample_chain,
+    fit_chain,
 )
 from mocapfix.characters.character import LIMB_ENDS, SIDES, TWISTING_SEGMENTS, Character, CharacterMotion
 from mocapfix.characters.kept_positions import (
+    Points,
+    Rotations,
     compute_hand_targets,
     compute_kept_positions,
     hold_kept_feet,
@@ -47,7 +49,7 @@ from mocapfix.characters.kept_positions import (
     resample_foot_contacts,
 )
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.model.skeleton import UNLIMITED_RAD, compute_local_rotations
+from mocapfix.model.skeleton import UNLIMITED_RAD, compute_local_rotations, find_ancestor
 from mocapfix.options import FEET_LOCK
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import SolverSettings, minimise
@@ -61,7 +63,7 @@ from mocapfix.solve.terms import (
     TrackingTerm,
 )
 
-CHAIN_SEGMENTS = ("spine", "neck")  # segments of which every bone is a joint of its own
+JointRotations = Float[np.ndarray, "T N 3 3"]
 FIXED_SEGMENTS = ("neck", "toe")  # segments that keep their rotation relative to their parent
 
 
@@ -72,31 +74,36 @@ class SolveTree:
     tree: KinematicTree  # for the kernels; offsets in metres in the bones' axes
     bones: Int[np.ndarray, " N"]  # the bone that has each joint's rotation
     segments: tuple[str, ...]  # the segment of each joint, of spine and neck with the number of the bone: spine.0
-    standard_rotations: Float[np.ndarray, "N 3 3"]  # (N, 3, 3): C of `BodyFrame`
-
-    @property
-    def free(self) -> Bool[np.ndarray, " N"]:
-        """The joints that the solver turns."""
-        return self.tree.free
+    standard_rotations: Float[np.ndarray, "N 3 3"]  # C of `BodyFrame`
 
     def find_joint(self, segment: str) -> int:
         """Return the index of a segment's joint, -1 if the character lacks it."""
         return self.segments.index(segment) if segment in self.segments else -1
 
+    @property
+    def chest(self) -> int:
+        """The index of the outermost joint of the spine, -1 without a spine."""
+        return max((k for k, segment in enumerate(self.segments) if segment.startswith("spine.")), default=-1)
+
 
 def build_solve_tree(frame: BodyFrame) -> SolveTree:
     """Return the tree of a character's segments."""
-    character, joints = frame.character, _list_joints(frame)
-    joint_of_bone = {bone: k for k, (_, chain, _) in enumerate(joints) for bone in chain}
-    parents, offsets = np.full(len(joints), -1), np.zeros((len(joints), 3))
+    skeleton = frame.character.skeleton
+    joints: list[tuple[str, tuple[int, ...], int]] = []  # segment, bones, and the bone that has the rotation
+    for segment, chain in frame.character.mapping.bones.items():
+        if segment in CHAIN_SEGMENTS:
+            joints += [(f"{segment}.{k}", (bone,), bone) for k, bone in enumerate(chain)]
+        elif chain:
+            joints.append((segment, chain, frame.segment_bones[segment]))
+    joints.sort(key=lambda joint: (joint[0] != "pelvis", joint[1][0]))  # bones come after their parents
+    joint_of_bone = np.full(len(skeleton.names), -1)
     for k, (_, chain, _) in enumerate(joints):
-        above = int(character.skeleton.parents[chain[0]])
-        while above >= 0 and above not in joint_of_bone:
-            above = int(character.skeleton.parents[above])
-        if k and above >= 0:
-            parent = joint_of_bone[above]
-            _, parent_chain, parent_bone = joints[parent]
-            parents[k] = parent
+        joint_of_bone[list(chain)] = k
+    parents, offsets = np.full(len(joints), -1), np.zeros((len(joints), 3))
+    for k, (_, chain, _) in list(enumerate(joints))[1:]:
+        if (above := find_ancestor(chain[0], skeleton.parents, joint_of_bone >= 0)) >= 0:
+            parents[k] = joint_of_bone[above]
+            _, parent_chain, parent_bone = joints[parents[k]]
             vector = frame.rest_position[chain[0]] - frame.rest_position[parent_chain[0]]
             offsets[k] = frame.rest_rotation[parent_bone].T @ vector
     segments = tuple(segment for segment, _, _ in joints)
@@ -106,20 +113,7 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     return SolveTree(KinematicTree(parents, offsets, free), bones, segments, standard)
 
 
-def _list_joints(frame: BodyFrame) -> list[tuple[str, tuple[int, ...], int]]:
-    """Return segment, bones, and the bone that has the rotation, of each joint, parents first."""
-    joints: list[tuple[str, tuple[int, ...], int]] = []
-    for segment, chain in frame.character.mapping.bones.items():
-        if segment in CHAIN_SEGMENTS:
-            joints += [(f"{segment}.{k}", (bone,), bone) for k, bone in enumerate(chain)]
-        elif chain:
-            joints.append((segment, chain, frame.segment_bones[segment]))
-    return sorted(joints, key=lambda joint: (joint[0] != "pelvis", joint[1][0]))  # bones come after their parents
-
-
-ANKLE_SD_M = 0.0003
-WRIST_SD_M = 0.003
-PELVIS_SD_M = 0.006  # standard deviations of positions about their targets
+ANKLE_SD_M, WRIST_SD_M, PELVIS_SD_M = 0.0003, 0.003, 0.006  # standard deviations of positions about their targets
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
 DIRECTION_SD_RAD = 0.1  # standard deviation of the direction of a limb's bone
@@ -130,22 +124,15 @@ SIDEWAYS_SD_RAD = 0.2
 """Standard deviation of the direction of a thigh's or shin's own sideways axis: it keeps the plane in which a knee bends."""
 MIN_START_FLEXION_RAD = np.deg2rad(8.0)
 """Flexion of a knee with which its solve begins at least: a straight leg could bend either way."""
-DIRECTED_BONES = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
-
 SIDEWAYS = np.array([1.0, 0.0, 0.0])  # axis of a segment about which a knee bends, forwards for a positive angle
 
 
 class SegmentTargets(NamedTuple):
     """What is kept, over T frames."""
 
-    # (T, N, 3, 3): of the joints of a `SolveTree`, in the world; also the start of the solve
-    rotation: Float[np.ndarray, "T N 3 3"]
-    pelvis: Float[np.ndarray, "T 3"]  # m
-    points: dict[str, Float[np.ndarray, "T 3"]]  # segment (feet and hands) to (T, 3) m: where it shall begin
-
-    def replace_points(self, points: dict[str, Float[np.ndarray, "T 3"]]) -> "SegmentTargets":
-        """Return the targets with some points in place of those of the same segments."""
-        return self._replace(points=self.points | points)
+    rotation: JointRotations  # of the joints of a `SolveTree`, in the world; also the start of the solve
+    pelvis: Points
+    points: dict[str, Points]  # segment (feet and hands) to where it shall begin
 
     def select_frames(self, is_selected: Bool[np.ndarray, " T"]) -> "SegmentTargets":
         points = {segment: place[is_selected] for segment, place in self.points.items()}
@@ -153,7 +140,7 @@ class SegmentTargets(NamedTuple):
 
 
 def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
-    """Return positions (T, 3) of the pelvis in metres and local rotations (T, N, 3, 3) that reach the targets."""
+    """Return positions of the pelvis in metres and local rotations of the joints that reach the targets."""
     local = compute_local_rotations(targets.rotation, tree.tree.parents)
     terms = (
         _build_point_term(tree, targets),
@@ -166,7 +153,7 @@ def solve_segments(tree: SolveTree, character: Character, targets: SegmentTarget
     return minimise(tree.tree, terms, start, SolverSettings(max_iterations=MAX_POSE_ITERATIONS)).poses
 
 
-def bend_straight_knees(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
+def bend_straight_knees(tree: SolveTree, local: JointRotations) -> JointRotations:
     """Return local rotations with every knee flexed by MIN_START_FLEXION_RAD at least; the foot keeps its direction."""
     bent = local.copy()
     for side in SIDES:
@@ -190,43 +177,34 @@ def _build_point_term(tree: SolveTree, targets: SegmentTargets) -> PointTerm:
     joints = np.array([tree.find_joint(segment) for segment in targets.points])
     measured = np.ascontiguousarray(np.stack(list(targets.points.values()), axis=1))
     sd = np.array([ANKLE_SD_M if segment.endswith("foot") else WRIST_SD_M for segment in targets.points])
-    weight = np.tile(sd**-2, (len(measured), 1))
-    return PointTerm(joints, np.zeros((len(joints), 3)), measured, weight)
+    return PointTerm(joints, np.zeros((len(joints), 3)), measured, np.tile(sd**-2, (len(measured), 1)))
 
 
-def _build_direction_term(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> DirectionTerm:
-    joints: list[int] = []
-    axes: list[np.ndarray] = []
+def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> DirectionTerm:
+    directions: list[tuple[int, Float[np.ndarray, " 3"], float]] = []  # joint, unit vector in its axes, standard deviation
     for side in SIDES:
-        for start, end in DIRECTED_BONES:
+        for start, end in LIMB_ENDS.items():
             joint, tip = tree.find_joint(f"{side}_{start}"), tree.find_joint(f"{side}_{end}")
-            if joint >= 0 and tip >= 0 and np.linalg.norm(tree.tree.offsets[tip]) > 0 and tree.tree.parents[tip] == joint:
-                joints.append(joint)
-                axes.append(tree.tree.offsets[tip] / np.linalg.norm(tree.tree.offsets[tip]))
-    sd = [DIRECTION_SD_RAD] * len(joints)
-    for side in SIDES:
-        for segment in ("thigh", "shin"):
-            joint = tree.find_joint(f"{side}_{segment}")
-            joints.append(joint)
-            axes.append(tree.standard_rotations[joint].T @ SIDEWAYS)
-            sd.append(SIDEWAYS_SD_RAD)
-    measured = np.ascontiguousarray((rotation[:, joints] @ np.array(axes)[:, :, None])[..., 0])
-    weight = np.tile(np.array(sd) ** -2.0, (len(measured), 1))
-    return DirectionTerm(np.array(joints), np.array(axes), measured, weight)
+            length = np.linalg.norm(tree.tree.offsets[tip]) if tip >= 0 and tree.tree.parents[tip] == joint >= 0 else 0.0
+            if length > 0:
+                directions.append((joint, tree.tree.offsets[tip] / length, DIRECTION_SD_RAD))
+    knees = [tree.find_joint(f"{side}_{segment}") for side in SIDES for segment in ("thigh", "shin")]
+    directions += [(joint, tree.standard_rotations[joint].T @ SIDEWAYS, SIDEWAYS_SD_RAD) for joint in knees]
+    joints, axes, sd = (np.array(each) for each in zip(*directions, strict=True))
+    measured = np.ascontiguousarray((rotation[:, joints] @ axes[:, :, None])[..., 0])
+    return DirectionTerm(joints, axes, measured, np.tile(sd**-2.0, (len(measured), 1)))
 
 
-def _build_orientation_term(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> OrientationTerm:
-    chest = max((k for k, segment in enumerate(tree.segments) if segment.startswith("spine.")), default=-1)
-    joints = [k for k, segment in enumerate(tree.segments) if _get_base_segment(segment) in ORIENTATION_SD_RAD]
-    sd = [ORIENTATION_SD_RAD[_get_base_segment(tree.segments[k])] for k in joints]
-    if chest >= 0:
-        joints.append(chest)
-        sd.append(ORIENTATION_SD_RAD["chest"])
-    weight = np.tile(np.array(sd) ** -2, (len(rotation), 1))
-    return OrientationTerm(np.array(joints), np.ascontiguousarray(rotation[:, joints]), weight)
+def _build_orientation_term(tree: SolveTree, rotation: JointRotations) -> OrientationTerm:
+    sd = {k: ORIENTATION_SD_RAD.get(_get_base_segment(segment)) for k, segment in enumerate(tree.segments)}
+    if tree.chest >= 0:
+        sd[tree.chest] = ORIENTATION_SD_RAD["chest"]
+    known = {k: each for k, each in sd.items() if each is not None}
+    joints, weight = np.array(list(known)), np.array(list(known.values())) ** -2
+    return OrientationTerm(joints, np.ascontiguousarray(rotation[:, joints]), np.tile(weight, (len(rotation), 1)))
 
 
-def _build_tracking_term(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"], pelvis: Float[np.ndarray, "T 3"]) -> TrackingTerm:
+def _build_tracking_term(tree: SolveTree, local: JointRotations, pelvis: Points) -> TrackingTerm:
     sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.segments])
     weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
     return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), PELVIS_SD_M**-2))
@@ -238,12 +216,10 @@ def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
     Limits of a limb's bones that share its twist are for their shares, so they do not apply to the joint.
     """
     chains = [character.mapping.bones.get(segment, ()) for segment in TWISTING_SEGMENTS]
-    shared = {bone for chain in chains if len(chain) > 1 for bone in chain}
-    rest = character.skeleton.compute_rest_pose()[1][tree.bones]
-    is_shared = np.isin(tree.bones, list(shared))
+    is_shared = np.isin(tree.bones, [bone for chain in chains if len(chain) > 1 for bone in chain])
     limits_rad = np.where(is_shared[:, None, None], UNLIMITED_RAD, character.skeleton.limits_rad[tree.bones])
-    low, high = np.ascontiguousarray(limits_rad[..., 0]), np.ascontiguousarray(limits_rad[..., 1])
-    reference = compute_local_rotations(rest, tree.tree.parents)
+    reference = compute_local_rotations(character.skeleton.compute_rest_pose()[1][tree.bones], tree.tree.parents)
+    low, high = np.ascontiguousarray(np.moveaxis(limits_rad, 2, 0))
     return JointLimitTerm(reference, low, high, JOINT_LIMIT_SD_RAD**-2)
 
 
@@ -252,15 +228,10 @@ NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "ha
 """The segment relative to which each limb segment twists."""
 
 
-def compute_twisted_bones(
-    frame: BodyFrame, rotation: dict[str, Float[np.ndarray, "T 3 3"]]
-) -> dict[int, Float[np.ndarray, "T 3 3"]]:
-    """Return the world rotations (T, 3, 3) of the bones that share a twist, by bone.
-
-    rotation  segment to S (T, 3, 3)
-    """
+def compute_twisted_bones(frame: BodyFrame, rotation: dict[str, Rotations]) -> dict[int, Rotations]:
+    """Return the world rotations of the bones that share a twist, by bone, from the rotations S of the segments."""
     mapping = frame.character.mapping
-    twisted: dict[int, Float[np.ndarray, "T 3 3"]] = {}
+    twisted: dict[int, Rotations] = {}
     for side in SIDES:
         for segment, neighbour in NEIGHBOUR_SEGMENTS.items():
             name, other = f"{side}_{segment}", neighbour if neighbour == "pelvis" else f"{side}_{neighbour}"
@@ -268,20 +239,16 @@ def compute_twisted_bones(
             if len(chain) + len(beside) < 2 or other not in rotation:
                 continue
             axis = LIMB_DIRECTIONS[side] if segment in ("upper_arm", "forearm") else LEG_AXIS
-            is_outer = segment in OUTER_BONE_SEGMENTS
-            relative = np.swapaxes(rotation[name], 1, 2) @ rotation[other]  # in the segment's axes
-            angle = compute_twist_angle(relative, axis)
+            angle = compute_twist_angle(np.swapaxes(rotation[name], 1, 2) @ rotation[other], axis)
             shares = {bone: k / (len(chain) - 1) for k, bone in enumerate(chain)} if len(chain) > 1 else {}
             shares |= {bone: _find_share_along(frame, bone, name, f"{side}_{LIMB_ENDS[segment]}") for bone in beside}
             for bone, share in shares.items():
-                turn = (1.0 - share) * angle if is_outer else share * angle
-                twisted[bone] = (
-                    rotation[name] @ Rotation.from_rotvec(turn[:, None] * axis).as_matrix() @ frame.standard_rotations[bone]
-                )
+                turn = (1.0 - share if segment in OUTER_BONE_SEGMENTS else share) * angle[:, None] * axis
+                twisted[bone] = rotation[name] @ Rotation.from_rotvec(turn).as_matrix() @ frame.standard_rotations[bone]
     return twisted
 
 
-def compute_twist_angle(rotation: Float[np.ndarray, "T 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " T"]:
+def compute_twist_angle(rotation: Rotations, axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " T"]:
     """Return the angle in radians of the part of rotations that turns about an axis (swing-twist), without jumps by a turn.
 
     The median over the frames is within half a turn, so that a limb is not twisted the long way round for a whole take.
@@ -308,44 +275,39 @@ MIN_SEPARATION_M = 5e-4  # movement of a hand's target below which a frame is no
 class RetargetProblem:
     """What is kept of a source's motion on a target character, and what is needed to solve it."""
 
-    source: BodyFrame  # source, target: the two bodies
+    source: BodyFrame
     target: BodyFrame
-    segments: SegmentMotion  # the source's segments in every frame
-    tree: SolveTree  # the target's joints
-    targets: SegmentTargets  # for `solve_segments`
+    segments: SegmentMotion  # of the source
+    tree: SolveTree  # of the target
+    targets: SegmentTargets
 
     @property
-    def wrists(self) -> dict[str, Float[np.ndarray, "T 3"]]:
+    def wrists(self) -> dict[str, Points]:
         """The targets of the wrists in metres, by side; empty if a body lacks hands."""
         points = self.targets.points
         return {side: points[f"{side}_hand"] for side in SIDES if f"{side}_hand" in points}
 
 
 def retarget_motion(
-    source: Character,
-    motion: CharacterMotion,
-    target: Character,
-    *,
-    contacts: BodyContacts | None = None,
+    source: Character, motion: CharacterMotion, target: Character, *, contacts: BodyContacts | None = None
 ) -> CharacterMotion:
     """Return the motion of a target character that moves like the source.
 
     Both mappings must have all required segments. Places are scaled about the origin by the ratio of the legs' lengths.
 
-    contacts  of the source, at any rate. Their floor comes to height 0, feet that lie flat do so on the target, and if the feet
-              of the source were locked in them, so are the target's. Without contacts the source's floor is at height 0
+    Args:
+        source: The source.
+        motion: Its motion.
+        target: The target.
+        contacts: Of the source, at any rate. Their floor comes to height 0, feet that lie flat do so on the target, and if the
+            feet of the source were locked in them, so are the target's. Without contacts the source's floor is at height 0.
     """
-    problem = build_retarget_problem(source, motion, target, contacts=contacts)
-    problem, (pelvis, local) = solve_retarget_problem(problem)
+    problem, (pelvis, local) = solve_retarget_problem(build_retarget_problem(source, motion, target, contacts=contacts))
     return compose_character_motion(problem.target, problem.tree, pelvis, local, motion.rate)
 
 
 def build_retarget_problem(
-    source: Character,
-    motion: CharacterMotion,
-    target: Character,
-    *,
-    contacts: BodyContacts | None = None,
+    source: Character, motion: CharacterMotion, target: Character, *, contacts: BodyContacts | None = None
 ) -> RetargetProblem:
     """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
@@ -386,82 +348,50 @@ def solve_retarget_problem(problem: RetargetProblem) -> tuple[RetargetProblem, P
         if not is_moved.any():
             break
         wrists = moved
-        targets = targets.replace_points({f"{side}_hand": wrist for side, wrist in wrists.items()})
+        targets = targets._replace(points=targets.points | {f"{side}_hand": wrist for side, wrist in wrists.items()})
         pelvis[is_moved], local[is_moved] = solve_segments(tree, problem.target.character, targets.select_frames(is_moved))
     return replace(problem, targets=targets), (pelvis, local)
 
 
-def spread_rotations(
-    source: BodyFrame, target: BodyFrame, tree: SolveTree, segments: SegmentMotion
-) -> Float[np.ndarray, "T N 3 3"]:
+def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segments: SegmentMotion) -> JointRotations:
     """Return the world rotations of the bones of a target's solve tree that have the source's segments' rotations."""
-    counts = {chain: len(target.character.mapping.bones.get(chain, ())) for chain in ("spine", "neck")}
-    spine, neck = resample_chain(segments.spine, counts["spine"] + 1), resample_chain(segments.neck, counts["neck"] + 2)
-    if spine.shape != segments.spine.shape:
-        offsets, source_offsets = target.compute_chain_offsets("spine"), source.compute_chain_offsets("spine")
-        spine[:, 1:-1] = keep_chain_direction(source_offsets, segments.spine[:, 1:-1], offsets, spine[:, 1:-1])
-    if neck.shape != segments.neck.shape:
-        offsets, source_offsets = target.compute_chain_offsets("neck", "head"), source.compute_chain_offsets("neck", "head")
-        neck[:, 1:-1] = keep_chain_direction(source_offsets, segments.neck[:, 1:-1], offsets, neck[:, 1:-1])
-    rotations: list[Float[np.ndarray, "T 3 3"]] = []
+    chains = {segment: fit_chain(source, target, segments, segment) for segment in CHAIN_SEGMENTS}
+    rotations: list[Rotations] = []
     for segment, standard in zip(tree.segments, tree.standard_rotations, strict=True):
         name, _, number = segment.partition(".")
-        chain = {"spine": spine, "neck": neck}.get(name)
-        rotations.append((segments.rotation[name] if chain is None else chain[:, int(number) + 1]) @ standard)
+        rotations.append((chains[name][:, int(number) + 1] if number else segments.rotation[name]) @ standard)
     return np.ascontiguousarray(np.stack(rotations, axis=1))
 
 
-def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Float[np.ndarray, "T 3"]]:
+def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Points]:
     """Return the positions of the joints of a solve tree by segment; spine and neck are where their first bone begins."""
-    positions = {segment: position[:, k] for k, segment in enumerate(tree.segments)}
-    for chain in ("spine", "neck"):
-        if f"{chain}.0" in positions:
-            positions[chain] = positions[f"{chain}.0"]
-    return positions
+    return {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.segments)}
 
 
 def compose_character_motion(
-    frame: BodyFrame, tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T N 3 3"], rate: float
+    frame: BodyFrame, tree: SolveTree, pelvis: Points, local: JointRotations, rate: float
 ) -> CharacterMotion:
-    """Return the motion of all bones of a character, from the solved joints.
+    """Return the motion of all bones of a character from the pelvis in the world and the local rotations of a solve tree.
 
-    pelvis  (T, 3) m: in the world
-    local   (T, N, 3, 3): relative to the tree's parents
+    Bones that the tree does not place keep their rest rotation relative to their parents.
     """
-    character = frame.character
+    skeleton, mapping = frame.character.skeleton, frame.character.mapping
     _, world = compute_tree_poses(tree.tree, pelvis, local)
-    rotation = {
-        segment: world[:, k] @ tree.standard_rotations[k].T for k, segment in enumerate(tree.segments) if "." not in segment
-    }
-    chest = [k for k, segment in enumerate(tree.segments) if segment.startswith("spine.")]
+    standard = world @ np.swapaxes(tree.standard_rotations, 1, 2)
+    rotation = {segment: standard[:, k] for k, segment in enumerate(tree.segments) if "." not in segment}
     for side in SIDES:
-        rotation.setdefault(
-            f"{side}_clavicle", world[:, chest[-1]] @ tree.standard_rotations[chest[-1]].T if chest else rotation["pelvis"]
-        )
+        rotation.setdefault(f"{side}_clavicle", standard[:, max(tree.chest, 0)])
     placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)
-    rotations, above = build_local_rotations(character, placed, len(pelvis))
-    pelvis_bone = character.mapping.bones["pelvis"][0]
-    parent = int(character.skeleton.parents[pelvis_bone])
-    position = pelvis
-    if parent >= 0:
-        position = np.einsum("tji,tj->ti", above[parent], pelvis - frame.rest_position[parent])
-    return CharacterMotion(position, rotations, rate)
-
-
-def build_local_rotations(
-    character: Character, placed: dict[int, Float[np.ndarray, "T 3 3"]], frame_count: int
-) -> tuple[Float[np.ndarray, "T J 3 3"], dict[int, Float[np.ndarray, "T 3 3"]]]:
-    """Return the local rotations of all bones, of which some are placed in the world, and the world rotations of parents.
-
-    Bones that are not placed keep their rest rotation relative to their parents.
-    """
-    local = np.tile(character.skeleton.rest_rotations, (frame_count, 1, 1, 1))
-    is_parent = np.isin(np.arange(len(character.skeleton.names)), character.skeleton.parents)
-    world: dict[int, Float[np.ndarray, "T 3 3"]] = {}
-    for bone, parent in enumerate(character.skeleton.parents.tolist()):
+    rotations = np.tile(skeleton.rest_rotations, (len(pelvis), 1, 1, 1))
+    above: dict[int, Rotations] = {-1: np.tile(np.eye(3), (len(pelvis), 1, 1))}
+    is_parent = ~skeleton.is_leaf
+    for bone, parent in enumerate(skeleton.parents.tolist()):
         if bone in placed:
-            world[bone] = placed[bone]
-            local[:, bone] = np.swapaxes(world[parent], 1, 2) @ world[bone] if parent >= 0 else world[bone]
-        elif is_parent[bone]:
-            world[bone] = world[parent] @ local[:, bone] if parent >= 0 else local[:, bone]
-    return local, world
+            rotations[:, bone] = np.swapaxes(above[parent], 1, 2) @ placed[bone]
+        if is_parent[bone]:
+            above[bone] = placed[bone] if bone in placed else above[parent] @ rotations[:, bone]
+    pelvis_bone = mapping.bones["pelvis"][0]
+    parent = int(skeleton.parents[pelvis_bone])
+    if parent >= 0:
+        pelvis = np.einsum("tji,tj->ti", above[parent], pelvis - frame.rest_position[parent])
+    return CharacterMotion(pelvis, rotations, rate)

@@ -68,6 +68,15 @@ def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np
     return Rotation.from_quat(quaternion).as_matrix()
 
 
+def scale_rotations(rotations: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:
+    """Return rotations about the same axes by a share of the angles, NaN where the rotations are."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
+    scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * share).as_matrix()
+    return scaled
+
+
 class CommonShape(NamedTuple):
     """The mean positions (M, 3) of markers in axes fixed to all of them, in metres, and their variances per axis (M,)."""
 

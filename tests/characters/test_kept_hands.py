@@ -85,7 +85,7 @@ def test_longer_arms_that_hang_beside_the_thighs_stay_straight():
 def test_palms_that_touch_still_touch_with_longer_arms():
     source_palms = {"left": np.array([[0.02, 1.2, 0.3]]), "right": np.array([[-0.02, 1.2, 0.3]])}
     palms = {"left": np.array([[-0.05, 1.2, 0.35]]), "right": np.array([[0.07, 1.25, 0.4]])}
-    kept = keep_palms_together(source_palms, palms, 0.45, 0.9)
+    kept = keep_palms_together(source_palms, palms, 0.45, 2.0)
     np.testing.assert_allclose(kept["left"] - kept["right"], [[0.08, 0, 0]], atol=1e-12)
     np.testing.assert_allclose(kept["left"] + kept["right"], palms["left"] + palms["right"], atol=1e-12)
 

@@ -38,7 +38,7 @@ def place_feet(height_m: float, ahead_m: float = 0.0) -> tuple[KeptPositions, Ke
         side: pelvis + frame.compute_vector("pelvis", frame.find_head(f"{side}_thigh")) + [0.0, -height_m, ahead_m]
         for side in ("left", "right")
     }
-    kept = KeptPositions(pelvis, ankles, 1.0)
+    kept = KeptPositions(pelvis, ankles)
     return kept, keep_feet_within_reach(frame, kept, np.eye(3)[None]), frame.leg_length_m
 
 
