@@ -4,6 +4,7 @@ A table stands between `<!-- NAME -->` and `<!-- end -->`. A test checks that th
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
@@ -59,9 +60,14 @@ TABLES = {"options": build_option_table, "baseline": build_baseline_table}
 def fill_tables(text: str) -> str:
     """Return a page with its generated tables replaced."""
     for name, build in TABLES.items():
-        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        text = re.sub(pattern, lambda match: f"{match[1]}\n{build()}\n\n{match[2]}", text, flags=re.DOTALL)  # noqa: B023
+        text = fill_section(text, name, build)
     return text
+
+
+def fill_section(text: str, name: str, build: Callable[[], str]) -> str:
+    """Return a page whose section `<!-- name -->` holds what `build` returns; it is called only if there is such a section."""
+    pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+    return re.sub(pattern, lambda match: f"{match[1]}\n{build()}\n\n{match[2]}", text, flags=re.DOTALL)
 
 
 def main() -> None:

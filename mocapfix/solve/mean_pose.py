@@ -13,9 +13,8 @@ from mocapfix.io.shipped import find_shipped_folder, read_yaml
 from mocapfix.model.skeleton import Skeleton
 
 NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
-# YAML files in priors/ that are not mean-pose priors; MODEL_FILES are training settings.
-MODEL_FILES = ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist", "ik", "motion")
-OTHER_PRIOR_FILES = ("joint-limits", "shape", *MODEL_FILES)
+# YAML files in priors/ that are not mean-pose priors. Nor are those beside weights, which are settings of training.
+OTHER_PRIOR_FILES = ("joint-limits", "shape")
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,12 @@ def load_mean_pose_prior(name: str, skeleton: Skeleton) -> MeanPosePrior:
         information[0] = 0
         identity = np.tile(np.eye(3), (joint_count, 1, 1))
         return MeanPosePrior(name, identity, information, np.zeros_like(information), identity * NO_PRIOR_SD_RAD**2 / 2)
-    path = find_shipped_folder("priors") / f"{Path(name).name}.yaml"
-    if not path.is_file() or path.stem in OTHER_PRIOR_FILES:
-        available = sorted(p.stem for p in find_shipped_folder("priors").glob("*.yaml") if p.stem not in OTHER_PRIOR_FILES)
-        raise SceneError(f"There is no prior named {name!r}; choose one of: {', '.join(available)}, none.")
-    return read_mean_pose_prior(path, skeleton.names)
+    folder = find_shipped_folder("priors")
+    names = sorted(path.stem for path in folder.glob("*.yaml") if not path.with_suffix(".safetensors").is_file())
+    if name not in names or name in OTHER_PRIOR_FILES:
+        available = ", ".join(each for each in names if each not in OTHER_PRIOR_FILES)
+        raise SceneError(f"There is no prior named {name!r}; choose one of: {available}, none.")
+    return read_mean_pose_prior(folder / f"{name}.yaml", skeleton.names)
 
 
 @cache
