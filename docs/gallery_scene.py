@@ -4,7 +4,7 @@ docs/generate_gallery.py composes the scenes; docs/gallery_scene.html draws them
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,16 +26,25 @@ PICTURE_COLOURS = 256
 MEASURED, FAULTY, ESTIMATED, RELABELLED, UNLABELLED = "#46525f", "#e0382c", "#12a150", "#7a4df0", "#e0992c"
 BODY, CHARACTER = "#b9c6d6", "#e5b78e"
 LEGEND = {
-    "measured": (MEASURED, False), "lost": (FAULTY, True), "faulty": (FAULTY, False), "estimated": (ESTIMATED, False),
-    "relabelled": (RELABELLED, False), "labelled": (RELABELLED, False), "without a label": (UNLABELLED, False),
-    "ghost": (FAULTY, False), "repaired": (ESTIMATED, False), "standing foot slides": (FAULTY, False), "stands": (ESTIMATED, False),
-}  # fmt: skip
+    "measured": (MEASURED, False),
+    "lost": (FAULTY, True),
+    "faulty": (FAULTY, False),
+    "ghost": (FAULTY, False),
+    "standing foot that slides": (FAULTY, False),
+    "estimated": (ESTIMATED, False),
+    "repaired": (ESTIMATED, False),
+    "standing foot": (ESTIMATED, False),
+    "labelled": (RELABELLED, False),
+    "without a label": (UNLABELLED, False),
+}
+"""The colour of each name in a legend, and whether it stands for a ring."""
 BALL_M, TRAIL_M = 0.017, 0.007
 
 Joints = dict[str, Float[np.ndarray, " 3"]]
 SIDE_PARTS = (
     ("LeftUpLeg", "LeftLeg", 0.07, 0.048), ("LeftLeg", "LeftFoot", 0.048, 0.034), ("LeftFoot", "LeftToeBase", 0.036, 0.027),
-    ("LeftShoulder", "LeftArm", 0.055, 0.048), ("LeftArm", "LeftForeArm", 0.044, 0.034), ("LeftForeArm", "LeftHand", 0.034, 0.024),
+    ("LeftShoulder", "LeftArm", 0.055, 0.048), ("LeftArm", "LeftForeArm", 0.044, 0.034),
+    ("LeftForeArm", "LeftHand", 0.034, 0.024),
 )  # fmt: skip
 """Parts of a mannequin's left side: the joints at both ends, and the radii there in metres. The right side is the same."""
 TRUNK_PARTS = (("Hips", "Spine", 0.085, 0.08, 1.55), ("Spine", "Chest", 0.08, 0.095, 1.55), ("Neck", "Head", 0.048, 0.042, 1.0))
@@ -63,9 +72,8 @@ class View:
         side = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
         sun = 1.5 * towards * [1, 0, 1] - 1.2 * side + [0.0, 4.0, 0.0]
         eye = self.target + self.distance * towards
-        return {
-            "target": self.target.tolist(), "eye": eye.tolist(), "sun": sun.tolist(), "angle": self.angle, "distance": self.distance,
-        }  # fmt: skip
+        points = {"target": self.target.tolist(), "eye": eye.tolist(), "sun": sun.tolist()}
+        return {**points, "angle": self.angle, "distance": self.distance}
 
 
 @dataclass(frozen=True)
@@ -81,12 +89,17 @@ class Panel:
     trails: list[dict[str, Any]] = field(default_factory=list)
     labels: list[dict[str, Any]] = field(default_factory=list)
 
-    def add_body(self, joints: Joints, colour: str = BODY, opacity: float = 1.0, marked: Sequence[str] = (), mark: str = "") -> None:
+    def add_body(
+        self, joints: Joints, colour: str = BODY, opacity: float = 1.0, marked: Collection[str] = (), mark: str = ""
+    ) -> None:
         """Add a mannequin; the parts that begin at the joints `marked` have the colour `mark`."""
-        for is_marked, part_colour in ((False, colour), (True, mark)):
-            parts = [part for joint, part in list_parts(joints) if (joint in marked) == is_marked]
-            if parts:
-                self.bodies.append({"parts": parts, "colour": part_colour, "opacity": opacity})
+        self.add_parts(joints, joints.keys() - set(marked), colour, opacity)
+        self.add_parts(joints, marked, mark, opacity)
+
+    def add_parts(self, joints: Joints, starts: Collection[str], colour: str, opacity: float) -> None:
+        """Add the parts of a mannequin that begin at some joints."""
+        parts = [part for joint, part in list_parts(joints) if joint in starts]
+        self.bodies.append({"parts": parts, "colour": colour, "opacity": opacity})
 
     def add_balls(self, positions: Float[np.ndarray, "N 3"], colour: str, radius: float = BALL_M) -> None:
         """Add balls at the positions that are known."""
@@ -99,7 +112,7 @@ class Panel:
 
     def add_trail(self, points: Float[np.ndarray, "N 3"], colour: str, dashed: bool = False, radius: float = TRAIL_M) -> None:
         """Add the path of a marker where it is known; every third point is enough for a smooth curve."""
-        for first, last in find_runs(np.isfinite(points).all(axis=1)):
+        for first, last in find_runs(np.array(np.isfinite(points).all(axis=1))):
             if last > first:
                 part = points[sorted({*range(first, last, 3), last})]
                 self.trails.append({"points": part.tolist(), "colour": colour, "radius": radius, "dashed": dashed})
@@ -122,7 +135,8 @@ def list_parts(joints: Joints) -> list[tuple[str, list[Any]]]:
         across = joints["LeftUpLeg"] - joints["RightUpLeg"] if start == "Hips" else joints["LeftArm"] - joints["RightArm"]
         parts.append((start, [joints[start].tolist(), joints[end].tolist(), *shape[:2], across.tolist(), shape[2]]))
     rise = (joints["Head"] - joints["Neck"]) / np.linalg.norm(joints["Head"] - joints["Neck"]) * HEAD_RISE_M
-    parts.append(("Head", [(joints["Head"] + 0.4 * rise).tolist(), (joints["Head"] + 1.3 * rise).tolist(), HEAD_RADIUS_M * 0.9, HEAD_RADIUS_M]))
+    skull = [joints["Head"] + share * rise for share in (0.4, 1.3)]
+    parts.append(("Head", [*(each.tolist() for each in skull), HEAD_RADIUS_M * 0.9, HEAD_RADIUS_M]))
     for side in ("Left", "Right"):
         for start, end, *radii in SIDE_PARTS:
             start, end = start.replace("Left", side), end.replace("Left", side)
@@ -158,7 +172,11 @@ class Studio:
     def draw(self, panels: Sequence[Panel], views: Sequence[View], pixel_ratio: int = 2) -> Image.Image:
         """Return the picture of panels side by side, each with its view."""
         page = self._open_page(pixel_ratio)
-        scene = {"panels": [each.describe() for each in panels], "views": [each.describe() for each in views], "height": HEIGHT_PX}
+        scene = {
+            "panels": [each.describe() for each in panels],
+            "views": [each.describe() for each in views],
+            "height": HEIGHT_PX,
+        }
         page.evaluate("scene => draw(scene)", scene)
         return Image.open(io.BytesIO(page.locator("#card").screenshot())).convert("RGB")
 
@@ -177,11 +195,17 @@ def save_picture(name: str, picture: Image.Image) -> None:
 def save_page(name: str, page: Page) -> None:
     """Save what a page shows; its colours are few, but even the rare ones are kept."""
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    picture.quantize(PICTURE_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(PICTURES / f"{name}.png", optimize=True)
+    few = picture.quantize(PICTURE_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(PICTURES / f"{name}.png", optimize=True)
 
 
 def save_clip(name: str, frames: Sequence[Image.Image]) -> None:
     """Save an animated WebP that repeats."""
     first, *others = frames
-    duration_ms = round(1000 / CLIP_FRAMES_PER_S)
-    first.save(PICTURES / f"{name}.webp", save_all=True, append_images=others, duration=duration_ms, loop=0, quality=CLIP_QUALITY, method=6)
+    target, duration_ms = PICTURES / f"{name}.webp", round(1000 / CLIP_FRAMES_PER_S)
+    first.save(target, save_all=True, append_images=others, duration=duration_ms, loop=0, quality=CLIP_QUALITY, method=6)
+
+
+def compute_error_mm(first: Float[np.ndarray, "*n 3"], second: Float[np.ndarray, "*n 3"]) -> float:
+    """Return the root mean square distance in millimetres."""
+    return float(np.sqrt(np.nanmean(np.sum((first - second) ** 2, axis=-1))) * 1e3)

@@ -37,6 +37,27 @@ def test_mentioned_modules_exist(page: Path) -> None:
     assert not [name for name in mentioned if "my_" not in name and not any(module.endswith(f"/{name}") for module in modules)]
 
 
+GALLERY = ROOT / "docs" / "gallery"
+MAX_BYTES = {".png": 300_000, ".webp": 2_000_000}
+MAX_GALLERY_BYTES = 3_000_000
+
+
+def test_pictures_of_the_gallery_are_shown_and_small() -> None:
+    links = [(page, link) for page in PAGES for link in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))]
+    sizes = {path: path.stat().st_size for path in GALLERY.iterdir()}
+    assert sizes.keys() <= {(page.parent / link).resolve() for page, link in links}
+    assert not [path.name for path, size in sizes.items() if size > MAX_BYTES[path.suffix]]
+    assert 0 < sum(sizes.values()) <= MAX_GALLERY_BYTES
+
+
+def test_every_section_of_the_gallery_has_a_caption_with_errors() -> None:
+    text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    captions = dict(re.findall(r"<!-- ([\w-]+) -->\n(.*?)<!-- end -->", text, re.DOTALL))
+    script = (ROOT / "docs" / "generate_gallery.py").read_text(encoding="utf-8")
+    assert list(captions) == re.findall(r'^    "([\w-]+)": make_', script, re.MULTILINE)
+    assert [name for name, caption in captions.items() if not re.search(r"\d mm\b", caption)] == ["session-page"]
+
+
 @pytest.mark.parametrize(
     ("name", "field", "description"),
     [

@@ -217,7 +217,7 @@ def describe_left_empty(fill: "FillSection") -> list[str]:
     more = f"; the report lists {len(markers):,} markers" if len(markers) > MAX_LISTED_RUNS else ""
     listed = ", ".join(f"{entry['marker']} {entry['samples']:,}" for entry in markers[:MAX_LISTED_RUNS])
     lines = [f"left empty, by marker: {listed}{more}."]
-    return lines + [f"left empty: {count:,} samples {reason}." for reason, count in reasons.most_common(MAX_LISTED_REASONS)]
+    return lines + [f"left empty: {count:,} samples: {reason}." for reason, count in reasons.most_common(MAX_LISTED_REASONS)]
 
 
 def describe_laboratory(evidence: Mapping[str, str], options: CleanOptions) -> str:

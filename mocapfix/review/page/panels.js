@@ -14,7 +14,8 @@ export function renderDetail(element, change) {
     return;
   }
   const { before, after } = change;
-  const parts = [build("b", `${change.kind}: ${change.markers.join(", ")}. `), build("span", `${change.why} ${change.method}.`)];
+  const method = change.method.charAt(0).toUpperCase() + change.method.slice(1);
+  const parts = [build("b", `${change.kind}: ${change.markers.join(", ")}. `), build("span", `${change.why} ${method}.`)];
   const facts = [`${change.samples} samples`];
   if (before.missing || after.missing) facts.push(`missing ${before.missing} → ${after.missing}`);
   if (before.off_body_mm !== null && after.off_body_mm !== null) facts.push(`from the body ${before.off_body_mm} → ${after.off_body_mm} mm`);
