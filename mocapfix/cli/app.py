@@ -195,6 +195,7 @@ def run_command_line(arguments: list[str] | None = None) -> None:
     if arguments[:2] == ["bench", "--baseline"]:
         arguments = ["bench", "baseline", *arguments[2:]]
     try:
+        console.replace_unknown_characters()
         status = run_command(arguments)
         console.flush_output()
     except BrokenPipeError:

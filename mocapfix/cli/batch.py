@@ -5,7 +5,6 @@ The progress of a batch on the terminal: a bar with the jobs that are done, fail
 In a pipe or a log file, a line at most every few seconds takes the place of the bar.
 """
 
-import os
 import shlex
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -100,8 +99,6 @@ def run_batch(
     """
     from mocapfix.output_formats import list_output_formats
 
-    if not hasattr(os, "fork"):
-        return print_usage_error("batch: needs Linux or macOS; on Windows run it in WSL, or use `mocapfix clean`.")
     if not takes:
         return print_usage_error("batch: name a folder, a pattern or a session file.")
     if problem := run.find_problem():

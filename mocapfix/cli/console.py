@@ -6,6 +6,7 @@ import sys
 import traceback
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 
 from rich.console import Console
@@ -131,6 +132,13 @@ class TakeAttempts:
         except Exception as error:
             print_failure(error, str(take))
             self.failed.append(take)
+
+
+def replace_unknown_characters() -> None:
+    """Let characters that the encoding of the terminal lacks be printed as "?" (cp1252, ASCII)."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def flush_output() -> None:
