@@ -23,8 +23,10 @@ REVIEW_SIZE: ViewportSize = {"width": 1280, "height": 800}
 CLEANING_TIMEOUT_MS = 300_000
 REVIEWED_CHANGE, REVIEWED_MARKER, REVIEWED_FRAMES = "gap-LWRA-121", "LWRA", slice(120, 300)
 REPORT_SIZE: ViewportSize = {"width": 1000, "height": 640}
-SESSION_WIDTH = 1500
-SESSION_HEIGHTS = {"session-page-before": 760, "session-page": 1200}
+SESSION_SIZES: dict[str, ViewportSize] = {
+    "session-page-before": {"width": 1200, "height": 720},
+    "session-page": {"width": 1500, "height": 1200},
+}
 SESSION_TAKES = ("jim/walk", "jim/reach", "ann/walk", "ann/turn")
 
 
@@ -99,9 +101,9 @@ def make_session_page(studio: Studio) -> str:
         Path("monday.yaml").write_text(yaml.safe_dump(session), encoding="utf-8")
         sound = takes[-1].read_bytes()
         takes[-1].write_bytes(sound[: len(sound) // 3])
-        for picture, height in SESSION_HEIGHTS.items():
+        for picture, size in SESSION_SIZES.items():
             subprocess.run([sys.executable, "-m", "mocapfix", "batch", "monday.yaml", "--out", "cleaned"], check=False)
-            page.set_viewport_size({"width": SESSION_WIDTH, "height": height})
+            page.set_viewport_size(size)
             page.goto(Path("cleaned/index.html").resolve().as_uri())
             # the path of the temporary folder is of no interest
             page.evaluate("path => { document.body.innerHTML = document.body.innerHTML.replaceAll(path, ''); }", f"{Path.cwd()}/")
