@@ -94,13 +94,14 @@ def test_description_has_no_link_of_a_checkout(built: tuple[Path, Path]):
     wheel = zipfile.ZipFile(built[1])
     metadata = message_from_bytes(wheel.read(f"mocapfix-{PROJECT['version']}.dist-info/METADATA"))
     assert metadata["Description-Content-Type"] == "text/markdown"
-    description, urls = metadata.get_payload(), PROJECT["urls"]
-    links = re.findall(r"""\]\(([^)]*)|(?:src|href)="([^"]*)""", str(description))
-    assert links
-    assert all("".join(link).startswith("https://") for link in links)
-    assert f"]({urls['Documentation']}before-after.png)" in description
-    assert f"]({urls['Documentation']}formats.html)" in description
-    assert f"]({urls['Changelog'].removesuffix('CHANGELOG.md')}LICENSE)" in description
+    links = ["".join(link) for link in re.findall(r"""\]\(([^)]*)|(?:src|href)="([^"]*)""", str(metadata.get_payload()))]
+    assert all(link.startswith("https://") for link in links)
+    site, repository = PROJECT["urls"]["Documentation"], PROJECT["urls"]["Changelog"].removesuffix("CHANGELOG.md")
+    pages = [CHECKOUT / "docs" / re.sub(r"\.html(#.*)?$", ".md", link.removeprefix(site)) for link in links if site in link]
+    files = [CHECKOUT / link.removeprefix(repository) for link in links if repository in link]
+    assert {CHECKOUT / "docs" / "formats.md", CHECKOUT / "LICENSE"} <= {*pages, *files}
+    assert any(page.suffix == ".png" for page in pages)
+    assert all(path.is_file() for path in (*pages, *files))
 
 
 def test_addresses_are_those_of_the_project():
