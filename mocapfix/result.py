@@ -336,7 +336,8 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
     residual_m = np.full(take.visible.shape, np.nan)
     faults, unfilled, donors = list(exchanges.faults), [], list[int]()
     for markers, each in parts:
-        trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
+        unlabelled_count = len(take.unlabelled.labels) if take.unlabelled else 0
+        trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + unlabelled_count)]
         faults += [_map_fault_indices(fault, trajectories) for fault in each.faults.items]
         unfilled += [replace(run, marker=trajectories[run.marker]) for run in each.unfilled_runs]
         donors += [trajectories[donor] for donor in each.fragment_donors]
@@ -345,7 +346,13 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
     cleaned = _insert_parts(exchanges.take, [(markers, each.take) for markers, each in parts])
     relabelled = _insert_parts(exchanges.take, [(markers, each.relabelled_take) for markers, each in parts])
     changes = exchanges.build_changes(cleaned)
-    subject_results = tuple(_add_changes(each, changes.get(each.input_take.subject_name, [])) for each in subject_results)
+    with_exchanges: list[CleaningResult] = []
+    for each in subject_results:
+        if added := changes.get(each.input_take.subject_name):
+            own = (*added, *each.changes)
+            each = replace(each, changes=own, report={**each.subject_report, "changes": serialize_changes(own)})
+        with_exchanges.append(each)
+    subject_results = tuple(with_exchanges)
     return CleaningResult(
         input_take=take,
         relabelled_take=relabelled,
@@ -358,14 +365,6 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
         report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
         subject_results=subject_results,
     )
-
-
-def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResult:
-    """Return the result of one subject with further changes before its own."""
-    if not changes:
-        return result
-    changes = [*changes, *result.changes]
-    return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
 
 
 def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " _"], Take]]) -> Take:
@@ -403,10 +402,6 @@ def _merge_computed_points(whole: ComputedPoints | None, part: ComputedPoints | 
 
 def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:
     return np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd
-
-
-def _count_unlabelled(take: Take) -> int:
-    return len(take.unlabelled.labels) if take.unlabelled else 0
 
 
 def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:

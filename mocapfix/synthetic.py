@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.io.c3d import write_c3d
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import BodyModel, Skeleton, compute_local_rotations, load_cmu31_body
+from mocapfix.model.skeleton import Skeleton, compute_local_rotations, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.result import CleaningResult
@@ -240,10 +240,15 @@ def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
     leg = np.linalg.norm(skeleton.offsets[[skeleton.find_joint("LeftLeg"), skeleton.find_joint("LeftFoot")]], axis=1)
     hips = skeleton.offsets[[skeleton.find_joint("LeftUpLeg"), skeleton.find_joint("RightUpLeg")]]
     feet = plan_footsteps(time_s, STRIDE_TO_LEG_RATIO * leg.sum(), hips[0, 0])
-    gait_phase = _compute_gait_phase(feet, STRIDE_TO_LEG_RATIO * leg.sum(), rate)
+    heading, apart = feet.yaw_rad.mean(axis=1), feet.floor_position[:, 0] - feet.floor_position[:, 1]
+    ahead = (apart[:, 0] * np.sin(heading) + apart[:, 2] * np.cos(heading)) / (STRIDE_TO_LEG_RATIO * leg.sum())
+    gait_phase = gaussian_filter1d(ahead, PHASE_SMOOTHING_S * rate)  # of the left foot before the right, in strides
     drop_deg = PELVIS_DROP_DEG * gaussian_filter1d(feet.is_swinging @ [-1.0, 1.0], DROP_SMOOTHING_S * rate)
     crouch = compute_plateau(time_s, CROUCH_TIMES_S)
-    pelvis = _compute_pelvis_rotation(feet, gait_phase, drop_deg, crouch, rate)
+    # the pelvis heads as the feet do, turns with the leading leg and drops on the swinging side
+    yaw = np.degrees(gaussian_filter1d(heading, YAW_SMOOTHING_S * rate)) - PELVIS_YAW_DEG * gait_phase
+    turns_deg = np.stack([yaw, PELVIS_PITCH_DEG + CROUCH_PITCH_DEG * crouch, drop_deg], axis=1)
+    pelvis = Rotation.from_euler("YXZ", turns_deg, degrees=True).as_matrix()
     root = _compute_root_position(feet, pelvis, hips, MAX_LEG_EXTENSION_RATIO * leg.sum(), crouch, rate)
     posture = _compute_upper_body(skeleton, pelvis, compute_gesture_angles(gait_phase, drop_deg, time_s))
     for side, name in enumerate(("Left", "Right")):
@@ -251,21 +256,6 @@ def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
         posture[f"{name}UpLeg"], posture[f"{name}Leg"] = _solve_leg(hip, feet, side, leg, pelvis)
         posture[f"{name}Foot"] = posture[f"{name}ToeBase"] = feet.foot_rotation[:, side]
     return build_posture_motion(subject, root, posture)
-
-
-def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Curve:
-    """Return the distance of the left foot in front of the right, in strides."""
-    heading = feet.yaw_rad.mean(axis=1)
-    apart = feet.floor_position[:, 0] - feet.floor_position[:, 1]
-    forward = apart[:, 0] * np.sin(heading) + apart[:, 2] * np.cos(heading)
-    return gaussian_filter1d(forward / stride_m, PHASE_SMOOTHING_S * rate)
-
-
-def _compute_pelvis_rotation(feet: FootMotion, gait_phase: Curve, drop_deg: Curve, crouch: Curve, rate: float) -> Rotations:
-    """Return world rotations: the pelvis heads as the feet do, turns with the leading leg and drops on the swinging side."""
-    yaw = np.degrees(gaussian_filter1d(feet.yaw_rad.mean(axis=1), YAW_SMOOTHING_S * rate)) - PELVIS_YAW_DEG * gait_phase
-    pitch = PELVIS_PITCH_DEG + CROUCH_PITCH_DEG * crouch
-    return Rotation.from_euler("YXZ", np.stack([yaw, pitch, drop_deg], axis=1), degrees=True).as_matrix()
 
 
 def _compute_root_position(
@@ -413,16 +403,13 @@ def draw_subject(rng: np.random.Generator, asymmetric: bool, marker_set_name: st
     nominal = load_marker_set(marker_set_name)
     offsets = nominal.marker_offsets + rng.normal(0, MARKER_PLACEMENT_SD_M, nominal.marker_offsets.shape)
     spread = np.full(len(nominal.labels), SKIN_SLIDE_SD_M)
-    skeleton = _vary_bone_groups(rng, load_cmu31_body())
+    body = load_cmu31_body()
+    lengths = body.skeleton.offsets.copy()
+    for joints in body.bone_groups.values():
+        lengths[list(joints)] *= rng.normal(1, BONE_GROUP_LENGTH_SD)
+    skeleton = replace(body.skeleton, offsets=lengths)
     skeleton = _vary_bones(rng, skeleton) if asymmetric else skeleton
     return Subject(skeleton, nominal.name, nominal.labels, nominal.joints, offsets, spread)
-
-
-def _vary_bone_groups(rng: np.random.Generator, body: BodyModel) -> Skeleton:
-    offsets = body.skeleton.offsets.copy()
-    for joints in body.bone_groups.values():
-        offsets[list(joints)] *= rng.normal(1, BONE_GROUP_LENGTH_SD)
-    return replace(body.skeleton, offsets=offsets)
 
 
 def _vary_bones(rng: np.random.Generator, skeleton: Skeleton) -> Skeleton:

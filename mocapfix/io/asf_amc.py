@@ -283,7 +283,11 @@ def read_amc(
     path = Path(path)
     data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
     if BONE_SECTION_KEYWORD in data.lower():
-        return infer_conventions(_build_rest_animation(path, data), options)
+        skeleton = parse_asf(path, decode_text(data)[0])
+        width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
+        notes = ("It is a skeleton without motion, in its rest pose.",)
+        rest = _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
+        return infer_conventions(rest, options)
     skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
     skeleton = parse_asf(skeleton_path, decode_text(read_file_bytes(skeleton_path))[0])
     start = FIRST_FRAME_PATTERN.search(data)
@@ -337,13 +341,6 @@ def find_asf(path: Path) -> Path:
     present = f"only {format_name_list([each.name for each in candidates])}" if candidates else "no ASF"
     expected = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
     raise ReadError(f"{path}: its skeleton is not in its folder, {present}; copy it there as {expected}.")
-
-
-def _build_rest_animation(path: Path, data: bytes) -> Animation:
-    skeleton = parse_asf(path, decode_text(data)[0])
-    width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
-    notes = ("It is a skeleton without motion, in its rest pose.",)
-    return _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
 
 
 def _build_animation(

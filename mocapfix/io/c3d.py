@@ -80,7 +80,9 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     types = classify_points(stated, visible, residual_words)
     check_point_types(path, types)
     inspected = inspect_points(types, layout.frame_count, rate, partial(_convert_to_metres, layout, data, visible))
-    declared = DeclaredConvention(layout.unit_m, up_axis=get_screen_axis(parameters.screen_axis), up_basis="POINT:Y_SCREEN")
+    # The sign of Y_SCREEN is no evidence: it gives the viewer's side, and Qualisys writes -Z on Z-up data.
+    screen_axis = parameters.screen_axis[-1:] if parameters.screen_axis[-1:] in ROTATIONS_TO_Y_UP else ""
+    declared = DeclaredConvention(layout.unit_m, up_axis=screen_axis, up_basis="POINT:Y_SCREEN")
     convention = decide_convention(path, inspected, declared, options)
     layout = replace(layout, unit_m=convention.unit_m, rotation_y_up_file=convention.rotation_y_up_file)
     convert = partial(_convert_to_metres, layout, data, visible)
@@ -117,15 +119,6 @@ def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
     counts = layout.decode_words(stored[take.computed]) % (MAX_RESIDUAL_COUNTS + 1)
     fill_sd[take.computed] = np.where(counts < MAX_RESIDUAL_COUNTS, counts * (layout.scale_factor * layout.unit_m), np.inf)
     return fill_sd
-
-
-def get_screen_axis(screen_axis: str) -> str:
-    """Return the letter of the axis that POINT:Y_SCREEN, such as "+Z", declares to be vertical; "" if it names no axis.
-
-    Its sign is no evidence: it gives the viewer's side rather than the up direction, and Qualisys writes -Z on Z-up data.
-    """
-    letter = screen_axis[-1:]
-    return letter if letter in ROTATIONS_TO_Y_UP else ""
 
 
 def _convert_to_metres(

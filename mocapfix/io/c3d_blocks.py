@@ -137,7 +137,10 @@ def locate_samples(path: Path, parameters: C3dParameters, data: bytes) -> tuple[
         stored = _choose(path, parameters, data, stored, sources, do_agree)
     if not stored.frame_count:
         _refuse_frames(path, parameters, len(data), declared)
-    return stored, (*_describe_errors(sources, stored), *_describe_frames(parameters, stored))
+    notes, count = _describe_errors(sources, stored), max(parameters.frame_counts)
+    if stored.frame_count not in (count, parameters.header_frame_count):
+        notes.append(f"The header declares {count} frames; the file has {stored.frame_count}.")
+    return stored, tuple(notes)
 
 
 def _read_declared(parameters: C3dParameters) -> SampleBlocks:
@@ -165,19 +168,14 @@ def _list_sources(parameters: C3dParameters) -> list[_Source]:
     blocks = {"the header": parameters.header_data_block, "POINT:DATA_START": parameters.data_start_block}
     sources += [_Source(name, "start_byte", C3D_BLOCK_BYTES * (block - 1)) for name, block in blocks.items() if block]
     if parameters.analog_channel_count is not None:
+        per_frame = {"the header's samples per frame": parameters.header_samples_per_frame}
+        per_frame["the rates"] = _divide_rates(parameters.analog_rate, parameters.rate)
         sources += [
             _Source(f"ANALOG:USED with {name}", "analog_words", parameters.analog_channel_count * count)
-            for name, count in _list_samples_per_frame(parameters)
+            for name, count in per_frame.items()
+            if count
         ]
     return sources
-
-
-def _list_samples_per_frame(parameters: C3dParameters) -> Iterator[tuple[str, int]]:
-    """Yield the analog samples of a channel in a frame by the header and by the rates, and what says so."""
-    if parameters.header_samples_per_frame:
-        yield "the header's samples per frame", parameters.header_samples_per_frame
-    if count := _divide_rates(parameters.analog_rate, parameters.rate):
-        yield "the rates", count
 
 
 def _divide_rates(analog_rate: float, rate: float) -> int:
@@ -342,14 +340,6 @@ def _refuse_frames(path: Path, parameters: C3dParameters, file_bytes: int, decla
     stored = max(0, file_bytes - declared.start_byte) // declared.frame_bytes
     problem = f"is cut off: {declared.frame_count} frames are declared and {stored} are there"
     raise ReadError(f"{path}: {problem}; copy or export it again.")
-
-
-def _describe_frames(parameters: C3dParameters, blocks: SampleBlocks) -> tuple[str, ...]:
-    """Return a note if the file has another number of frames than header and parameters say."""
-    declared = max(parameters.frame_counts)
-    if blocks.frame_count in (declared, parameters.header_frame_count):
-        return ()
-    return (f"The header declares {declared} frames; the file has {blocks.frame_count}.",)
 
 
 def _describe_value(field: str, value: int) -> str:

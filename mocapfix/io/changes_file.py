@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool
 from pydantic import Field, model_validator
 
 from mocapfix.errors import SceneError, TakeError, format_name_list
@@ -126,11 +125,6 @@ def list_label_corrections(corrections: Sequence[Correction]) -> list[Fault]:
     return [fault for each in corrections if (fault := each.label_fault)]
 
 
-def list_marked_faults(corrections: Sequence[Correction]) -> list[Fault]:
-    """Return the faults of samples that corrections name, in their order."""
-    return [fault for each in corrections if (fault := each.marked_fault)]
-
-
 def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correction:
     """Return a correction with the indices of its markers and frames.
 
@@ -163,14 +157,6 @@ def _locate_entry(
     if not first <= entry.first <= entry.last <= last:
         raise SceneError(f"{place}: frames {entry.first} to {entry.last} are not in {take.name}, which has {first} to {last}.")
     return tuple(index_by_label[label] for label in entry.markers), entry.first - first, entry.last - first
-
-
-def build_corrected_label_mask(corrections: Sequence[Correction], shape: tuple[int, int]) -> Bool[np.ndarray, "T M"]:
-    """Return the mask of the samples, of `shape` (T, M), whose labels the reviewer corrected."""
-    mask = np.zeros(shape, bool)
-    for fault in list_label_corrections(corrections):
-        mask[fault.frame_slice, list(fault.markers)] = True
-    return mask
 
 
 @dataclass(frozen=True)
@@ -275,15 +261,10 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
         {**entry, **_describe_remarks(review.reviewed_ids, review.notes, entry["id"])} for entry in serialize_changes(changes)
     ]
     frames = (take.first_frame, take.get_frame_number(take.frame_count - 1))
-    text = format_changes_file(take.name, frames, entries, [each.entry for each in review.corrections])
+    lines = [_format_entries(entries)] if entries else []
+    text = join_changes_file(take.name, frames, lines, [each.entry for each in review.corrections])
     with replace_atomically(Path(path)) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
-
-
-def format_changes_file(
-    take: str, frames: tuple[int, int], changes: Sequence[Mapping[str, Any]], corrections: Sequence[CorrectionModel]
-) -> str:
-    return join_changes_file(take, frames, [_format_entries(changes)] if changes else [], corrections)
 
 
 def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str], corrections: Sequence[CorrectionModel]) -> str:
@@ -372,7 +353,9 @@ def build_fault_review(take: Take, review: Review) -> FaultReview:
     for each in review.declined:
         if each.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
             kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
-    has_corrected_label = build_corrected_label_mask(review.corrections, kept.shape)
+    labels, has_corrected_label = list_label_corrections(review.corrections), np.zeros(kept.shape, bool)
+    for fault in labels:
+        has_corrected_label[fault.frame_slice, list(fault.markers)] = True
 
     def is_accepted(fault: Fault) -> bool:
         if fault.kind in MISSING_KINDS:
@@ -384,8 +367,8 @@ def build_fault_review(take: Take, review: Review) -> FaultReview:
             return False
         return not kept[samples[0]][:, samples[1]].any()
 
-    labels, marked = list_label_corrections(review.corrections), list_marked_faults(review.corrections)
-    return FaultReview(tuple(labels), tuple(marked), is_accepted)
+    marked = tuple(fault for each in review.corrections if (fault := each.marked_fault))
+    return FaultReview(tuple(labels), marked, is_accepted)
 
 
 def reject_corrections(review: Review, name: str, kind: str) -> None:

@@ -302,20 +302,17 @@ def _read_local_transform(nodes: GltfNodes, node: int) -> tuple[Float[np.ndarray
             raise ReadError(f"{nodes.path}: the bone {nodes.names[node]!r} is sheared; apply its transform before the export.")
     else:
         translation = _read_numbers(nodes, node, "translation", np.zeros(3))
-        rotation = _read_rotation(nodes, node)
+        quaternion = _read_numbers(nodes, node, "rotation", np.array([0.0, 0.0, 0.0, 1.0]))
+        if np.linalg.norm(quaternion) < MIN_SCALE:
+            problem = f"the rotation of {nodes.names[node]!r} is zero; the file is damaged, so export it again"
+            raise ReadError(f"{nodes.path}: {problem}.")
+        rotation = Rotation.from_quat(quaternion).as_matrix()
         scales = _read_numbers(nodes, node, "scale", np.ones(3))
     if (scales <= MIN_SCALE).any() or np.ptp(scales) > MAX_SCALE_DEVIATION * scales.max():
         shown = ", ".join(f"{scale:.4g}" for scale in scales)
         problem = f"has the scale ({shown}), but bones need one positive scale for all axes"
         raise ReadError(f"{nodes.path}: the bone {nodes.names[node]!r} {problem}; apply the scale before the export.")
     return translation, Rotation.from_matrix(rotation).as_matrix(), float(np.cbrt(np.prod(scales)))
-
-
-def _read_rotation(nodes: GltfNodes, node: int) -> Float[np.ndarray, "3 3"]:
-    quaternion = _read_numbers(nodes, node, "rotation", np.array([0.0, 0.0, 0.0, 1.0]))
-    if np.linalg.norm(quaternion) < MIN_SCALE:
-        raise ReadError(f"{nodes.path}: the rotation of {nodes.names[node]!r} is zero; the file is damaged, so export it again.")
-    return Rotation.from_quat(quaternion).as_matrix()
 
 
 def _read_numbers(nodes: GltfNodes, node: int, key: str, default: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -325,10 +325,14 @@ def add_other_points(take: Take, types: PointTypes, functions: Mapping[int, Poin
     """
     by_name: tuple[ComputedEvidence, ...] = ("name",) * len(types.computed)
     by_function: tuple[ComputedEvidence, ...] = ("function",) * len(functions)
-    unlabelled, computed = (
-        _build_points_take(take, types, columns, convert) if len(columns) else None
-        for columns in (types.unlabelled, np.array([*types.computed, *functions], int))
-    )
+
+    def build_points_take(columns: Int[np.ndarray, " K"]) -> Take | None:
+        if not len(columns):
+            return None
+        labels = tuple(types.labels[i] for i in columns)
+        return Take(convert(columns), labels, take.rate, take.first_frame, take.path, point_columns=columns)
+
+    unlabelled, computed = map(build_points_take, (types.unlabelled, np.array([*types.computed, *functions], int)))
     if computed:
         known = (*[None] * len(by_name), *functions.values())
         take = replace(take, computed_points=ComputedPoints(computed, by_name + by_function, known))
@@ -339,8 +343,3 @@ def add_other_points(take: Take, types: PointTypes, functions: Mapping[int, Poin
         other_labels=tuple(label for i, label in enumerate(types.labels) if i not in markers),
         notes=(*take.notes, *types.notes),
     )
-
-
-def _build_points_take(take: Take, types: PointTypes, columns: Int[np.ndarray, " K"], convert: PointConverter) -> Take:
-    labels = tuple(types.labels[i] for i in columns)
-    return Take(convert(columns), labels, take.rate, take.first_frame, take.path, point_columns=columns)

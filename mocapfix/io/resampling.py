@@ -8,7 +8,6 @@ it would move the feet by one to two centimetres when they strike the floor.
 """
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.model.motion import Motion
@@ -40,21 +39,15 @@ def resample_motion(motion: Motion, rate: float, new_rate: float) -> Motion:
     frames = np.arange(motion.frame_count)
     new_frames = np.minimum(new_frames, frames[-1])
     below, above = np.floor(new_frames).astype(int), np.ceil(new_frames).astype(int)
+    local_rotations = np.empty((len(new_frames), *motion.local_rotations.shape[1:]))
+    for joint in range(motion.local_rotations.shape[1]):
+        spline = RotationSpline(frames, Rotation.from_matrix(motion.local_rotations[:, joint]))
+        local_rotations[:, joint] = spline(new_frames).as_matrix()
     return Motion(
         root_position=CubicSpline(frames, motion.root_position)(new_frames),
-        local_rotations=_interpolate_local_rotations(motion.local_rotations, new_frames),
+        local_rotations=local_rotations,
         status=motion.status[nearest],
         iterations=motion.iterations[nearest],
         marker_sd=np.maximum(motion.marker_sd[below], motion.marker_sd[above]),
         joint_sd=np.maximum(motion.joint_sd[below], motion.joint_sd[above]),
     )
-
-
-def _interpolate_local_rotations(
-    rotations: Float[np.ndarray, "T J 3 3"], new_frames: Float[np.ndarray, " N"]
-) -> Float[np.ndarray, "N J 3 3"]:
-    frames, interpolated = np.arange(len(rotations)), np.empty((len(new_frames), *rotations.shape[1:]))
-    for joint in range(rotations.shape[1]):
-        spline = RotationSpline(frames, Rotation.from_matrix(rotations[:, joint]))
-        interpolated[:, joint] = spline(new_frames).as_matrix()
-    return interpolated

@@ -59,7 +59,10 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
     delimiter = detect_delimiter(document.get_line(names_index))
     if not delimiter:
         raise document.build_error(names_index, "there are neither tabs nor commas between the names; export it again.")
-    names = _parse_marker_names(document.split_cells(names_index, delimiter)[FIRST_MARKER_FIELD:])
+    cells = document.split_cells(names_index, delimiter)[FIRST_MARKER_FIELD:]
+    names = cells if any(cell for i, cell in enumerate(cells) if i % 3) else cells[::3]  # else every cell is a name
+    while names and not names[-1]:
+        names = names[:-1]
     if not names:
         raise document.build_error(names_index, "names no markers; export it again.")
     keys_index, header = _parse_header(document, names_index)
@@ -72,6 +75,9 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
     widest = max((document.get_line(i).rstrip(delimiter + " ").count(delimiter) + 1 for i in line_indices), default=0)
     point_count = max(len(names), -(-(widest - FIRST_MARKER_FIELD) // 3))
     unit_m, unit_notes = parse_unit_or_default(document, keys_index + 1, options.unit or header.get("units", ""), "mm")
+    declared, notes = parse_whole_number(header.get("nummarkers", "")), unit_notes
+    if declared is not None and not len(names) <= declared <= point_count:
+        notes = (*unit_notes, f"The header declares {declared} markers; {len(names)} are named.")
     return read_marker_table(
         MarkerTable(
             document=document,
@@ -85,7 +91,7 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
             rate_line=keys_index + 1,
             time_field=1,
             declared_frame_count=header.get("numframes", ""),
-            notes=(*unit_notes, *_check_marker_count(header, len(names), point_count)),
+            notes=notes,
         ),
         options,
     )
@@ -100,22 +106,6 @@ def _parse_header(document: TextDocument, names_index: int) -> tuple[int, dict[s
             return index, {key.lower(): value for key, value in zip(keys, values, strict=False) if key}
     problem = "there is no header (DataRate, NumFrames, Units) before the names"
     raise document.build_error(names_index, f"{problem}; export it again.")
-
-
-def _parse_marker_names(cells: list[str]) -> list[str]:
-    """Return the marker names: every third cell, or every cell if names are adjacent."""
-    names = cells if any(cell for i, cell in enumerate(cells) if i % 3) else cells[::3]
-    while names and not names[-1]:
-        names = names[:-1]
-    return names
-
-
-def _check_marker_count(header: dict[str, str], named: int, point_count: int) -> tuple[str, ...]:
-    """Return a note if the header declares a number of markers that does not fit the table."""
-    declared = parse_whole_number(header.get("nummarkers", ""))
-    if declared is None or named <= declared <= point_count:
-        return ()
-    return (f"The header declares {declared} markers; {named} are named.",)
 
 
 COLUMN_PATTERN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)

@@ -72,7 +72,8 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     document = parse_document(path, data)
     header_index = document.find_first_line()
     delimiter = detect_delimiter(document.get_line(header_index)) or ","
-    header = _parse_motive_header(document.split_cells(header_index, delimiter))
+    cells = document.split_cells(header_index, delimiter)
+    header = {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
     if header.get("coordinate space", "").lower() == "local":
         raise document.build_error(
             header_index, "the coordinates are local to rigid bodies; export it with Coordinate Space Global."
@@ -154,11 +155,6 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
 
 
-def _parse_motive_header(cells: list[str]) -> dict[str, str]:
-    """Return the values of the first line by key, in lower case."""
-    return {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
-
-
 def _find_marker_columns(document: TextDocument, start: int, axes_index: int, delimiter: str) -> _MarkerColumns:
     """Return the columns of the markers, which the rows from `start` on describe."""
     header_rows = [
@@ -191,17 +187,14 @@ def _parse_row_markers(document: TextDocument, index: int, cells: list[str]) -> 
         if not BODY_COUNT_FIELD < start < stop <= len(cells):
             raise ValueError(cells[start])
         groups = [cells[i : i + FIELDS_PER_MARKER] for i in range(start + 1, stop, FIELDS_PER_MARKER)]
-        markers = [(_build_label(name, number), [float(x), float(y), float(z)]) for x, y, z, number, name in groups]
+        labels = [f"*{group[3]}" if UNNAMED_MARKER_PATTERN.fullmatch(group[4]) else group[4] for group in groups]
+        markers = [(label, [float(x), float(y), float(z)]) for label, (x, y, z, _, _) in zip(labels, groups, strict=True)]
     except (ValueError, IndexError) as error:
         problem = "does not have the rigid bodies and markers that it declares"
         raise document.build_error(index, f"{problem}; copy or export it again.") from error
     if len(dict(markers)) < len(markers):
         raise document.build_error(index, "has two markers of the same name; give each its own name and export it again.")
     return dict(markers)
-
-
-def _build_label(name: str, number: str) -> str:
-    return f"*{number}" if UNNAMED_MARKER_PATTERN.fullmatch(name) else name
 
 
 TRAJECTORY_SECTION = "trajectories"
@@ -232,7 +225,8 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         ReadError: If there is no such section. The message names file and line.
     """
     document = parse_document(path, data)
-    sections = _find_sections(document)
+    names = ((index, document.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(document.lines)))
+    sections = {index: name for index, name in names if name in SECTION_NAMES}
     start = next((index for index, name in sections.items() if name == TRAJECTORY_SECTION), None)
     if start is None:
         present = format_name_list(sorted({*sections.values()}))
@@ -264,12 +258,6 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         ),
         options,
     )
-
-
-def _find_sections(document: TextDocument) -> dict[int, str]:
-    """Return the name of each section, in lower case, by the index of its first line."""
-    names = ((index, document.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(document.lines)))
-    return {index: name for index, name in names if name in SECTION_NAMES}
 
 
 def _find_axes_line(document: TextDocument, start: int) -> tuple[int, str]:

@@ -152,16 +152,13 @@ def _parse_header(path: Path, content: dict[str, Any]) -> tuple[str, float | Non
         raise ReadError(f"{path}: order: must be one of {', '.join(list_detectors())}, not {order!r}.")
     if rate is not None and not (isinstance(rate, int | float) and 0 < rate < np.inf):
         raise ReadError(f"{path}: rate: must be frames a second, more than 0, not {rate!r}.")
-    if image is not None and not (isinstance(image, list) and len(image) == 2 and all(_is_positive(side) for side in image)):
+    sides = image if isinstance(image, list) and len(image) == 2 else [0]
+    if image is not None and not all(isinstance(side, int | float) and 0 < side < np.inf for side in sides):
         raise ReadError(f"{path}: image: must be [width, height] in pixels, not {image!r}.")
     if not isinstance(content["frames"], list) or not content["frames"]:
         raise ReadError(f"{path}: frames: must be a list of at least one frame.")
     size = (float(image[0]), float(image[1])) if image else None
     return order, None if rate is None else float(rate), size
-
-
-def _is_positive(number: object) -> bool:
-    return isinstance(number, int | float) and 0 < number < np.inf
 
 
 def _parse_people(where: str, frame: object, detector: KeypointDetector) -> Float[np.ndarray, "N V 3"]:

@@ -305,7 +305,8 @@ def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> 
     """
     settings, timer = read_keypoint_scene(path), StageTimer(report_progress=progress)
     with timer("read"):
-        skeleton = load_scene_skeleton(path, settings)
+        of_subject = read_subject(path.parent / settings.subject) if settings.subject else None
+        skeleton = of_subject.skeleton if of_subject else load_cmu31_body().skeleton
         keypoints = read_keypoints(path.parent / settings.keypoints, skeleton)
         model = resolve_pose_model(settings.prior, skeleton)
     rate = keypoints.rate_hz or settings.rate or (STILL_IMAGE_RATE_HZ if keypoints.frame_count == 1 else None)
@@ -315,8 +316,3 @@ def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> 
         rotation = build_camera_rotation(float(np.radians(settings.looks_down)))
         motion, camera = solve_film(keypoints, rate, skeleton, model, rotation, settings.prior_scale)
     return KeypointResult(path.stem, settings.title, keypoints, rate, skeleton, motion, camera, settings.prior, timer)
-
-
-def load_scene_skeleton(path: Path, settings: KeypointSceneSettings) -> Skeleton:
-    """Return the skeleton of the scene's subject file, or of the average body."""
-    return read_subject(path.parent / settings.subject).skeleton if settings.subject else load_cmu31_body().skeleton

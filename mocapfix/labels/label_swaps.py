@@ -65,7 +65,10 @@ def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, dis
         extra_cost = state_cost[:, s] - state_cost[:, 0]
         for first, last in find_runs(state == s):
             inside = slice(first, last + 1)
-            leap_gain = _compute_saved_step_cost(step_cost, state, first, last)
+            unchanged = np.where((np.arange(len(state)) >= first) & (np.arange(len(state)) <= last), 0, state)
+            t = np.arange(max(first, 1), min(last + 2, len(state)))
+            saved = step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]
+            leap_gain = float(saved.sum())
             misfit_share = float(state_cost[inside, s].sum()) / max(float(state_cost[inside, 0].sum()), 1e-9)
             if leap_gain < MIN_SWAP_GAIN and misfit_share > MAX_EXCHANGED_MISFIT:
                 continue
@@ -92,14 +95,6 @@ def find_permutation_cycles(permutation: np.ndarray) -> list[tuple[int, ...]]:
         if len(cycle) > 1:
             cycles.append(tuple(cycle))
     return cycles
-
-
-def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: int, last: int) -> float:
-    """Compute how much more the steps into first..last + 1 cost with the labels as they are than with the given states."""
-    unchanged = state.copy()
-    unchanged[first : last + 1] = 0
-    t = np.arange(max(first, 1), min(last + 2, len(state)))
-    return float((step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]).sum())
 
 
 MAX_SWAP_PASSES = 5

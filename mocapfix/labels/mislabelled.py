@@ -141,24 +141,19 @@ def find_correct_labels(
         candidates = [*permutations, *find_pair_exchanges(current, predicted, is_testable[order])]
         if not candidates:
             break
-        best = max(
-            (_evaluate_permutation(current, body, misfit, permutation) for permutation in candidates), key=lambda step: step.gain
-        )
+        tried: list[RelabelStep] = []
+        for permutation in candidates:
+            permuted = np.ascontiguousarray(current[:, permutation])
+            is_visible = ~np.isnan(current[:, permutation != np.arange(len(permutation)), 0]).all(1)
+            gain = misfit - compute_marker_misfit(permuted, fit_markers(body, permuted)).sum(1)
+            is_known = is_visible.sum() >= MIN_MARKER_FRAMES
+            tried.append(RelabelStep(permutation, float(np.median(gain[is_visible])) if is_known else 0.0))
+        best = max(tried, key=lambda step: step.gain)
         if best.gain < MIN_EXCHANGE_GAIN:
             break
         order = order[best.permutation]
         steps.append(best)
     return order, steps
-
-
-def _evaluate_permutation(
-    markers: np.ndarray, body: PosedBody, current_misfit: np.ndarray, permutation: np.ndarray
-) -> RelabelStep:
-    permuted = np.ascontiguousarray(markers[:, permutation])
-    is_exchanged = permutation != np.arange(len(permutation))
-    is_visible = ~np.isnan(markers[:, is_exchanged, 0]).all(1)
-    gain = current_misfit - compute_marker_misfit(permuted, fit_markers(body, permuted)).sum(1)
-    return RelabelStep(permutation, float(np.median(gain[is_visible])) if is_visible.sum() >= MIN_MARKER_FRAMES else 0.0)
 
 
 def find_pair_exchanges(

@@ -412,13 +412,8 @@ def select_marker_fragments(points: UnlabelledPoints) -> Int[np.ndarray, " K"]:
     if not len(fullest):
         return np.zeros(0, int)
     tried = fullest[sample_evenly(len(fullest), MAX_TRIED_FRAMES)]
-    durations = [_measure_stretch(visible, visible[frame]) for frame in tried]
+    durations = [(visible[:, visible[frame]].mean(axis=1) >= MIN_LASTING_SHARE).sum() for frame in tried]
     return lasting[visible[tried[int(np.argmax(durations))]]]
-
-
-def _measure_stretch(visible: np.ndarray, fragments: np.ndarray) -> int:
-    """Return the number of frames that show most of some fragments."""
-    return int((visible[:, fragments].mean(axis=1) >= MIN_LASTING_SHARE).sum())
 
 
 def arrange_points(

@@ -150,7 +150,12 @@ def assume_marker_set(
     found = compare_marker_sets(points, marker_sets, find_body)
     if not found:
         return (None, "No shipped marker set with about as many markers fits the points.")
-    near = [each for each in found if is_nearly_as_good(each, found[0])]
+    near = [
+        each
+        for each in found
+        if (less := found[0].log_evidence - each.log_evidence) <= MIN_EVIDENCE_DIFFERENCE
+        or (less <= MIN_EVIDENCE_DIFFERENCE_OF_SAME_PLACES and compute_place_agreement(found[0], each) >= MIN_AGREEING_SHARE)
+    ]
     most = max(each.required_share for each in near)
     best = next(each for each in near if each.required_share >= most - EQUAL_LABELLED_SHARE)
     name, share = best.marker_set.name, f"{best.labelled_share:.0%} of the points"
@@ -169,14 +174,6 @@ def assume_marker_set(
     second = next((each for each in found if each is not best), None)
     rest = f"; the next, {second.marker_set.name}, fits clearly worse" if second else ""
     return (best.marker_set, f"{reason}{rest}.")
-
-
-def is_nearly_as_good(one: SetComparison, best: SetComparison) -> bool:
-    """Return whether the evidence for a set is not clearly less than that for the best one."""
-    difference = best.log_evidence - one.log_evidence
-    if difference <= MIN_EVIDENCE_DIFFERENCE:
-        return True
-    return difference <= MIN_EVIDENCE_DIFFERENCE_OF_SAME_PLACES and compute_place_agreement(best, one) >= MIN_AGREEING_SHARE
 
 
 def describe_better_set(

@@ -23,6 +23,7 @@ from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
+from mocapfix.output_formats import get_file_version
 from mocapfix.review import take_files
 
 MAX_MESSAGE_LENGTH = 1000
@@ -400,7 +401,7 @@ class ReviewSession:
 
     def _summarise(self, take: take_files.CleanedTake) -> dict[str, Any]:
         """Return the entry of a take, from its files if they were changed since it was last read."""
-        key = [(stat.st_mtime_ns, stat.st_size) for path in (take.changes_path, take.approval_path) if (stat := stat_file(path))]
+        key = [get_file_version(path) for path in (take.changes_path, take.approval_path)]
         known = self._summaries.get(take.id)
         if known is None or known[0] != key:
             known = self._summaries[take.id] = (key, describe_take(take))
@@ -474,14 +475,6 @@ class ReviewSession:
 def describe_other_review(folder: Path, holder: str) -> str:
     """Return the sentence on a folder whose outputs another process reviews."""
     return f"{folder}: is being reviewed or cleaned by another process ({holder}); end that first."
-
-
-def stat_file(path: Path) -> os.stat_result | None:
-    """Return the status of a file, None if it is not there."""
-    try:
-        return path.stat()
-    except OSError:
-        return None
 
 
 def name_take(take: take_files.CleanedTake) -> dict[str, Any]:

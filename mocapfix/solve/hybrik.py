@@ -79,11 +79,6 @@ def find_separate_joints(skeleton: Skeleton) -> Bool[np.ndarray, " J"]:
     return (np.linalg.norm(skeleton.offsets, axis=1) > MIN_JOINT_DISTANCE_M) & (skeleton.parents >= 0)
 
 
-def find_stub_joints(skeleton: Skeleton, prior: MeanPosePrior) -> Bool[np.ndarray, " J"]:
-    """Find the stiff joints that coincide with their parents: the hip stubs, which are redundant with the thighs."""
-    return find_stiff_joints(prior) & ~find_separate_joints(skeleton)
-
-
 def find_stiff_joints(prior: MeanPosePrior) -> Bool[np.ndarray, " J"]:
     """Find the joints that the mean pose locks about all axes."""
     return np.linalg.matrix_rank(prior.locked_information) == 3
@@ -366,14 +361,17 @@ def solve_hybrik(
     Raises:
         ConstraintError: For an array of the wrong shape or with invalid values.
     """
-    skeleton = get_cmu_skeleton(subject)
+    skeleton = subject.skeleton
+    if skeleton.names != load_cmu31_body().skeleton.names:
+        raise ConstraintError("HybrIK requires the 31 joints of the CMU skeleton; the subject has other joints.")
     joint_positions = check_array("positions", positions, (None, len(skeleton.names), 3))
     frame_count, joint_count = joint_positions.shape[:2]
     if variant not in tuple(VARIANT_CODES):
         raise ConstraintError(f"There is no HybrIK variant {variant!r}; choose one of: {', '.join(VARIANT_CODES)}.")
     prior = mean_pose.load_mean_pose_prior("mean-pose", skeleton)
     if held_joints is None:
-        held_joints = find_stub_joints(skeleton, prior) if variant == "x" else np.zeros(joint_count)
+        is_stub = find_stiff_joints(prior) & ~find_separate_joints(skeleton)  # the hip stubs, redundant with the thighs
+        held_joints = is_stub & (variant == "x")
     is_held = check_array("held_joints", held_joints, (joint_count,)).astype(bool)
     bones, root_points = build_bones(skeleton, prior, MarkedSubject(subject, markers is not None), is_held)
     points = joint_positions
@@ -434,13 +432,6 @@ def register_root(
         fallback = np.where(np.isnan(points[:, :1]).any(axis=2), interpolated, points[:, 0])
         position, rotation = np.where(is_known[:, None], position, fallback), rotation[nearest]
     return RootRegistration(position, rotation, is_known)
-
-
-def get_cmu_skeleton(subject: Subject) -> Skeleton:
-    """Return the subject's skeleton. Raises ConstraintError unless it has the 31 joints of the CMU skeleton."""
-    if subject.skeleton.names != load_cmu31_body().skeleton.names:
-        raise ConstraintError("HybrIK requires the 31 joints of the CMU skeleton; the subject has other joints.")
-    return subject.skeleton
 
 
 def check_array(name: str, values: ArrayLike | float, shape: tuple[int | None, ...], allow_nan: bool = True) -> np.ndarray:

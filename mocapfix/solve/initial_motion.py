@@ -284,16 +284,11 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
         return PoseStart(motion, change_all_frames(take.frame_count))
     restarted = np.flatnonzero(changes.is_restarted)
     poses = initialise_frames(take, restarted, subject.extended_subject, body, prior, method=method)
-    return PoseStart(insert_poses(solved.motion, restarted, poses), changes)
-
-
-def insert_poses(motion: Motion, frames: Int[np.ndarray, " N"], poses: Motion) -> Motion:
-    """Return a motion with other poses in some frames, except for poses that were only guessed from other frames."""
     is_placed = poses.status != FrameStatus.GUESSED
-    root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
-    root_position[frames[is_placed]] = poses.root_position[is_placed]
-    local_rotations[frames[is_placed]] = poses.local_rotations[is_placed]
-    return replace(motion, root_position=root_position, local_rotations=local_rotations)
+    root_position, local_rotations = solved.motion.root_position.copy(), solved.motion.local_rotations.copy()
+    root_position[restarted[is_placed]] = poses.root_position[is_placed]
+    local_rotations[restarted[is_placed]] = poses.local_rotations[is_placed]
+    return PoseStart(replace(solved.motion, root_position=root_position, local_rotations=local_rotations), changes)
 
 
 LEARNED_START_PASSES = 2  # a third changes hardly anything
@@ -311,7 +306,8 @@ def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subjec
     joint_sd = np.nan_to_num(estimate.sd, nan=1.0)
     start = motion.root_position, motion.local_rotations
     is_seen = find_seen_segments(estimate, subject)
-    positions = np.where(is_given_joint(is_seen, subject)[..., None], estimate.positions, np.nan)
+    is_given = is_seen | is_seen[:, np.maximum(subject.skeleton.parents, 0)]  # at an end of a segment with markers
+    positions = np.where(is_given[..., None], estimate.positions, np.nan)
     root, local = model.refine_take(start, positions, joint_sd, rate_hz)
     seen_world = compute_world_poses(subject.skeleton, motion)[1]
     learned = Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
@@ -327,9 +323,3 @@ def find_seen_segments(estimate: JointEstimate, subject: Subject) -> Bool[np.nda
     for marker, joint in enumerate(subject.joints):
         is_seen[:, joint] |= estimate.marker_trust[:, marker] > MIN_SEGMENT_TRUST
     return is_seen
-
-
-def is_given_joint(is_seen: Bool[np.ndarray, "T J"], subject: Subject) -> Bool[np.ndarray, "T J"]:
-    """Return which joints have a position that markers determine: those at an end of a segment with markers."""
-    parents = np.maximum(subject.skeleton.parents, 0)
-    return is_seen | is_seen[:, parents]

@@ -231,7 +231,9 @@ def compute_distance_ranges(
             if subject.joints[columns[a]] == subject.joints[columns[b]]:
                 limits = _compute_rigid_range(inliers[:, a] - inliers[:, b])
             else:
-                limits = _compute_chain_range(subject, int(columns[a]), int(columns[b]))
+                lengths_m = _list_chain_lengths(subject, int(columns[a]), int(columns[b]))
+                longest_m, shortest_m = sum(lengths_m), max(0.0, 2 * max(lengths_m) - sum(lengths_m))
+                limits = shortest_m - CHAIN_TOLERANCE_M, longest_m + CHAIN_TOLERANCE_M
             low_m[a, b], high_m[a, b] = limits
             low_m[b, a], high_m[b, a] = limits
     return low_m, high_m
@@ -247,13 +249,6 @@ def _compute_rigid_range(difference: np.ndarray) -> tuple[float, float]:
     sd_m = MEDIAN_DEVIATIONS_PER_SD * float(np.median(np.abs(distance_m - median_m)))
     tolerance_m = max(MIN_DISTANCE_TOLERANCE_M, DISTANCE_TOLERANCE_SD * sd_m)
     return median_m - tolerance_m, median_m + tolerance_m
-
-
-def _compute_chain_range(subject: Subject, one: int, other: int) -> tuple[float, float]:
-    """Return the range of the distance of two markers on two segments: that of the chain of lengths between them."""
-    lengths_m = _list_chain_lengths(subject, one, other)
-    total_m, longest_m = sum(lengths_m), max(lengths_m)
-    return max(0.0, 2 * longest_m - total_m) - CHAIN_TOLERANCE_M, total_m + CHAIN_TOLERANCE_M
 
 
 def _list_chain_lengths(subject: Subject, one: int, other: int) -> list[float]:

@@ -27,7 +27,7 @@ from mocapfix.kernels import lie
 from mocapfix.solve.motion_prior import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
+from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
 from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
 
 VELOCITY_HALF_SPAN_S = 0.067  # time before and after a frame over which velocities are measured
@@ -122,7 +122,10 @@ def infer_occluded_joints(
         training = select_training_frames(is_known, first, last, rate)
         if len(training) < MIN_TRAINING_FRAMES:
             return
-        rotations, noise = extract_training_rotations(solved, variance, is_unobserved, training, occluded)
+        # quaternions times 2 as rows of 4 L numbers, in radians, and their excess variance
+        rotations = np.hstack([2 * lie.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded])
+        training_variance = variance[training][:, occluded].max(axis=1)
+        noise = np.maximum(training_variance - np.median(training_variance), 0.0)
         frames = np.arange(first, last + 1)
         training_states, gap_states = (
             compute_joint_state_features(root_position, solved, observed, each, rate) for each in (training, frames)
@@ -130,7 +133,10 @@ def infer_occluded_joints(
         data = training_states, training / rate, noise, kernel
         process = fit_gaussian_process(rotations, *data)
         predicted, relative_variance = process.predict(gap_states, frames / rate)
-        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * estimate_rotation_powers(process, len(frames) / rate)
+        shown = np.fmax(process.cross_validate_gaps(len(frames) / rate), process.signal_power)
+        power = len(training) * (shown.reshape(-1, 4).sum(axis=1) / 3) + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2
+        power /= len(training) + DEFAULT_POWER_FRAMES  # of each joint, in rad^2 per axis, as errors in gaps this long show it
+        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
         if conditioner and gap_variance.max() > MIN_QUERY_SD_RAD**2:
             queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
             reference = np.concatenate([rotations, predicted[queried]])
@@ -175,23 +181,3 @@ def combine_with_motion_prior(
         return variance
     rotations[:, occluded], variance = combine_rotations(rotations[:, occluded], variance, prediction)
     return variance
-
-
-def extract_training_rotations(
-    solved: Float[np.ndarray, "T J 3 3"],
-    variance: Float[np.ndarray, "T J"],
-    is_unobserved: Bool[np.ndarray, "T J"],
-    training: Int[np.ndarray, " N"],
-    occluded: Int[np.ndarray, " L"],
-) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, " N"]]:
-    """Return quaternions of L joints, multiplied by 2, as rows of Q = 4 L numbers, and their excess variance in rad^2."""
-    rotations = [2 * lie.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded]
-    training_variance = variance[training][:, occluded].max(axis=1)
-    return np.concatenate(rotations, axis=1), np.maximum(training_variance - np.median(training_variance), 0.0)
-
-
-def estimate_rotation_powers(process: GaussianProcess, gap_s: float) -> Float[np.ndarray, " L"]:
-    """Return the signal power of each joint's rotation, in rad^2 per axis, as errors in gaps of this duration show it."""
-    frame_count = len(process.training_times_s)
-    power = np.fmax(process.cross_validate_gaps(gap_s), process.signal_power).reshape(-1, 4).sum(axis=1) / 3
-    return (frame_count * power + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2) / (frame_count + DEFAULT_POWER_FRAMES)

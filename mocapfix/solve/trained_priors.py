@@ -115,14 +115,9 @@ def evaluate_silu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values * share, share * (1 + values * (1 - share))
 
 
-def evaluate_relu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positive part and its derivative."""
-    return np.maximum(values, 0), (values > 0).astype(values.dtype)
-
-
 ACTIVATION_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
     "silu": evaluate_silu,
-    "relu": evaluate_relu,
+    "relu": lambda values: (np.maximum(values, 0), (values > 0).astype(values.dtype)),
 }
 """Functions that return the values of an activation and its derivatives, element by element."""
 
@@ -325,7 +320,10 @@ def load_pose_model(name: str, skeleton: Skeleton) -> PoseModel:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (safe_open is not a mapping)
         joint_names = tuple(header.pop("joints"))
         if joint_names == skeleton.names:
-            return get_model_class(header.pop("kind")).deserialise(joint_names, header, tensors)
+            kind = header.pop("kind")
+            if kind not in MODEL_CLASSES:
+                raise ValueError(f"the kind {kind!r} is unknown")
+            return MODEL_CLASSES[kind].deserialise(joint_names, header, tensors)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise SceneError(f"{path}: is not a prior trained by mocapfix ({' '.join(str(error).split())}).") from error
     joints = ", ".join(joint_names)
@@ -341,13 +339,6 @@ def save_pose_model(path: Path, model: PoseModel) -> None:
 
 
 MODEL_CLASSES: dict[str, type[PoseModel]] = {each.kind: each for each in (GaussianModel, MixtureModel, AutoencoderModel)}
-
-
-def get_model_class(kind: str) -> type[PoseModel]:
-    """Return the class of models of a kind."""
-    if kind not in MODEL_CLASSES:
-        raise ValueError(f"the kind {kind!r} is unknown")
-    return MODEL_CLASSES[kind]
 
 
 def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:

@@ -205,7 +205,9 @@ def compute_sampled_prior(
     equations = compute_marker_equations(problem, pose, jacobian, robust_scale_m)
     locked_force, locked_information = compute_locked_prior(base, pose.local_rotations[:, joints], joints)
     transposed = np.swapaxes(jacobian, -1, -2)
-    add_diagonal_blocks(equations.curvature, transposed @ locked_information @ jacobian)
+    for n, block in enumerate(np.moveaxis(transposed @ locked_information @ jacobian, 1, 0)):
+        part = slice(6 + 3 * n, 9 + 3 * n)  # after the six numbers of the root
+        equations.curvature[:, part, part] += block
     equations.gradient[:, 6:] += (transposed @ locked_force[..., None]).reshape(-1, size)
     has_root_markers = bool((problem.attachment.joints == 0).any())
     rows = np.r_[0, joints] if has_root_markers else joints  # the markers of a part of a body do not show the root's tilt
@@ -224,7 +226,8 @@ def compute_sampled_prior(
         vectors[:, joints] = start + step.reshape(start.shape)
         codes[:, : model.nonlinear_code_size] = prior.estimate_codes(vectors[:, rows])
     force = prior.compute_force(vectors[:, rows])[:, -size:].reshape(start.shape)
-    information = extract_diagonal_blocks(prior.information[:, -size:, -size:])
+    blocks = prior.information[:, -size:, -size:]
+    information = np.stack([blocks[:, n : n + 3, n : n + 3] for n in range(0, size, 3)], axis=1)
     rotations = exponentiate_vectors(vectors[:, joints]) @ model.reference_rotations[joints]
     inverse = np.linalg.inv(compute_left_jacobian(vectors[:, joints]))  # vectors by rotations of the joint
     force = (np.swapaxes(inverse, -1, -2) @ force[..., None])[..., 0]
@@ -296,18 +299,6 @@ def compute_locked_prior(
     force = (base.locked_information[joints] @ vectors[..., None])[..., 0]
     share = np.minimum(1.0, MAX_DEVIATION_SD / np.sqrt(np.maximum((force * vectors).sum(-1), 1e-12)))[..., None]
     return share * force, share[..., None] * base.locked_information[joints]
-
-
-def add_diagonal_blocks(matrices: Float[np.ndarray, "N D D"], blocks: Float[np.ndarray, "N F 3 3"]) -> None:
-    """Add blocks to the diagonal of matrices, after the six numbers of the root."""
-    for n in range(blocks.shape[1]):
-        part = slice(6 + 3 * n, 9 + 3 * n)
-        matrices[:, part, part] += blocks[:, n]
-
-
-def extract_diagonal_blocks(matrices: Float[np.ndarray, "N R R"]) -> Float[np.ndarray, "N F 3 3"]:
-    """Return the 3 x 3 blocks on the diagonal of matrices."""
-    return np.stack([matrices[:, n : n + 3, n : n + 3] for n in range(0, matrices.shape[1], 3)], axis=1)
 
 
 MIN_RECOVERED_DISTANCE_M = 0.04  # mean, of a limb's markers, above which its frame is solved again
