@@ -152,32 +152,14 @@ def infer_occluded_joints(
         if conditioner:
             gap_rotations = local_rotations[first : last + 1]
             context = GapContext(root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
-            gap_variance = combine_with_motion_prior(gap_rotations, gap_variance, occluded, conditioner, context)
+            cropped = context.crop()
+            estimated = cropped.local_rotations.copy()
+            estimated[cropped.frames][:, occluded] = gap_rotations[:, occluded]
+            if prediction := conditioner.predict_gap(cropped._replace(local_rotations=estimated), occluded):
+                combined, gap_variance = combine_rotations(gap_rotations[:, occluded], gap_variance, prediction)
+                gap_rotations[:, occluded] = combined
         variance[first : last + 1, occluded] = gap_variance
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
     gaps = group_gaps(is_unobserved & has_body[:, None])
     run_in_parallel(infer_gap, sorted(gaps.items(), key=lambda gap: gap[0][0] - gap[0][1]))
-
-
-def combine_with_motion_prior(
-    rotations: Float[np.ndarray, "n J 3 3"],
-    variance: Float[np.ndarray, "n L"],
-    occluded: Int[np.ndarray, " L"],
-    conditioner: PriorConditioner,
-    context: GapContext,
-) -> Float[np.ndarray, "n L"]:
-    """Combine the estimates of occluded joints in a gap with the motion prior, in place, and return their variance in rad^2.
-
-    Args:
-        rotations: Of all joints in the gap, those of the occluded ones are estimates.
-        context: The solution of each frame around the gap.
-    """
-    cropped = context.crop()
-    local_rotations = cropped.local_rotations.copy()
-    local_rotations[cropped.frames][:, occluded] = rotations[:, occluded]
-    prediction = conditioner.predict_gap(cropped._replace(local_rotations=local_rotations), occluded)
-    if prediction is None:
-        return variance
-    rotations[:, occluded], variance = combine_rotations(rotations[:, occluded], variance, prediction)
-    return variance

@@ -17,7 +17,7 @@ from mocapfix.errors import ConstraintError, format_name_list
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, mean_pose, trained_priors
-from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_uncertainty, minimise
+from mocapfix.solve.minimise import SolverSettings, compute_uncertainty, minimise
 from mocapfix.solve.model_terms import PoseModelTerm, linearise_model_term
 from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
 from mocapfix.solve.terms import (
@@ -161,7 +161,10 @@ def build_orientation_term(constraints: Sequence[OrientationConstraint], skeleto
 
 
 def build_distance_term(constraints: Sequence[DistanceConstraint], skeleton: Skeleton) -> DistanceTerm:
-    joints = np.array([[find_joint(c, name, skeleton) for name in check_joint_pair(c)] for c in constraints], int)
+    for each in constraints:
+        if not isinstance(each.joints, tuple | list) or len(each.joints) != 2:  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise build_constraint_error(each, "joints must be the names of two joints")
+    joints = np.array([[find_joint(c, name, skeleton) for name in c.joints] for c in constraints], int)
     offsets = gather_values(constraints, lambda c: check_numbers(c, "offsets", c.offsets, 2, 3), 2, 3)
     distances = np.array([float(check_numbers(c, "distance", c.distance)) for c in constraints])
     return DistanceTerm(joints.reshape(-1, 2), offsets, distances[None], compute_constraint_weights(constraints)[None])
@@ -210,14 +213,6 @@ def find_joint(constraint: Constraint, joint: str, skeleton: Skeleton) -> int:
             constraint, f"there is no joint {joint!r}; the skeleton has: {format_name_list(skeleton.names)}"
         )
     return skeleton.find_joint(joint)
-
-
-def check_joint_pair(constraint: DistanceConstraint) -> tuple[str, str]:
-    """Return the two joints of a constraint. Raises ConstraintError unless there are two."""
-    joints: object = constraint.joints  # users may give something else
-    if not isinstance(joints, tuple | list) or len(constraint.joints) != 2:  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise build_constraint_error(constraint, "joints must be the names of two joints")
-    return constraint.joints
 
 
 def compute_constraint_weights(constraints: Sequence[AnyConstraint]) -> Float[np.ndarray, " K"]:
@@ -344,7 +339,11 @@ def solve_pose(
     solutions = minimise(tree, (*terms, PoseModelTerm(model, prior_scale)), (root_position, local_rotations), settings)
     best = int(np.nanargmin(solutions.cost))
     solution = solutions.select_frames(slice(best, best + 1))
-    joint_positions, joint_sd = compute_joint_sd(tree, terms, model, prior_scale, solution)
+    scaled_codes = solution.codes / prior_scale
+    selected = model.select_components(compute_pose_vectors(solution.local_rotations, model.reference_rotations))
+    latent = linearise_model_term(tree, selected, prior_scale, scaled_codes, 0.0, np.zeros(1, int))
+    joint_sd = compute_uncertainty(tree, (*terms, latent), solution.poses, codes=scaled_codes).joint_sd[0]
+    joint_positions = kinematics.compute_tree_poses(tree, *solution.poses)[0][0]
     return SolvedPose(
         skeleton=skeleton,
         root_position=solution.root_position[0],
@@ -396,14 +395,3 @@ def check_start_pose(
     if not all(map(is_rotation, local_rotations)):
         raise ConstraintError("The rotations of start must be right-handed matrices with orthonormal rows.")
     return root_position[None].copy(), local_rotations[None].copy()
-
-
-def compute_joint_sd(
-    tree: KinematicTree, terms: ConstraintTerms, model: PoseModel, prior_scale: float, solution: PoseSolution
-) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " J"]]:
-    """Return the joint positions of a solution, and their standard deviations per axis from the curvature; both in metres."""
-    scaled_codes = solution.codes / prior_scale
-    selected = model.select_components(compute_pose_vectors(solution.local_rotations, model.reference_rotations))
-    latent = linearise_model_term(tree, selected, prior_scale, scaled_codes, 0.0, np.zeros(1, int))
-    joint_sd = compute_uncertainty(tree, (*terms, latent), solution.poses, codes=scaled_codes).joint_sd
-    return kinematics.compute_tree_poses(tree, *solution.poses)[0][0], joint_sd[0]

@@ -220,7 +220,13 @@ def remove_pose_jitter(
     for j in np.flatnonzero(tree.free):
         joint = lie.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
         lie.store_joint_quaternions(remove_jitter(joint, is_known[:, j], rate, ROTATION_JITTER_SD_RAD), j, world_rotations)
-    write_local_rotations(world_rotations, tree, local_rotations)
+    local_rotations[:, 0] = world_rotations[:, 0]
+    for j in range(1, len(tree.parents)):  # joints that are not free keep their local rotations
+        parent = world_rotations[:, tree.parents[j]]
+        if tree.free[j]:
+            np.matmul(parent.swapaxes(1, 2), world_rotations[:, j], out=local_rotations[:, j])
+        else:
+            np.matmul(parent, local_rotations[:, j], out=world_rotations[:, j])
     return smooth_root_path(root_position, np.full(len(root_position), ROOT_JITTER_SD_M**2), rate)[0]
 
 
@@ -252,16 +258,3 @@ def remove_jitter(
         power = power * np.maximum(excess, 1.0) ** POWER_CORRECTION_EXPONENT
         smooth = smooth_path(joint_quaternions, variance, power, rate)
     return smooth
-
-
-def write_local_rotations(
-    world_rotations: Float[np.ndarray, "T J 3 3"], tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]
-) -> None:
-    """Write the local rotations of world rotations of the free joints; the other joints keep their local rotations."""
-    local_rotations[:, 0] = world_rotations[:, 0]
-    for j in range(1, len(tree.parents)):
-        parent = world_rotations[:, tree.parents[j]]
-        if tree.free[j]:
-            np.matmul(parent.swapaxes(1, 2), world_rotations[:, j], out=local_rotations[:, j])
-        else:
-            np.matmul(parent, local_rotations[:, j], out=world_rotations[:, j])

@@ -226,7 +226,10 @@ class AutoencoderModel(PoseModel):
 
     def serialise(self) -> tuple[Header, Tensors]:
         """Return header and tensors, in half precision, for which standard deviations and code scale were estimated."""
-        weights = {_name_file_weight(name): values.astype(np.float16) for name, values in self.weights.items()}
+        names = (name.replace("0.layers.", "0.bent.").replace("0.skip.", "0.straight.") for name in self.weights)
+        weights = {
+            NETWORK_PREFIX + name: values.astype(np.float16) for name, values in zip(names, self.weights.values(), strict=True)
+        }
         tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_AUTOENCODER_TENSOR.items()}
         shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}
         return {"shape": shape}, tensors | weights
@@ -237,7 +240,11 @@ class AutoencoderModel(PoseModel):
         architecture = NetworkArchitecture(**{ARCHITECTURE_FIELD_OF_KEY[key]: value for key, value in shape.items()})
         if architecture.output_features == "continuous":
             raise ValueError("its network returns columns of rotations, not rotation vectors or Euler angles")
-        weights = {_name_network_weight(name): tensors.pop(name) for name in list(tensors) if name.startswith(NETWORK_PREFIX)}
+        of_network = {name: tensors.pop(name) for name in list(tensors) if name.startswith(NETWORK_PREFIX)}
+        weights = {
+            name.removeprefix(NETWORK_PREFIX).replace("0.bent.", "0.layers.").replace("0.straight.", "0.skip."): values
+            for name, values in of_network.items()
+        }
         joint_count, size = len(joint_names), architecture.code_size
         shapes = {
             "middle": (joint_count, 3, 3),
@@ -274,16 +281,6 @@ class AutoencoderModel(PoseModel):
 
     def _compute_vectors(self, features: np.ndarray) -> np.ndarray:
         return compute_feature_vectors(self.architecture.output_features, features, self.reference_rotations)
-
-
-def _name_file_weight(name: str) -> str:
-    """Return the name in a weights file of a weight of the network."""
-    return NETWORK_PREFIX + name.replace("0.layers.", "0.bent.").replace("0.skip.", "0.straight.")
-
-
-def _name_network_weight(name: str) -> str:
-    """Return the name in the network of a weight in a weights file."""
-    return name.removeprefix(NETWORK_PREFIX).replace("0.bent.", "0.layers.").replace("0.straight.", "0.skip.")
 
 
 OTHER_WEIGHT_FILES = ("twist", "ik", "motion")  # weights in priors/ that are not pose models

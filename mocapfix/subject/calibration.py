@@ -272,7 +272,10 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
     Raises:
         TakeError: Where the markers do not allow a calibration.
     """
-    visible = find_visible_part(detected, marker_set)
+    columns = marker_set.find_columns(detected.epochs.take.labels)
+    is_visible = (columns >= 0) & detected.epochs.split_mask(detected.solver_mask)[:, columns].any(0)
+    shown = marker_set.select_shown_part([label for label, each in zip(marker_set.labels, is_visible, strict=True) if each])
+    visible = shown if shown.labels else marker_set  # without joints that no sample shows: labels may have no samples at all
     columns = visible.find_columns(detected.epochs.take.labels)
     take = detected.select_columns(columns, detected.solver_mask)
     if subject is not None:
@@ -284,15 +287,6 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
     goes_on = previous is not None and visible is marker_set and detected.label_faults == previous.detected.label_faults
     fit = update_calibration(take, visible, body, prior, previous.fit if previous and goes_on else None)
     return Calibrated(fit.subject, fit.subject, columns, take, visible, detected, fit)
-
-
-def find_visible_part(detected: Detected, marker_set: MarkerSet) -> MarkerSet:
-    """Return a marker set without the markers of joints that no sample shows: labels may have no samples at all."""
-    columns = marker_set.find_columns(detected.epochs.take.labels)
-    is_visible = (columns >= 0) & detected.epochs.split_mask(detected.solver_mask)[:, columns].any(0)
-    visible_labels = [label for label, is_seen in zip(marker_set.labels, is_visible, strict=True) if is_seen]
-    part = marker_set.select_shown_part(visible_labels)
-    return part if part.labels else marker_set
 
 
 def update_calibration(

@@ -150,17 +150,6 @@ class JointGraph:
         return [b for a, b in self._joints if a == group]
 
 
-def find_legs(groups: Sequence[MovingGroup], floor_m: float) -> list[LegChain]:
-    """Return one leg, or the left and the right one of a person among rigid groups; none where it is uncertain which they are."""
-    graph = JointGraph(groups)
-    chains = [
-        _complete_chain(graph, (pelvis, thigh, shank), floor_m)
-        for pelvis, thigh, shank in permutations(range(len(groups)), 3)
-        if graph.has_joint(pelvis, thigh) and graph.has_joint(thigh, shank)
-    ]
-    return _select_pair(groups, [chain for chain in chains if chain])
-
-
 def _complete_chain(graph: JointGraph, chain: tuple[int, int, int], floor_m: float) -> LegChain | None:
     """Return the leg that a chain of three groups and the best of the groups at its end form; None if it is no leg."""
     shank = chain[2]
@@ -313,20 +302,25 @@ def guess_from_rigid_groups(take: Take, labels: tuple[str, ...], skeleton: Skele
     markers = take.markers[sample_evenly(take.frame_count, MAX_FUNCTIONAL_FRAMES)]
     found = group_rigid_markers(measure_distance_spread(take.markers), MAX_SEGMENT_SPREAD_M)
     groups = [build_moving_group(markers, group.markers) for group in found]
-    legs = find_legs(groups, float(np.nanmin(markers[..., 1], initial=np.inf)))
+    graph, floor_m = JointGraph(groups), float(np.nanmin(markers[..., 1], initial=np.inf))
+    chains = [
+        _complete_chain(graph, (pelvis, thigh, shank), floor_m)
+        for pelvis, thigh, shank in permutations(range(len(groups)), 3)
+        if graph.has_joint(pelvis, thigh) and graph.has_joint(thigh, shank)
+    ]
+    legs = _select_pair(groups, [chain for chain in chains if chain])
     if not legs:
         return None
-    size = measure_leg_size(legs, skeleton)
-    segments = [build_pelvis_segment(legs, groups[legs[0].groups[0]], skeleton, size)]
-    segments += [segment for leg in legs for segment in build_leg_segments(leg, groups, skeleton)]
-    return build_grouped_marker_set(segments, labels, size)
-
-
-def measure_leg_size(legs: list[LegChain], skeleton: Skeleton) -> float:
-    """Return the size of a person relative to the average body, from the lengths of the legs."""
     bones = [leg.places[k, 1] - leg.places[k + 1, 0] for leg in legs for k in range(2)]
     average = [skeleton.offsets[joint] for leg in legs for joint in get_leg_joints(leg, skeleton)[1:]]
-    return float(np.linalg.norm(bones, axis=1).sum() / np.linalg.norm(average, axis=1).sum())
+    size = float(np.linalg.norm(bones, axis=1).sum() / np.linalg.norm(average, axis=1).sum())
+    segments = [build_pelvis_segment(legs, groups[legs[0].groups[0]], skeleton, size)]
+    segments += [segment for leg in legs for segment in build_leg_segments(leg, groups, skeleton)]
+    names = tuple(labels[m] for segment in segments for m in segment.group.markers)
+    joints = np.array([segment.joint for segment in segments for _ in segment.group.markers])
+    offsets = [(segment.group.places - segment.origin) @ segment.rotation.T / size for segment in segments]
+    spread, aliases = np.full(len(names), GROUPED_MARKER_SPREAD_M), ((),) * len(names)
+    return MarkerSet("guess", "guess", "cmu31", names, joints, np.concatenate(offsets), spread, aliases)
 
 
 def get_leg_joints(leg: LegChain, skeleton: Skeleton) -> list[int]:
@@ -372,12 +366,3 @@ def build_axes(up: Float[np.ndarray, "3"], side: Float[np.ndarray, "3"]) -> Floa
     x = side - (side @ y) * y
     x /= np.linalg.norm(x)
     return np.stack([x, y, np.cross(x, y)], axis=1)
-
-
-def build_grouped_marker_set(segments: list[SegmentAxes], labels: tuple[str, ...], size: float) -> MarkerSet:
-    """Return the markers of the segments as a marker set on the average body."""
-    names = tuple(labels[m] for segment in segments for m in segment.group.markers)
-    joints = np.array([segment.joint for segment in segments for _ in segment.group.markers])
-    offsets = [(segment.group.places - segment.origin) @ segment.rotation.T / size for segment in segments]
-    spread, aliases = np.full(len(names), GROUPED_MARKER_SPREAD_M), ((),) * len(names)
-    return MarkerSet("guess", "guess", "cmu31", names, joints, np.concatenate(offsets), spread, aliases)

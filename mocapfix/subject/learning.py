@@ -85,7 +85,10 @@ def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from
     """Return why a learned body is not plausible as a predicate, "" if it is; of segments guessed `from_positions` or labels."""
     min_size = MIN_POSITION_SIZE_RATIO if from_positions else MIN_LEARNED_SIZE_RATIO
     segment_distance = count_segments_between(learned.marker_set.joints)
-    motion = measure_distant_motion(segment_distance, learned.distance_spread)
+    spread = learned.distance_spread[(segment_distance >= MIN_DISTANT_SEGMENTS) & np.isfinite(learned.distance_spread)]
+    if not len(spread):  # a single limb
+        spread = learned.distance_spread[(segment_distance > 0) & np.isfinite(learned.distance_spread)]
+    motion = float(np.median(spread)) if len(spread) else 0.0
     if not motion >= MIN_DISTANCE_MOTION_M:
         return "moves too little in this take to be verified"
     if not min_size <= learned.size_ratio <= MAX_LEARNED_SIZE_RATIO:
@@ -154,14 +157,6 @@ def _count_steps(start: int, end: int, passed: set[int]) -> int:
             path.add(joint)
             joint = int(parents[joint])
     return len(path - passed - {start})
-
-
-def measure_distant_motion(segment_distance: Int[np.ndarray, "K K"], distance_spread: Float[np.ndarray, "K K"]) -> float:
-    """Return the median variation in metres of the distances between markers on distant segments; 0 if there are none."""
-    spread = distance_spread[(segment_distance >= MIN_DISTANT_SEGMENTS) & np.isfinite(distance_spread)]
-    if not len(spread):  # a single limb
-        spread = distance_spread[(segment_distance > 0) & np.isfinite(distance_spread)]
-    return float(np.median(spread)) if len(spread) else 0.0
 
 
 def find_contradicted_markers(
@@ -235,13 +230,6 @@ def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", gues
         return ""
     names = [label for label, is_kept in zip(guess.labels, is_attached, strict=True) if is_kept]
     return f"would have {names[int(is_moved.argmax())]} on another segment than its label says"
-
-
-def is_contradicted_by_words(guess: MarkerSet, from_words: MarkerSet) -> bool:
-    """Return whether words name a segment that is no neighbour of the guessed one for any of the markers."""
-    guessed = dict(zip(guess.labels, guess.joints.tolist(), strict=True))
-    pairs = [(guessed[label], joint) for label, joint in zip(from_words.labels, from_words.joints.tolist(), strict=True)]
-    return any(count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs)
 
 
 def find_doubtful_markers(
@@ -337,7 +325,11 @@ def learn_from_markers(selected: SubjectMarkers, name: str, like: str | Path | N
 def guess_from_groups(take: Take, labels: Sequence[str]) -> InitialGuess | None:
     """Return the guess from rigid groups and their joints; None if they form no leg, or words in the labels contradict them."""
     guess = guess_from_rigid_groups(take, tuple(labels), load_cmu31_body().skeleton)
-    if guess is None or is_contradicted_by_words(guess, guess_marker_set_from_words(guess.labels)):
+    if guess is None:
+        return None
+    by_words, guessed = guess_marker_set_from_words(guess.labels), dict(zip(guess.labels, guess.joints.tolist(), strict=True))
+    pairs = [(guessed[label], joint) for label, joint in zip(by_words.labels, by_words.joints.tolist(), strict=True)]
+    if any(count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs):
         return None
     count = len(guess.labels)
     description = f"{count} markers were located by the joints between their rigid groups, others by motion. Check the result."
@@ -372,14 +364,10 @@ def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) ->
         )
         if problem := problem or describe_implausible_body(learned_body, limits, from_positions=is_from_positions):
             raise TakeError(f"{take.name}: no marker set can be learned: the body {problem}.")
-    excluded = {label: reason for label, reason in reasons.items() if reason}
-    return LearnedMarkerSet(
-        marker_set,
-        guess.description,
-        {**excluded, **selected.excluded_markers},
-        find_ambiguous_markers(fit, labels),
-        fit.mean_residual_m,
-    )
+    excluded = {label: reason for label, reason in reasons.items() if reason} | selected.excluded_markers
+    is_ambiguous = (fit.attachment.joints >= 0) & (fit.attachment.probability < MIN_SEGMENT_PROBABILITY)
+    others = {labels[m]: body.skeleton.names[fit.attachment.second_joints[m]] for m in np.flatnonzero(is_ambiguous).tolist()}
+    return LearnedMarkerSet(marker_set, guess.description, excluded, others, fit.mean_residual_m)
 
 
 def select_subject_markers(take: Take) -> SubjectMarkers:
@@ -478,13 +466,6 @@ def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title:
         if k >= 0 and not is_kept and learned.subject.joints[k] == marker_set.joints[n]:
             offsets[n], spread[n] = learned.subject.marker_offsets[k] / size, LEARNED_MARKER_SPREAD_M
     return replace(marker_set, name=name, title=title, marker_offsets=offsets, marker_spread=spread, optional_labels=frozenset())
-
-
-def find_ambiguous_markers(learned: MarkerSetFit, labels: Sequence[str]) -> dict[str, str]:
-    """Return the markers that may be attached to another joint, with its name, by label."""
-    joint_names, attachment = load_cmu31_body().skeleton.names, learned.attachment
-    is_ambiguous = (attachment.joints >= 0) & (attachment.probability < MIN_SEGMENT_PROBABILITY)
-    return {labels[int(m)]: joint_names[attachment.second_joints[m]] for m in np.flatnonzero(is_ambiguous)}
 
 
 OWN_SET_NAME = "own"

@@ -423,7 +423,10 @@ def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
     shipped = load_shipped_marker_sets()
     ranked = sorted(((each, each.match_labels(labels)) for each in shipped), key=lambda pair: _rank_match(*pair), reverse=True)
     best = next((each for each, found in ranked if not each.describe_incomplete_body(found)), None)
-    best = best or _choose_part(ranked)
+    if not best:
+        parts = [(each, each.select_shown_part(found), found) for each, found in ranked]
+        ranks = [(_rank_match(part, set(found).intersection(part.labels)), each) for each, part, found in parts if part.labels]
+        best = max(ranks, key=lambda pair: pair[0])[1] if ranks else None
     if best:
         return MarkerSetMatch(best, describe_marker_set_match(best, labels))
     nearest, found = ranked[0]
@@ -438,13 +441,6 @@ def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
 def describe_marker_set_match(marker_set: MarkerSet, labels: Sequence[str]) -> str:
     """Return a sentence with the number of markers of a set that are among a take's labels."""
     return f"{marker_set.title}: {_format_match_count(marker_set, marker_set.match_labels(labels))} were found."
-
-
-def _choose_part(matches: Sequence[tuple[MarkerSet, Collection[str]]]) -> MarkerSet | None:
-    """Return the set with the most markers on a part of a body, None if no set shows one."""
-    parts = [(each, each.select_shown_part(found), found) for each, found in matches]
-    ranks = [(_rank_match(part, set(found).intersection(part.labels)), each) for each, part, found in parts if part.labels]
-    return max(ranks, key=lambda pair: pair[0])[1] if ranks else None
 
 
 def _rank_match(marker_set: MarkerSet, found_labels: Collection[str]) -> tuple[int, int]:

@@ -103,12 +103,18 @@ def attach_markers(
     frame_count = (~np.isnan(markers[..., 0])).sum(0)
     min_frames = min(float(MIN_ATTACHMENT_FRAMES), MIN_ATTACHMENT_FRAME_SHARE * len(markers))
     atlas_distance = np.where(label_log_odds[each, candidates[best]] > 0, 0.0, distance[best, each])
-    candidate_names = [joint_names[j] for j in candidates]
-    reasons = [
-        _explain_too_few_frames(int(frame_count[m]), min_frames)
-        or _explain_no_segment(sd[:, m], float(atlas_distance[m]), int(best[m]), candidate_names)
-        for m in each
-    ]
+    reasons = [""] * len(each)
+    for m in each:
+        name, least = joint_names[candidates[best[m]]], int(sd[:, m].argmin()) if frame_count[m] else 0
+        if frame_count[m] < max(min_frames, 1):
+            few = f"is visible in {frame_count[m]} of the frames examined, which is too few"
+            reasons[m] = few if frame_count[m] else "is never visible"
+        elif sd[best[m], m] > MAX_ATTACHED_SD_M:
+            against = f"moves by {sd[least, m] * 1e3:.0f} mm against {joint_names[candidates[least]]}"
+            reasons[m] = f"{against} and by more against every other segment"
+        elif atlas_distance[m] > MAX_ATLAS_DISTANCE_M:
+            distance_mm = f"{atlas_distance[m] * 1e3:.0f} mm"
+            reasons[m] = f"is rigid with {name}, but {distance_mm} from the body: on a prop or another segment"
     return AttachedMarkers(
         joints=np.where([bool(reason) for reason in reasons], -1, candidates[best]),
         offsets=offsets[best, each],
@@ -140,29 +146,6 @@ def measure_marker_offsets(
         squared = np.sort(((local - offsets[:, m]) ** 2).sum(-1), axis=0)[: max(1, round(KEPT_FRAME_SHARE * visible.sum()))]
         sd[:, m] = np.sqrt(squared.mean(0) / 3)
     return offsets, sd
-
-
-def _explain_too_few_frames(frame_count: int, min_frames: float) -> str:
-    """Return why a marker visible in `frame_count` frames cannot be attached, "" if it can."""
-    if frame_count >= max(min_frames, 1):
-        return ""
-    return f"is visible in {frame_count} of the frames examined, which is too few" if frame_count else "is never visible"
-
-
-def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: int, joint_names: list[str]) -> str:
-    """Return why a marker is attached to no segment, "" if it is.
-
-    Args:
-        residual_sd: (C,) m per axis: its motion relative to each of C segments, of which `best` is the most likely.
-        atlas_distance: Distance in metres from the nearest known marker position on that segment; 0 if the label names the
-            segment.
-    """
-    if residual_sd[best] > MAX_ATTACHED_SD_M:
-        least = int(residual_sd.argmin())
-        return f"moves by {residual_sd[least] * 1e3:.0f} mm against {joint_names[least]} and by more against every other segment"
-    if atlas_distance > MAX_ATLAS_DISTANCE_M:
-        return f"is rigid with {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm from the body: on a prop or another segment"
-    return ""
 
 
 MAX_ATTACHMENT_ROUNDS = 5  # rounds of calibration and attachment
@@ -216,14 +199,11 @@ def fit_marker_set(
         part = restrict_body(body, set(marker_set.joints.tolist()))
         fit = calibrate_on_frames(take, labels, marker_set, part, prior, frames)
         size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
-        attachment = attach_markers(
-            take.markers[frames],
-            fit.joint_positions,
-            fit.joint_rotations,
-            atlas.select_joints(find_posed_joints(part, body)).scale(size),
-            body.skeleton.names,
-            log_odds,
-        )
+        is_posed = part.free_joints | part.shown_segments
+        is_posed[0] = part.shown_segments[0]
+        places = atlas.select_joints(is_posed[find_carriers(part.skeleton.parents, body.free_joints)]).scale(size)
+        poses = fit.joint_positions, fit.joint_rotations
+        attachment = attach_markers(take.markers[frames], *poses, places, body.skeleton.names, log_odds)
         return fit, attachment, build_marker_set(attachment, labels, guess, size)
 
     previous = guess
@@ -236,13 +216,6 @@ def fit_marker_set(
         previous = marker_set
         fit, attachment, marker_set = calibrate_and_attach(marker_set)
     return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m, fit.joint_rotations)
-
-
-def find_posed_joints(part: BodyModel, body: BodyModel) -> Bool[np.ndarray, " J"]:
-    """Return the joints (J,) to which markers may be attached: of a part of a body those that it shows, else all."""
-    is_posed = part.free_joints | part.shown_segments
-    is_posed[0] = part.shown_segments[0]
-    return is_posed[find_carriers(part.skeleton.parents, body.free_joints)]
 
 
 def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:

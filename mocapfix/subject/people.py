@@ -109,8 +109,12 @@ def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequenc
     groups: list[tuple[str, str, list[BodyMeasurements]]] = []
     notes: dict[int, list[str]] = {}
     for body in bodies:
-        has_session_name = body.take in of_take and subject_counts[body.take] == 1
-        name, reason = (of_take[body.take], "session file") if has_session_name else find_name(body)
+        folder = PurePosixPath(body.take).parent.as_posix()
+        name, reason = (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), FOLDER_REASON
+        if body.take in of_take and subject_counts[body.take] == 1:
+            name, reason = of_take[body.take], "session file"
+        elif body.label_name:
+            name, reason = body.label_name, "prefix of the labels"
         limit = MAX_UNNAMED_DIFFERENCE if reason == FOLDER_REASON else MAX_BODY_DIFFERENCE
         same_name = [g for g, (other, _, _) in enumerate(groups) if other.casefold() == name.casefold()]
         fitting = [g for g in same_name if can_be_same(body, groups[g][2], limit)]
@@ -124,14 +128,6 @@ def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequenc
                 f"{body.take}: is named {name} like {other}, but in the same take or with another body: another person."
             ]
     return _name_uniquely(groups, notes)
-
-
-def find_name(body: BodyMeasurements) -> tuple[str, str]:
-    """Return the name of the person in a take and where it is from: the prefix of the labels, or the folder of the take."""
-    if body.label_name:
-        return body.label_name, "prefix of the labels"
-    folder = PurePosixPath(body.take).parent.as_posix()
-    return (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), FOLDER_REASON
 
 
 def can_be_same(body: BodyMeasurements, others: Sequence[BodyMeasurements], limit: float) -> bool:

@@ -326,7 +326,11 @@ def find_moved_markers(
         for place in np.unique(places[:, k]):
             rows = np.flatnonzero((places[:, k] == place) & ~np.isnan(own[:, 0]))
             found += _split_places(int(k), rows, own[rows] + marker_offsets[rows, k], threshold_m)
-    return _drop_neighbours(found, places)
+    largest: dict[tuple[int, ...], MovedMarker] = {}  # of each take: others may only follow from it, and show up again if not
+    for each in found:
+        if each.takes not in largest or each.distance_m > largest[each.takes].distance_m:
+            largest[each.takes] = each
+    return sorted(largest.values(), key=lambda each: each.marker)
 
 
 def is_confirmed_move(move: MovedMarker, marker_offsets: Float[np.ndarray, "T K 3"]) -> bool:
@@ -367,15 +371,6 @@ def _split_places(
         for group in groups
     ]
     return [move for move in moves if move.distance_m > threshold_m]
-
-
-def _drop_neighbours(found: list[MovedMarker], places: Int[np.ndarray, "T K"]) -> list[MovedMarker]:
-    """Return the largest move of each take alone: others may only follow from it, and show up again if they do not."""
-    largest: dict[tuple[int, ...], MovedMarker] = {}
-    for each in found:
-        if each.takes not in largest or each.distance_m > largest[each.takes].distance_m:
-            largest[each.takes] = each
-    return sorted(largest.values(), key=lambda each: each.marker)
 
 
 def _compute_nanmedian(values: Float[np.ndarray, "R ..."]) -> Float[np.ndarray, "..."]:
@@ -450,7 +445,8 @@ def calibrate_person(
     session_of_take = {take.take: name for take, name in zip(takes, sessions or [""] * len(takes), strict=True)}
     body = restrict_body(load_cmu31_body(), set(takes[0].joints.tolist()))
     prior = load_mean_pose_prior(mean_pose_prior, body.skeleton)
-    ranked = sorted(takes, key=_rank_take)
+    is_range = {take.take: any(word in take.take.casefold() for word in RANGE_OF_MOTION_WORDS) for take in takes}
+    ranked = sorted(takes, key=lambda take: (not is_range[take.take], -take.pose_variation_rad))
     frame_count = max(MIN_FRAMES_PER_TAKE, MAX_FRAMES_PER_PERSON // min(len(ranked), MAX_JOINT_TAKES))
     thinned = [thin_frames(take, frame_count) for take in ranked]
     chosen = thinned[:MAX_JOINT_TAKES]
@@ -581,9 +577,3 @@ def find_foreign_take(take: CalibrationFrames, state: RefinementState, others: S
 def compute_typical_residual(state: RefinementState) -> float:
     """Return the median distance in metres of the markers from the calibrated body."""
     return float(np.nanmedian(np.linalg.norm(state.problem.marker_positions - predict_frame_markers(state), axis=-1)))
-
-
-def _rank_take(take: CalibrationFrames) -> tuple[bool, float]:
-    """Return the order of a take: ranges of motion first, then by how much the poses vary."""
-    name = take.take.casefold()
-    return not any(word in name for word in RANGE_OF_MOTION_WORDS), -take.pose_variation_rad

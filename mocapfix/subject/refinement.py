@@ -233,30 +233,6 @@ def respond_in_frames(
     )
 
 
-def compute_calibration_sd(
-    state: RefinementState,
-    curvature: Float[np.ndarray, "Q Q"],
-    times_s: Float[np.ndarray, " N"] | None = None,
-    residual_sd_m: float = CALIBRATION_MARKER_SD_M,
-) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
-    """Return the standard deviation per axis, in metres, of joints and markers due to the uncertainty of the shared unknowns.
-
-    The pose of each frame adapts to the unknowns. The values are root mean squares over at most MAX_UNCERTAINTY_FRAMES frames.
-
-    Args:
-        times_s: Of the frames; None if each is measured independently.
-        residual_sd_m: Of a marker about its place on the body, per axis.
-    """
-    frames = sample_evenly(len(state.poses[0]), MAX_UNCERTAINTY_FRAMES)
-    responses = respond_in_frames(state.parameters, state.problem, state.poses, frames)
-    covariance = np.linalg.inv(curvature)
-    if times_s is not None:
-        of_prior = state.parameters.gradient_covariance
-        weighted = responses.marker_response, responses.marker_weight
-        covariance = compute_shared_covariance(*weighted, curvature, of_prior, times_s, residual_sd_m)
-    return compute_response_sd(responses.joint_response, responses.marker_response, covariance)
-
-
 def build_refined_subject(
     start: Subject, state: RefinementState, curvature: np.ndarray, times_s: Float[np.ndarray, " N"]
 ) -> Subject:
@@ -275,5 +251,9 @@ def build_refined_subject(
     spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)
     pose_freedom = 3 + 3 * int(np.isin(np.flatnonzero(tree.free), start.joints).sum())
     residual_sd_m = estimate_residual_sd(distance, pose_freedom)
-    joint_sd, marker_sd = compute_calibration_sd(state, curvature, times_s, residual_sd_m)
+    frames = sample_evenly(len(state.poses[0]), MAX_UNCERTAINTY_FRAMES)
+    responses = respond_in_frames(state.parameters, state.problem, state.poses, frames)
+    weighted, of_prior = (responses.marker_response, responses.marker_weight), state.parameters.gradient_covariance
+    covariance = compute_shared_covariance(*weighted, curvature, of_prior, times_s, residual_sd_m)
+    joint_sd, marker_sd = compute_response_sd(responses.joint_response, responses.marker_response, covariance)
     return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

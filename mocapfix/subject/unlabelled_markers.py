@@ -17,7 +17,6 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
-from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import refinement
@@ -86,7 +85,11 @@ def guess_from_marker_cloud(
 
 def fit_bodies_to_markers(markers: Float[np.ndarray, "M 3"], body: PosedBody) -> MarkerAssignment:
     """Return the assignment (H, M) and misfit (H,) of the H best poses of a body fitted to one frame's markers in metres."""
-    poses = place_standing_bodies(markers, body)
+    local_rotations = body.turn_around(BODY_HEADING_COUNT)
+    predicted = body.predict((np.zeros((len(local_rotations), 3)), local_rotations))
+    root_position = np.nanmedian(markers, axis=0) - np.median(predicted, axis=1)
+    root_position[:, 1] = np.nanmin(markers[:, 1]) - predicted[:, :, 1].min(1)
+    poses = root_position, local_rotations
     indices, misfit = np.full((len(poses[0]), len(markers)), -1), np.full(len(poses[0]), np.inf)
     for solve_round, gate in enumerate(np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS)):
         if solve_round == BODY_SCREENING_ROUNDS:
@@ -145,12 +148,3 @@ def build_guessed_marker_set(indices: np.ndarray, labels: tuple[str, ...], known
     places, spread = indices[assigned], np.full(len(assigned), GUESSED_MARKER_SPREAD_M)
     names, aliases = tuple(labels[m] for m in assigned), ((),) * len(assigned)
     return MarkerSet("guess", "guess", "cmu31", names, known.joints[places], known.marker_offsets[places], spread, aliases)
-
-
-def place_standing_bodies(markers: Float[np.ndarray, "M 3"], body: PosedBody) -> Poses:
-    """Return poses of a body that stands where the markers are, in all headings and arm positions."""
-    local_rotations = body.turn_around(BODY_HEADING_COUNT)
-    predicted = body.predict((np.zeros((len(local_rotations), 3)), local_rotations))
-    root_position = np.nanmedian(markers, axis=0) - np.median(predicted, axis=1)
-    root_position[:, 1] = np.nanmin(markers[:, 1]) - predicted[:, :, 1].min(1)
-    return root_position, local_rotations
