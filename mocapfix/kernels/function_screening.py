@@ -7,8 +7,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
-# Standard deviation of a normal distribution in multiples of its median absolute deviation.
-SD_PER_MEDIAN_DEVIATION = 1.5
+SD_PER_MEDIAN_DEVIATION = 1.5  # standard deviation of a normal distribution in multiples of its median absolute deviation
 # Number of vectors of which a place is a combination, and largest number of fitted vectors.
 PLACE_VECTORS = 5
 MAX_VECTORS = 5

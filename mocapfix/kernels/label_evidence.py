@@ -8,40 +8,24 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
-# Mismatch of two samples that noise and skin cause in an arbitrarily short time.
-LEAP_TOLERANCE_M = 0.010
-# Growth of the tolerance with the time between the samples (measured: 99 of 100 mismatches are smaller).
-LEAP_TOLERANCE_M_PER_S = 1.0
-# Possible speed of a marker of which only one sample is visible.
-UNKNOWN_SPEED_M_PER_S = 2.0
-# Longest time over which a velocity is measured, in frames.
-MAX_VELOCITY_STEPS = 2
-# Samples farther apart in time are not compared.
-MAX_LEAP_GAP_S = 0.3
+LEAP_TOLERANCE_M = 0.010  # mismatch of two samples that noise and skin cause in an arbitrarily short time
+LEAP_TOLERANCE_M_PER_S = 1.0  # with the time between the samples (measured: 99 of 100 mismatches are smaller)
+UNKNOWN_SPEED_M_PER_S = 2.0  # possible speed of a marker of which only one sample is visible
+MAX_VELOCITY_STEPS = 2  # longest time over which a velocity is measured, in frames
+MAX_LEAP_GAP_S = 0.3  # samples farther apart in time are not compared
 
-# A label with a larger leap may have changed its marker.
-MIN_CANDIDATE_LEAP = 0.5
-# A label that continues another one with a smaller leap may have the same marker.
-MAX_CONTINUATION_LEAP = 0.3
-# Samples with a larger contradiction of a marker's distances may be another marker's.
-MIN_SWAP_CONTRADICTION = 0.3
-# Shortest stretch of contradictions that makes a candidate.
-MIN_CONTRADICTION_DURATION_S = 0.05
-# Largest contradiction of the other marker's distances, relative to that of the own ones.
-MAX_RELATIVE_CONTRADICTION = 0.85
-# Number of frames of a stretch at which other labels are compared.
-MAX_COMPARED_FRAMES = 9
-# Longest time for which a marker may be missing before a label continues it: later almost every label may do so.
-MAX_UNSEEN_DURATION_S = 0.1
+MIN_CANDIDATE_LEAP = 0.5  # A label with a larger leap may have changed its marker
+MAX_CONTINUATION_LEAP = 0.3  # A label that continues another one with a smaller leap may have the same marker
+MIN_SWAP_CONTRADICTION = 0.3  # samples with a larger contradiction of a marker's distances may be another marker's
+MIN_CONTRADICTION_DURATION_S = 0.05  # shortest stretch of contradictions that makes a candidate
+MAX_RELATIVE_CONTRADICTION = 0.85  # largest contradiction of the other marker's distances, relative to that of the own ones
+MAX_COMPARED_FRAMES = 9  # number of frames of a stretch at which other labels are compared
+MAX_UNSEEN_DURATION_S = 0.1  # of a marker before a label continues it: later almost every label may do so
 
-# Cost, in leaps, of assigning a label to another marker.
-LABEL_CHANGE_COST = 0.5
-# A label with a smaller leap from one frame to the next continues smoothly, and has not changed its marker.
-MAX_SMOOTH_LEAP = 0.25
-# Cost, in leaps, of a change of a label that continues smoothly.
-SMOOTH_CHANGE_COST = 1000.0
-# Duration of a full contradiction that costs as much as one leap.
-CONTRADICTION_S_PER_LEAP = 0.05
+LABEL_CHANGE_COST = 0.5  # cost, in leaps, of assigning a label to another marker
+MAX_SMOOTH_LEAP = 0.25  # from one frame to the next, of a label that continues smoothly and has not changed its marker
+SMOOTH_CHANGE_COST = 1000.0  # cost, in leaps, of a change of a label that continues smoothly
+CONTRADICTION_S_PER_LEAP = 0.05  # duration of a full contradiction that costs as much as one leap
 
 
 @compile_inner_kernel

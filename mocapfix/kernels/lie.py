@@ -96,10 +96,7 @@ def compute_logarithm(m):
 
 @compile_inner_kernel
 def compute_left_jacobian_inverse(x, y, z, c):
-    """Return J with log(exp(d) exp(r)) = r + J d to first order in d; r and c from `compute_logarithm`.
-
-    Sola, Deray, Atchuthan 2018, Eq. 146.
-    """
+    """Return J: log(exp(d) exp(r)) = r + J d to first order; r, c from `compute_logarithm` (Sola et al. 2018, Eq. 146)."""
     return (
         1 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y,
         c * x * y - 0.5 * z, 1 - c * (x * x + z * z), c * y * z + 0.5 * x,
@@ -183,22 +180,3 @@ def store_joint_quaternions(quaternions, joint, rotations):
     for t in range(len(quaternions)):
         x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
         store_matrix(convert_quaternion_to_matrix(x, y, z, w), rotations[t], joint)
-
-
-@compile_inner_kernel
-def compute_relative_rotation_vectors(quaternions, reference):
-    """Return (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4) relative to `reference` (4,).
-
-    All quaternions have unit length; the vector v stands for exp(v) reference.
-    """
-    out = np.empty((len(quaternions), 3))
-    a, b, c, d = -reference[0], -reference[1], -reference[2], reference[3]
-    for t in range(len(quaternions)):
-        x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
-        i, j, k = w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d
-        real = w * d - x * a - y * b - z * c
-        sign = -1.0 if real < 0 else 1.0
-        length = math.sqrt(i * i + j * j + k * k)
-        factor = 2 * sign if length < MIN_VECTOR_LENGTH else 2 * sign * math.atan2(length, abs(real)) / length
-        out[t, 0], out[t, 1], out[t, 2] = factor * i, factor * j, factor * k
-    return out

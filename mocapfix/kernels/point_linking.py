@@ -10,27 +10,20 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
-# Scale of the deviation from the extrapolated position in an arbitrarily short time.
-LINK_NOISE_M = 0.0015
+LINK_NOISE_M = 0.0015  # scale of the deviation from the extrapolated position in an arbitrarily short time
 # Scale of unknown accelerations: at least this, and a multiple of those that the trajectory had lately.
 MIN_LINK_ACCELERATION_M_PER_S2 = 5.0
 RECENT_ACCELERATION_FACTOR = 1.0
-# Weight of the latest deviation in the mean of a trajectory's recent ones.
-RECENT_DEVIATION_WEIGHT = 0.3
-# Scale of the speed of a point that was seen in one frame only.
-FIRST_LINK_SPEED_M_PER_S = 2.0
-# A point that was seen in one frame only is continued over at most this many frames.
-MAX_FIRST_LINK_FRAMES = 2
+RECENT_DEVIATION_WEIGHT = 0.3  # weight of the latest deviation in the mean of a trajectory's recent ones
+FIRST_LINK_SPEED_M_PER_S = 2.0  # scale of the speed of a point that was seen in one frame only
+MAX_FIRST_LINK_FRAMES = 2  # A point that was seen in one frame only is continued over at most this many frames
 # Points farther from the extrapolated position are no candidates: a constant, a term in the square of the time, and a limit.
 LINK_GATE_M = 0.015
 LINK_GATE_M_PER_S2 = 500.0
 MAX_LINK_GATE_M = 0.15
-# A point that is not where a trajectory was going may be another marker that was hidden: anywhere within this distance.
-HIDDEN_MARKER_RANGE_M = 0.2
-# Degrees of freedom of the distribution of deviations.
-DEVIATION_FREEDOM = 3.0
-# Number of samples that determine an acceleration.
-ACCELERATION_SAMPLES = 3
+HIDDEN_MARKER_RANGE_M = 0.2  # within which a point may be another marker that was hidden
+DEVIATION_FREEDOM = 3.0  # degrees of freedom of the distribution of deviations
+ACCELERATION_SAMPLES = 3  # number of samples that determine an acceleration
 
 
 @compile_inner_kernel

@@ -91,10 +91,7 @@ def invert_symmetric_3x3(m, j):
 
 @compile_inner_kernel(fastmath=SUM_FASTMATH_FLAGS)
 def factor_cholesky(m):
-    """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
-
-    A direction without information gets a tiny curvature.
-    """
+    """Factor `m` (N, N) into L L', L in its lower triangle; a direction without information gets a tiny curvature."""
     for j in range(len(m)):
         for i in range(j, len(m)):
             total = 0.0

@@ -68,11 +68,7 @@ def allocate_factors(joints, unknowns):
 
 @compile_kernel
 def factorise_tree(tree, equations, damping, factors):
-    """Eliminate every joint's rotation, the root's twist and the shared unknowns, in this order, into `factors`.
-
-    Args:
-        damping: Marquardt damping, added to the diagonal of every unknown.
-    """
+    """Eliminate all joints' rotations, the root's twist and the shared unknowns into `factors`, with Marquardt damping."""
     parents, free, lever_arm, h_joint = tree.parents, tree.free, equations.lever_arm, equations.h_joint
     h, gain, inverse, cross, unknowns = (
         factors.h,

@@ -13,8 +13,7 @@ from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 MAX_EXACT_DIGITS = 15  # digits of a whole number that a double represents exactly
 POWERS_OF_TEN = 10.0 ** np.arange(23)  # those that a double represents exactly
 
-# Kinds of tokens
-NUMBER_TOKEN = 0
+NUMBER_TOKEN = 0  # kinds of tokens
 LONG_NUMBER_TOKEN = 1  # Python must parse it
 WORD_TOKEN = 2
 
@@ -120,10 +119,7 @@ def _copy_bytes(source, out, at):
 
 @compile_inner_kernel
 def write_number(value, decimals, power, out, at):
-    """Write a number into the bytes `out` from `at` on, and return the byte after it.
-
-    power is 10^decimals, and abs(value) * power must be less than MAX_EXACT_PRODUCT.
-    """
+    """Write a number into `out` from `at` on, return the byte after it; abs(value) * 10^decimals < MAX_EXACT_PRODUCT."""
     if np.signbit(value):
         out[at] = 45
         at += 1

@@ -9,8 +9,7 @@ BEND_TOLERANCE_M = 0.010
 # Cost of omitting one sample, and the additional cost of the longest run that may be omitted.
 OMITTED_SAMPLE_COST = 1.5
 OMITTED_RUN_LENGTH_COST = 1.5
-# Cost of omitting one sample next to a gap or at the ends of the take, where it causes only one bend.
-OMITTED_EDGE_SAMPLE_COST = 0.75
+OMITTED_EDGE_SAMPLE_COST = 0.75  # next to a gap or at the ends of the take, where omitting a sample causes one bend
 
 
 @compile_inner_kernel

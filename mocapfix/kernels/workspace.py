@@ -27,10 +27,7 @@ class SolveWorkspace(NamedTuple):
 
 @compile_inner_kernel
 def allocate_workspace(joints, unknowns, rows):
-    """Return the workspace for so many joints, unknowns shared by the joints, and rows (None for no rows).
-
-    With None, the code for rows is not compiled.
-    """
+    """Return the workspace for so many joints, shared unknowns and rows; without rows (None) no code for them is compiled."""
     return SolveWorkspace(
         allocate_pose(joints, unknowns), allocate_pose(joints, unknowns), allocate_equations(joints, unknowns, rows),
         allocate_factors(joints, unknowns), allocate_step(joints, unknowns), allocate_row_responses(joints, unknowns, rows),

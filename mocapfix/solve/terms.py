@@ -14,44 +14,15 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.terms import (
-    DirectionTerm,
-    DistanceTerm,
-    JointLimitTerm,
-    OrientationTerm,
-    PointTerm,
-    PosePriorTerm,
-    ReprojectionTerm,
-    TrackingTerm,
-    normalise_pixels,
-)
+from mocapfix.kernels.forward_kinematics import KinematicTree as KinematicTree
+from mocapfix.kernels.terms import DirectionTerm as DirectionTerm
+from mocapfix.kernels.terms import DistanceTerm as DistanceTerm
+from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm
+from mocapfix.kernels.terms import OrientationTerm as OrientationTerm
+from mocapfix.kernels.terms import ReprojectionTerm as ReprojectionTerm
+from mocapfix.kernels.terms import normalise_pixels as normalise_pixels
 from mocapfix.options import SolveOptions
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
-
-__all__ = [
-    "JOINT_LIMIT_SD_RAD",
-    "BodyTerms",
-    "DirectionTerm",
-    "DistanceTerm",
-    "JointLimitTerm",
-    "KinematicTree",
-    "MarkerAttachment",
-    "OrientationTerm",
-    "PointTerm",
-    "PosePriorTerm",
-    "ReprojectionTerm",
-    "ShapeDeformations",
-    "TrackingTerm",
-    "build_joint_limit_term",
-    "build_marker_term",
-    "build_no_joint_limits",
-    "build_no_tracking",
-    "build_pose_prior_term",
-    "compute_robust_costs",
-    "compute_robust_weights",
-    "normalise_pixels",
-]
 
 
 class MarkerAttachment(NamedTuple):

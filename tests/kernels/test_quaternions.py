@@ -64,14 +64,3 @@ def test_unknown_frames_do_not_flip_later_ones(unknown):
     known[unknown] = False
     found = of(about([1, 0, 0], angle).as_matrix(), known)[known]
     assert ((found[1:] * found[:-1]).sum(1) > 0.9).all()
-
-
-@given(seeds)
-def test_relative_rotation_vectors_equal_scipy(seed):
-    rng = np.random.default_rng(seed)
-    turns, reference = Rotation.random(8, rng), Rotation.random(None, rng)
-    found = lie.compute_relative_rotation_vectors(turns.as_quat(), reference.as_quat())
-    np.testing.assert_allclose(found, (turns * reference.inv()).as_rotvec(), atol=1e-12)
-    np.testing.assert_allclose(
-        lie.compute_relative_rotation_vectors(reference.as_quat()[None], reference.as_quat()), 0.0, atol=1e-15
-    )

@@ -6,14 +6,7 @@
 - `contract`: the interface of a term, and the robust losses
 """
 
-from mocapfix.kernels.terms.constraints import (
-    DistanceTerm,
-    JointLimitTerm,
-    PosePriorTerm,
-    ScalarTerm,
-    TrackingTerm,
-    count_rows,
-)
+from mocapfix.kernels.terms.constraints import DistanceTerm, JointLimitTerm, PosePriorTerm, ScalarTerm, TrackingTerm, count_rows
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, HUBER
 from mocapfix.kernels.terms.latent_code import LatentCodeTerm
 from mocapfix.kernels.terms.observations import DirectionTerm, OrientationTerm, PointTerm, ReprojectionTerm, normalise_pixels
