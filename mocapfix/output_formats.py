@@ -71,19 +71,12 @@ RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
 
 @dataclass(frozen=True)
 class ExportedMotion:
-    """A motion as it is written.
+    """A motion as it is written."""
 
-    Attributes:
-        subject: The subject that moves.
-        motion: The motion at the output rate, with the floor at height 0.
-        rate: Frames per second.
-        floor_height_m: Height of the floor in the take.
-    """
-
-    subject: Subject
-    motion: Motion
-    rate: float
-    floor_height_m: float = 0.0
+    subject: Subject  # the subject that moves
+    motion: Motion  # the motion at the output rate, with the floor at height 0
+    rate: float  # frames per second
+    floor_height_m: float = 0.0  # height of the floor in the take
 
     @property
     def parts(self) -> tuple[Skeleton, Motion, float]:
@@ -93,27 +86,16 @@ class ExportedMotion:
 
 @dataclass(frozen=True)
 class OutputContent:
-    """What the files of one subject are written from.
+    """What the files of one subject are written from."""
 
-    Attributes:
-        input_take: The take as read.
-        points: The cleaned markers; of an animation its joints.
-        exported: The motion as it is written; None without a body.
-        contacts: When joints of the body are in contact with the floor; None without a body.
-        changes: The changes that were applied or declined.
-        review: What a reviewer decided after an earlier cleaning.
-        report: Contents of the JSON report.
-        comparison: The take before and after cleaning.
-    """
-
-    input_take: Take
-    points: Take
-    exported: ExportedMotion | None
-    contacts: BodyContacts | None
-    changes: tuple[Change, ...]
-    review: Review
-    report: Report
-    comparison: CleaningComparison
+    input_take: Take  # the take as read
+    points: Take  # the cleaned markers; of an animation its joints
+    exported: ExportedMotion | None  # the motion as it is written; None without a body
+    contacts: BodyContacts | None  # when joints of the body are in contact with the floor; None without a body
+    changes: tuple[Change, ...]  # the changes that were applied or declined
+    review: Review  # what a reviewer decided after an earlier cleaning
+    report: Report  # contents of the JSON report
+    comparison: CleaningComparison  # the take before and after cleaning
 
     @property
     def motion(self) -> ExportedMotion:
@@ -133,22 +115,16 @@ class OutputFormat:
     """A format that is written.
 
     Attributes:
-        suffix: Suffix of the file, which follows the stem of the input.
         write_file: Writes content to a path and returns sentences for the report.
-        companion_suffixes: Suffixes of files that `write_file` writes beside it.
-        needs_body: Whether the format is written only if the take has a body.
-        needs_markers: Whether the format is written only if the subject has markers.
-        timer_stage: Stage in which its time is counted.
-        usage_note: What users of the file must know, as a predicate of the file name.
     """
 
-    suffix: str
+    suffix: str  # suffix of the file, which follows the stem of the input
     write_file: Callable[[Path, OutputContent], Sequence[str] | None]
-    companion_suffixes: tuple[str, ...] = ()
-    needs_body: bool = False
-    needs_markers: bool = False
-    timer_stage: str = "write"
-    usage_note: str = ""
+    companion_suffixes: tuple[str, ...] = ()  # suffixes of files that `write_file` writes beside it
+    needs_body: bool = False  # whether the format is written only if the take has a body
+    needs_markers: bool = False  # whether the format is written only if the subject has markers
+    timer_stage: str = "write"  # stage in which its time is counted
+    usage_note: str = ""  # what users of the file must know, as a predicate of the file name
 
     @property
     def all_suffixes(self) -> tuple[str, ...]:

@@ -188,16 +188,13 @@ class StageCounts:
     """The jobs of one stage.
 
     Attributes:
-        job_count: All jobs.
-        earlier_count: Jobs that an earlier batch did.
-        start_s: Time at which the stage began.
         running: The jobs that were handed to a worker and run or wait there, the earliest first.
     """
 
     stage: str = ""
-    job_count: int = 0
-    earlier_count: int = 0
-    start_s: float = 0.0
+    job_count: int = 0  # all jobs
+    earlier_count: int = 0  # jobs that an earlier batch did
+    start_s: float = 0.0  # time at which the stage began
     done_count: int = 0
     failed_count: int = 0
     running: dict[str, None] = field(default_factory=dict[str, None])

@@ -51,22 +51,18 @@ class AsfBone:
     """A bone as the file describes it.
 
     Attributes:
-        name: Its name.
-        line_number: Line on which its description begins.
         direction: Unit vector from its beginning to its end in the rest pose, in world axes.
-        length: Length in file units.
         rotation_world_bone: Rotation from its own axes to world axes in the rest pose.
         degrees_of_freedom: Names such as "rx", in the order of the AMC's values. The first rotation is the innermost.
-        parent: Name of the bone at whose end it begins, "" for the root.
     """
 
-    name: str
-    line_number: int
+    name: str  # its name
+    line_number: int  # line on which its description begins
     direction: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
-    length: float = 0.0
+    length: float = 0.0  # length in file units
     rotation_world_bone: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     degrees_of_freedom: tuple[str, ...] = ()
-    parent: str = ""
+    parent: str = ""  # name of the bone at whose end it begins, "" for the root
 
     @property
     def tip_offset(self) -> Float[np.ndarray, " 3"]:
@@ -88,17 +84,11 @@ class AsfBone:
 
 @dataclass(frozen=True)
 class AsfSkeleton:
-    """The skeleton of an ASF.
+    """The skeleton of an ASF."""
 
-    Attributes:
-        bones: Parents before children; the first is the root.
-        root_position: Position of the root in file units.
-        unit_m: Metres per file unit.
-    """
-
-    bones: tuple[AsfBone, ...]
-    root_position: Float[np.ndarray, " 3"]
-    unit_m: float
+    bones: tuple[AsfBone, ...]  # parents before children; the first is the root
+    root_position: Float[np.ndarray, " 3"]  # position of the root in file units
+    unit_m: float  # metres per file unit
 
 
 def parse_asf(path: Path, text: str) -> AsfSkeleton:
@@ -238,17 +228,11 @@ AMC_HEAD_PATTERN = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Z
 
 @dataclass(frozen=True)
 class _BoneLines:
-    """The lines of one bone in an AMC.
+    """The lines of one bone in an AMC."""
 
-    Attributes:
-        frames: Frame of each line, counted from 1.
-        tokens: Token that each line begins with.
-        value_counts: Number of values on each line.
-    """
-
-    frames: Int[np.ndarray, " n"]
-    tokens: Int[np.ndarray, " n"]
-    value_counts: Int[np.ndarray, " n"]
+    frames: Int[np.ndarray, " n"]  # frame of each line, counted from 1
+    tokens: Int[np.ndarray, " n"]  # token that each line begins with
+    value_counts: Int[np.ndarray, " n"]  # number of values on each line
 
 
 def is_asf_or_amc(head: bytes) -> bool:

@@ -49,19 +49,12 @@ MAX_STANDING_SPEED_M_PER_S = 0.15  # of a marker on a foot that stands
 
 @dataclass(frozen=True)
 class BodyEvidence:
-    """The labelled markers of the person with the most of them, in evenly spread frames.
+    """The labelled markers of the person with the most of them, in evenly spread frames."""
 
-    Attributes:
-        labels: Labels of M markers.
-        positions: (T, M, 3) in the axes of the file, NaN where missing.
-        later_positions: The same markers `step_s` later.
-        step_s: Time between both (s).
-    """
-
-    labels: tuple[str, ...]
-    positions: Float[np.ndarray, "T M 3"]
-    later_positions: Float[np.ndarray, "T M 3"]
-    step_s: float
+    labels: tuple[str, ...]  # labels of M markers
+    positions: Float[np.ndarray, "T M 3"]  # (T, M, 3) in the axes of the file, NaN where missing
+    later_positions: Float[np.ndarray, "T M 3"]  # the same markers `step_s` later
+    step_s: float  # time between both (s)
 
     @cached_property
     def heights(self) -> tuple[int | None, ...]:
@@ -113,21 +106,13 @@ class BodyEvidence:
 
 
 class InspectedPoints(NamedTuple):
-    """The points of a file from which its unit and its axes are judged.
+    """The points of a file from which its unit and its axes are judged."""
 
-    Attributes:
-        labels: Labels of M markers, with the names of subjects, or of unlabelled trajectories.
-        columns: Their indices among the points of the file.
-        frame_count: Number of frames.
-        rate: Frames per second.
-        convert: Returns positions in the axes of the file, in metres if its unit is right.
-    """
-
-    labels: tuple[str, ...]
-    columns: Int[np.ndarray, " M"]
-    frame_count: int
-    rate: float
-    convert: PointConverter
+    labels: tuple[str, ...]  # labels of M markers, with the names of subjects, or of unlabelled trajectories
+    columns: Int[np.ndarray, " M"]  # their indices among the points of the file
+    frame_count: int  # number of frames
+    rate: float  # frames per second
+    convert: PointConverter  # returns positions in the axes of the file, in metres if its unit is right
 
 
 def inspect_points(types: PointTypes, frame_count: int, rate: float, convert: PointConverter) -> InspectedPoints:

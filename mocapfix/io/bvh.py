@@ -198,21 +198,13 @@ MIN_NOTED_STRETCH_M = 0.02  # change of a bone's length; constant positions, as 
 
 
 class _Timing(NamedTuple):
-    """The two lines before the numbers of a BVH.
+    """The two lines before the numbers of a BVH."""
 
-    Attributes:
-        declared_frame_count: Number of frames as declared.
-        rate: Frames per second.
-        stop_byte: Byte after the two lines.
-        notes: A sentence about the rate if it was rounded in the file.
-        wrong_bytes: First byte and byte after the frame time if it is not that of the rate, even rounded.
-    """
-
-    declared_frame_count: int
-    rate: float
-    stop_byte: int
-    notes: tuple[str, ...]
-    wrong_bytes: tuple[int, int] | None
+    declared_frame_count: int  # number of frames as declared
+    rate: float  # frames per second
+    stop_byte: int  # byte after the two lines
+    notes: tuple[str, ...]  # a sentence about the rate if it was rounded in the file
+    wrong_bytes: tuple[int, int] | None  # first byte and byte after the frame time if it is not that of the rate, even rounded
 
 
 def is_bvh(head: bytes) -> bool:

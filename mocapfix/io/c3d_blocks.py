@@ -31,21 +31,13 @@ MAX_RATIO_ERROR = 0.05  # of analog and point rate from a whole number
 
 
 class SampleBlocks(NamedTuple):
-    """One reading of the data section: frames of points and analog values, one after the other.
+    """One reading of the data section: frames of points and analog values, one after the other."""
 
-    Attributes:
-        point_count: Points in a frame.
-        analog_words: Analog values in a frame, after its points.
-        is_float: Whether words are floats of 4 bytes; otherwise integers of 2.
-        start_byte: Offset of the first frame.
-        frame_count: Number of frames.
-    """
-
-    point_count: int
-    analog_words: int
-    is_float: bool
-    start_byte: int
-    frame_count: int
+    point_count: int  # points in a frame
+    analog_words: int  # analog values in a frame, after its points
+    is_float: bool  # whether words are floats of 4 bytes; otherwise integers of 2
+    start_byte: int  # offset of the first frame
+    frame_count: int  # number of frames
 
     @property
     def frame_bytes(self) -> int:
@@ -88,17 +80,11 @@ class _Source(NamedTuple):
 
 
 class _Evidence(NamedTuple):
-    """How the values look in a reading.
+    """How the values look in a reading."""
 
-    Attributes:
-        roughness: As for MAX_ROUGHNESS; NaN if too few samples are visible.
-        sane_share: As for MIN_SANE_SHARE.
-        whole_share: Share of residual words that are whole numbers.
-    """
-
-    roughness: float
-    sane_share: float
-    whole_share: float
+    roughness: float  # as for MAX_ROUGHNESS; NaN if too few samples are visible
+    sane_share: float  # as for MIN_SANE_SHARE
+    whole_share: float  # share of residual words that are whole numbers
 
     @property
     def is_absurd(self) -> bool:

@@ -312,58 +312,34 @@ class C3dParameters:
     """What a C3D file declares about itself, in its own units.
 
     Attributes:
-        processor_type: One of PROCESSOR_TYPES.
-        point_count: Points per frame, by POINT:USED.
-        header_point_count: Points per frame, by the header.
-        header_analog_words: Analog values after the points of a frame, by the header's third word.
-        header_samples_per_frame: Analog samples of a channel in a frame, by the header's tenth word.
-        analog_channel_count: ANALOG:USED, None if not given.
-        analog_rate: ANALOG:RATE, NaN if not given.
-        header_data_block: Number of the first block of data by the header, 0 if not given.
-        data_start_block: POINT:DATA_START, 0 if not given.
-        section_end_byte: First block boundary after the last parameter.
-        scale_factor: POINT:SCALE, negative if samples are floats.
-        header_scale_factor: The same by the header.
-        rate: Frames per second.
-        header_rate: The same by the header.
-        unit_name: POINT:UNITS, "" if not given.
-        screen_axis: The file axis that its program draws upwards, such as "+Z", "" if not given.
-        labels: Labels of all points, without blanks around them. There may be more or fewer than points.
-        descriptions: Descriptions of the points, if there are any.
         model_outputs: Labels of the points that the file lists as angles, forces and other outputs that are no positions.
-        modelled_markers: Labels of the points that the file lists as computed positions.
-        subject_names: Names of the subjects that the file lists, as Vicon's files do.
-        first_frame: Number of the first frame.
-        header_frame_count: Number of frames by the header.
-        frame_counts: Numbers of frames by header and parameters; the header's words end at 65535.
-        is_count_saturated: Whether the header's last frame is 65535 and no parameter declares more.
     """
 
-    processor_type: int
-    point_count: int
-    header_point_count: int
-    header_analog_words: int
-    header_samples_per_frame: int
-    analog_channel_count: int | None
-    analog_rate: float
-    header_data_block: int
-    data_start_block: int
-    section_end_byte: int
-    scale_factor: float
-    header_scale_factor: float
-    rate: float
-    header_rate: float
-    unit_name: str
-    screen_axis: str
-    labels: tuple[str, ...]
-    descriptions: tuple[str, ...]
+    processor_type: int  # one of PROCESSOR_TYPES
+    point_count: int  # points per frame, by POINT:USED
+    header_point_count: int  # points per frame, by the header
+    header_analog_words: int  # analog values after the points of a frame, by the header's third word
+    header_samples_per_frame: int  # analog samples of a channel in a frame, by the header's tenth word
+    analog_channel_count: int | None  # ANALOG:USED, None if not given
+    analog_rate: float  # ANALOG:RATE, NaN if not given
+    header_data_block: int  # number of the first block of data by the header, 0 if not given
+    data_start_block: int  # POINT:DATA_START, 0 if not given
+    section_end_byte: int  # first block boundary after the last parameter
+    scale_factor: float  # POINT:SCALE, negative if samples are floats
+    header_scale_factor: float  # the same by the header
+    rate: float  # frames per second
+    header_rate: float  # the same by the header
+    unit_name: str  # POINT:UNITS, "" if not given
+    screen_axis: str  # the file axis that its program draws upwards, such as "+Z", "" if not given
+    labels: tuple[str, ...]  # Labels of all points, without blanks around them. There may be more or fewer than points.
+    descriptions: tuple[str, ...]  # descriptions of the points, if there are any
     model_outputs: frozenset[str]
-    modelled_markers: frozenset[str]
-    subject_names: tuple[str, ...]
-    first_frame: int
-    header_frame_count: int
-    frame_counts: tuple[int, ...]
-    is_count_saturated: bool
+    modelled_markers: frozenset[str]  # labels of the points that the file lists as computed positions
+    subject_names: tuple[str, ...]  # names of the subjects that the file lists, as Vicon's files do
+    first_frame: int  # number of the first frame
+    header_frame_count: int  # number of frames by the header
+    frame_counts: tuple[int, ...]  # numbers of frames by header and parameters; the header's words end at 65535
+    is_count_saturated: bool  # whether the header's last frame is 65535 and no parameter declares more
 
 
 def read_c3d_parameters(data: bytes) -> C3dParameters:

@@ -22,13 +22,12 @@ class FileFormat(NamedTuple):
     """A file format.
 
     Attributes:
-        name: Its name in messages.
         matches: Whether a file with the given beginning has the format. The beginning is the first 64 KiB of the file. That of
             a text is in UTF-8, without a byte-order mark, whatever the encoding of the file.
         read: Reads a capture from a path (for messages), the bytes of the file, and what is known about it.
     """
 
-    name: str
+    name: str  # its name in messages
     matches: Callable[[bytes], bool]
     read: Callable[[Path, bytes, ReadOptions], Take | Animation]
 

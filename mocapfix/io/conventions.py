@@ -64,36 +64,22 @@ MIN_HANDEDNESS = 0.25
 
 @dataclass(frozen=True)
 class DeclaredConvention:
-    """What a file declares of its coordinates.
+    """What a file declares of its coordinates."""
 
-    Attributes:
-        unit_m: Metres per unit, as declared or usual for the format.
-        default_up_axis: Up axis of most files of the format.
-        up_axis: The letter of the axis that the file declares to be up, "" if it declares none.
-        up_basis: Where it is declared, in a few words.
-    """
-
-    unit_m: float
-    default_up_axis: str = "Z"
-    up_axis: str = ""
-    up_basis: str = ""
+    unit_m: float  # metres per unit, as declared or usual for the format
+    default_up_axis: str = "Z"  # up axis of most files of the format
+    up_axis: str = ""  # the letter of the axis that the file declares to be up, "" if it declares none
+    up_basis: str = ""  # where it is declared, in a few words
 
 
 @dataclass(frozen=True)
 class Convention:
-    """The unit and axes of a file.
+    """The unit and axes of a file."""
 
-    Attributes:
-        unit_m: Metres per unit.
-        rotation_y_up_file: From file axes to axes with Y up. It is improper if the file is mirrored.
-        up_axis: The up axis.
-        notes: Sentences on what differs from what the file declares.
-    """
-
-    unit_m: float
-    rotation_y_up_file: Float[np.ndarray, "3 3"]
-    up_axis: UpAxis
-    notes: tuple[str, ...] = ()
+    unit_m: float  # metres per unit
+    rotation_y_up_file: Float[np.ndarray, "3 3"]  # From file axes to axes with Y up. It is improper if the file is mirrored.
+    up_axis: UpAxis  # the up axis
+    notes: tuple[str, ...] = ()  # sentences on what differs from what the file declares
 
     def apply(self, points_file: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Return positions (m, Y up) of points in the unit and axes of the file.

@@ -138,17 +138,11 @@ class UpAxisEvidence(NamedTuple):
 
 
 class PointSample(NamedTuple):
-    """Positions (m) in file axes, NaN where missing.
+    """Positions (m) in file axes, NaN where missing."""
 
-    Attributes:
-        frames: Evenly spread frames of all M markers.
-        falling: All frames of a few markers.
-        rate: Frames per second.
-    """
-
-    frames: Float[np.ndarray, "t M 3"]
-    falling: Float[np.ndarray, "T m 3"]
-    rate: float
+    frames: Float[np.ndarray, "t M 3"]  # evenly spread frames of all M markers
+    falling: Float[np.ndarray, "T m 3"]  # all frames of a few markers
+    rate: float  # frames per second
 
 
 def sample_points(points: InspectedPoints) -> PointSample:

@@ -70,19 +70,12 @@ def read_file_bytes(path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class TextDocument:
-    """The lines of a text file. The lines, joined by `newline` and encoded, are the bytes of the file.
+    """The lines of a text file. The lines, joined by `newline` and encoded, are the bytes of the file."""
 
-    Attributes:
-        path: The file.
-        lines: The lines; with line ends "\\r\\n" each ends with "\\r". The first may begin with a byte-order mark.
-        encoding: "utf-8", "utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be" or "latin-1".
-        newline: "\\n", or "\\r" if the file has no "\\n".
-    """
-
-    path: Path
-    lines: list[str]
-    encoding: str
-    newline: str
+    path: Path  # the file
+    lines: list[str]  # The lines; with line ends "\\r\\n" each ends with "\\r". The first may begin with a byte-order mark.
+    encoding: str  # "utf-8", "utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be" or "latin-1"
+    newline: str  # "\\n", or "\\r" if the file has no "\\n"
 
     def get_line(self, index: int) -> str:
         """Return a line without its end and without a byte-order mark."""
@@ -189,21 +182,13 @@ MAX_TOKEN_BYTES = 400  # of a token's text that are shown or parsed
 
 @dataclass(frozen=True)
 class TextTokens:
-    """The N tokens of a text, which are separated by white space.
+    """The N tokens of a text, which are separated by white space."""
 
-    Attributes:
-        data: The whole file, with decimal points.
-        start_bytes: Byte at which each token begins.
-        line_numbers: Line that each token is on; the first line of the file is 1.
-        values: Number that each token spells, NaN if it spells none.
-        is_number: Whether each token spells a number, or a missing one ("nan").
-    """
-
-    data: bytes
-    start_bytes: Int[np.ndarray, " N"]
-    line_numbers: Int[np.ndarray, " N"]
-    values: Float[np.ndarray, " N"]
-    is_number: Bool[np.ndarray, " N"]
+    data: bytes  # the whole file, with decimal points
+    start_bytes: Int[np.ndarray, " N"]  # byte at which each token begins
+    line_numbers: Int[np.ndarray, " N"]  # line that each token is on; the first line of the file is 1
+    values: Float[np.ndarray, " N"]  # number that each token spells, NaN if it spells none
+    is_number: Bool[np.ndarray, " N"]  # whether each token spells a number, or a missing one ("nan")
 
     def __len__(self) -> int:
         return len(self.start_bytes)

@@ -45,19 +45,12 @@ BuildError = Callable[[str], ReadError]
 
 
 class FileFrames(NamedTuple):
-    """The frames of a file.
+    """The frames of a file."""
 
-    Attributes:
-        rate: Frames per second.
-        first_frame: The file's number of frame index 0.
-        row_frames: Index of the frame of each of the R rows of the file; the frames between have no row.
-        notes: Sentences about assumptions.
-    """
-
-    rate: float
-    first_frame: int
-    row_frames: Int[np.ndarray, " R"]
-    notes: tuple[str, ...]
+    rate: float  # frames per second
+    first_frame: int  # the file's number of frame index 0
+    row_frames: Int[np.ndarray, " R"]  # index of the frame of each of the R rows of the file; the frames between have no row
+    notes: tuple[str, ...]  # sentences about assumptions
 
     @property
     def frame_count(self) -> int:
@@ -74,35 +67,21 @@ class FileFrames(NamedTuple):
 
 
 class FrameTimes(NamedTuple):
-    """The time column of a table.
+    """The time column of a table."""
 
-    Attributes:
-        values: Time of each row, NaN where it is missing.
-        unit_s: Seconds in its unit, None if the column does not name one.
-    """
-
-    values: Float[np.ndarray, " R"]
-    unit_s: float | None
+    values: Float[np.ndarray, " R"]  # time of each row, NaN where it is missing
+    unit_s: float | None  # seconds in its unit, None if the column does not name one
 
 
 class _Clock(NamedTuple):
-    """What times say: seconds in a frame, frames that each step omits, and the uncertainty of the rate.
+    """What times say: seconds in a frame, frames that each step omits, and the uncertainty of the rate."""
 
-    Attributes:
-        frame_s: Seconds from one frame to the next.
-        omitted: Frames omitted at each of the R - 1 steps, beyond those that frame numbers omit.
-        uncertainty: Relative uncertainty of `frame_s` by the last decimal of the times and their irregularity.
-        is_exact: Whether the steps show no rounding: they are equal, or multiples of one.
-        irregularity_s: Median deviation of the steps if they are irregular, else 0.
-        unit_name: The unit of the times if it is not the one expected, else "".
-    """
-
-    frame_s: float
-    omitted: Int[np.ndarray, " n"]
-    uncertainty: float
-    is_exact: bool
-    irregularity_s: float
-    unit_name: str
+    frame_s: float  # seconds from one frame to the next
+    omitted: Int[np.ndarray, " n"]  # frames omitted at each of the R - 1 steps, beyond those that frame numbers omit
+    uncertainty: float  # relative uncertainty of `frame_s` by the last decimal of the times and their irregularity
+    is_exact: bool  # whether the steps show no rounding: they are equal, or multiples of one
+    irregularity_s: float  # median deviation of the steps if they are irregular, else 0
+    unit_name: str  # the unit of the times if it is not the one expected, else ""
 
 
 def choose_rate(

@@ -163,39 +163,22 @@ MAX_HEADER_LINES = 15  # lines within which the column names must begin
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Where a table is in a document, and what its columns are.
+    """Where a table is in a document, and what its columns are."""
 
-    Attributes:
-        document: The file.
-        delimiter: Field separator.
-        line_indices: Index of the line of each frame.
-        frame_field: Field with the frame number; None if frames are counted from 1.
-        field_indices: Index of the X, Y and Z field of each of the P points.
-        labels: Labels of the points.
-        unit_m: Metres per file unit.
-        rate_text: Frames per second as the header gives them, "" if it does not.
-        rate_line: Index of the line that gives them, for messages.
-        time_field: Field with the time; None if there is none.
-        time_unit_s: Seconds in the unit of the time; None if it is not known.
-        declared_frame_count: Number of frames as the header gives it, "" if it does not.
-        default_up_axis: Up axis of most files of the format, "Y" or "Z".
-        notes: Sentences about assumptions made so far.
-    """
-
-    document: TextDocument
-    delimiter: str
-    line_indices: Sequence[int]
-    frame_field: int | None
-    field_indices: Int[np.ndarray, "P 3"]
-    labels: Sequence[str]
-    unit_m: float
-    rate_text: str = ""
-    rate_line: int = 0
-    time_field: int | None = None
-    time_unit_s: float | None = 1.0
-    declared_frame_count: str = ""
-    default_up_axis: str = "Z"
-    notes: tuple[str, ...] = ()
+    document: TextDocument  # the file
+    delimiter: str  # field separator
+    line_indices: Sequence[int]  # index of the line of each frame
+    frame_field: int | None  # field with the frame number; None if frames are counted from 1
+    field_indices: Int[np.ndarray, "P 3"]  # index of the X, Y and Z field of each of the P points
+    labels: Sequence[str]  # labels of the points
+    unit_m: float  # metres per file unit
+    rate_text: str = ""  # frames per second as the header gives them, "" if it does not
+    rate_line: int = 0  # index of the line that gives them, for messages
+    time_field: int | None = None  # field with the time; None if there is none
+    time_unit_s: float | None = 1.0  # seconds in the unit of the time; None if it is not known
+    declared_frame_count: str = ""  # number of frames as the header gives it, "" if it does not
+    default_up_axis: str = "Z"  # up axis of most files of the format, "Y" or "Z"
+    notes: tuple[str, ...] = ()  # sentences about assumptions made so far
 
 
 def find_names_line(document: TextDocument, content: str) -> int:

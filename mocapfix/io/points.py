@@ -132,38 +132,23 @@ class PointConverter(Protocol):
 
 @dataclass(frozen=True)
 class DeclaredPoints:
-    """What a file states about its P points.
+    """What a file states about its P points."""
 
-    Attributes:
-        labels: Labels in the file's order, without blanks around them.
-        descriptions: Descriptions of the points; there may be more or fewer.
-        model_outputs: Labels that the file lists as angles, forces and other outputs that are no positions.
-        modelled_markers: Labels that the file lists as computed positions.
-    """
-
-    labels: Sequence[str]
-    descriptions: Sequence[str] = ()
-    model_outputs: Set[str] = frozenset()
-    modelled_markers: Set[str] = frozenset()
+    labels: Sequence[str]  # labels in the file's order, without blanks around them
+    descriptions: Sequence[str] = ()  # descriptions of the points; there may be more or fewer
+    model_outputs: Set[str] = frozenset()  # labels that the file lists as angles, forces and other outputs that are no positions
+    modelled_markers: Set[str] = frozenset()  # labels that the file lists as computed positions
 
 
 @dataclass(frozen=True)
 class PointTypes:
-    """The points of a file by type, as indices among them. Points that are neither are outputs of models.
+    """The points of a file by type, as indices among them. Points that are neither are outputs of models."""
 
-    Attributes:
-        labels: Labels of all P points; in files without labels, those by which they are called here.
-        markers: The markers.
-        unlabelled: The unlabelled trajectories that are visible in at least one frame.
-        computed: The positions that a program computed from markers.
-        notes: Sentences about assumptions.
-    """
-
-    labels: tuple[str, ...]
-    markers: Int[np.ndarray, " M"]
-    unlabelled: Int[np.ndarray, " U"]
-    computed: Int[np.ndarray, " C"]
-    notes: tuple[str, ...] = ()
+    labels: tuple[str, ...]  # labels of all P points; in files without labels, those by which they are called here
+    markers: Int[np.ndarray, " M"]  # the markers
+    unlabelled: Int[np.ndarray, " U"]  # the unlabelled trajectories that are visible in at least one frame
+    computed: Int[np.ndarray, " C"]  # the positions that a program computed from markers
+    notes: tuple[str, ...] = ()  # sentences about assumptions
 
 
 def classify_points(

@@ -17,17 +17,11 @@ ROTATION_Y_UP_FROM_Z_UP = np.eye(3)[[1, 2, 0]]
 
 @dataclass(frozen=True)
 class FileFrame:
-    """Unit and axes of the coordinates in a file.
+    """Unit and axes of the coordinates in a file."""
 
-    Attributes:
-        unit_name: "mm", "cm" or "m".
-        unit_m: Metres per unit.
-        rotation_y_up_file: Rotation from file axes to Y-up axes.
-    """
-
-    unit_name: str
-    unit_m: float
-    rotation_y_up_file: Float[np.ndarray, "3 3"]
+    unit_name: str  # "mm", "cm" or "m"
+    unit_m: float  # metres per unit
+    rotation_y_up_file: Float[np.ndarray, "3 3"]  # rotation from file axes to Y-up axes
 
     def compute_coordinates(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Convert positions (m, Y up) to the unit and axes of the file."""

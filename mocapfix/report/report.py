@@ -65,12 +65,11 @@ class ContactSection(TypedDict):
     """Contacts of the body with the floor.
 
     Attributes:
-        floor: None if no foot stands.
         joints: The joints that can be in contact: LeftFoot stands for the heel, LeftToeBase for the ball of the foot, LeftLeg for
             the knee, LeftHand for the wrist; without entries if the feet are not seen.
     """
 
-    floor: FloorEntry | None
+    floor: FloorEntry | None  # none if no foot stands
     joints: dict[str, JointContactEntry]
     feet: HeldFeetEntry
     gait: GaitEntry
@@ -120,27 +119,22 @@ class TakeSection(TypedDict):
     """The input file.
 
     Attributes:
-        person: Subject whose markers these are, in a take of several subjects.
-        marker_set: None if no marker set matches.
-        up_axis: The axis of the file that points up.
         computed_points: The positions in the file that a program computed from markers, if there are any.
-        animation: True if the points are the joints of an animation.
-        laboratory: What suggests that the take is that of a laboratory.
     """
 
     file: str
-    person: NotRequired[str]
+    person: NotRequired[str]  # subject whose markers these are, in a take of several subjects
     frames: int
     first_frame: int
     rate_hz: float
     markers: int
-    marker_set: str | None
+    marker_set: str | None  # none if no marker set matches
     labels: list[str]
-    up_axis: NotRequired[UpAxisEntry]
+    up_axis: NotRequired[UpAxisEntry]  # the axis of the file that points up
     labelling: NotRequired[LabellingSection]
     computed_points: NotRequired[list[ComputedPointEntry]]
-    animation: NotRequired[bool]
-    laboratory: NotRequired[str]
+    animation: NotRequired[bool]  # true if the points are the joints of an animation
+    laboratory: NotRequired[str]  # what suggests that the take is that of a laboratory
 
 
 class FaultEntry(TypedDict):
@@ -176,24 +170,20 @@ class SolveSection(TypedDict):
     """The solve.
 
     Attributes:
-        solved_joints: The joints that the markers show; the others stay at rest.
         joint_deviation_mm: Predicted standard deviation per axis by joint; without numbers for joints that are not solved.
-        start: Method that initialises each pose.
-        prior: Pose prior for occluded limbs; None without one.
         lost_in_sight: Number of frames in which a part of the body lies more than 60 mm from at least three of its markers that
             are seen and keep possible distances from one another, by part; without entries if there are none. A frame counts for
             one part of a limb: with the arm, not also with its forearm.
-        status: Number of frames by final status.
     """
 
     marker_residual_mm: ResidualSummary
-    solved_joints: list[str]
+    solved_joints: list[str]  # the joints that the markers show; the others stay at rest
     joint_deviation_mm: dict[str, ErrorSummary]
-    start: str
-    prior: PriorEntry | None
+    start: str  # method that initialises each pose
+    prior: PriorEntry | None  # pose prior for occluded limbs; None without one
     iterations_mean: float
     lost_in_sight: dict[str, int]
-    status: dict[str, int]
+    status: dict[str, int]  # number of frames by final status
 
 
 class UnfilledEntry(TypedDict):

@@ -71,16 +71,14 @@ class LostPart:
     """A part of the body that the solve lost in sight.
 
     Attributes:
-        name: A key of BODY_PARTS.
         frames: The frames (T,) in which it is lost, without those in which a part that contains it or is contained counts.
         distance_m: Mean distance (T,) in metres of its consistent markers from the body, NaN in the other frames.
-        markers: The samples (T, K) of its consistent markers in the lost frames.
     """
 
-    name: str
+    name: str  # a key of BODY_PARTS
     frames: Bool[np.ndarray, " T"]
     distance_m: Float[np.ndarray, " T"]
-    markers: Bool[np.ndarray, "T K"]
+    markers: Bool[np.ndarray, "T K"]  # the samples (T, K) of its consistent markers in the lost frames
 
     @property
     def frame_count(self) -> int:

@@ -39,14 +39,12 @@ class SolverSettings:
 
     Attributes:
         squared_robust_scales: Of the robust terms in standard deviations; the solve runs through them, from wide to narrow.
-        max_iterations: Of a frame at each scale.
-        damping_ratio: Initial damping over the largest curvature: small for a good start.
         order: The frames that are solved, and the frames that they start from; None: all, each from its own start.
     """
 
     squared_robust_scales: tuple[float, ...] = (math.inf,)
-    max_iterations: int = 20
-    damping_ratio: float = INITIAL_DAMPING_RATIO
+    max_iterations: int = 20  # of a frame at each scale
+    damping_ratio: float = INITIAL_DAMPING_RATIO  # initial damping over the largest curvature: small for a good start
     order: SolveOrder | None = None
 
 
@@ -55,20 +53,16 @@ class PoseSolution:
     """The poses of T frames at the end of a solve.
 
     Attributes:
-        root_position: Positions of the root in metres, (T, 3).
-        local_rotations: Rotations of the joints, joint axes to parent axes, (T, J, 3, 3).
         codes: Codes of the pose model, each number in its own standard deviations, (T, P); P is 0 without one.
-        status: A FrameStatus for each frame, (T,).
-        iterations: Iterations of each frame, (T,); 0 for frames that were not solved.
         cost: Cost of each frame under a pose model and the other terms, (T,), NaN without a model (see `compute_costs`). For a
             mixture it includes the cost of the component relative to the cheapest: the logarithm of its spread over its weight.
     """
 
-    root_position: Float[np.ndarray, "T 3"]
-    local_rotations: Float[np.ndarray, "T J 3 3"]
+    root_position: Float[np.ndarray, "T 3"]  # positions of the root in metres, (T, 3)
+    local_rotations: Float[np.ndarray, "T J 3 3"]  # rotations of the joints, joint axes to parent axes, (T, J, 3, 3)
     codes: Float[np.ndarray, "T P"]
-    status: Int[np.ndarray, " T"]
-    iterations: Int[np.ndarray, " T"]
+    status: Int[np.ndarray, " T"]  # a FrameStatus for each frame, (T,)
+    iterations: Int[np.ndarray, " T"]  # iterations of each frame, (T,); 0 for frames that were not solved
     cost: Float[np.ndarray, " T"]
 
     @property

@@ -48,13 +48,11 @@ class PoseModelTerm(IteratedTerm):
     """A trained model of poses, with a code as an additional unknown.
 
     Attributes:
-        model: The model.
-        prior_scale: Factor of the model's standard deviations (2: weaker prior).
         start_codes: The codes (T, P) at the start, each number in its own standard deviations; None: the mean code.
     """
 
-    model: PoseModel
-    prior_scale: float = 1.0
+    model: PoseModel  # the model
+    prior_scale: float = 1.0  # factor of the model's standard deviations (2: weaker prior)
     start_codes: Float[np.ndarray, "T P"] | None = None
 
     def minimise_in_rounds(
