@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
 from mocapfix.detect.noise import RoundMemory
@@ -83,16 +83,6 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
     ]
 
 
-def trim_measured_ends(visible: Bool[np.ndarray, " T"], first: int, last: int) -> tuple[int, int]:
-    """Return first, last without the measured samples that a fill connects.
-
-    Next to a gap and at the ends of the take a fill connects to nothing, and nothing is removed there.
-    """
-    has_start = first > 0 and visible[first - 1]
-    has_end = last + 1 < len(visible) and visible[last + 1]
-    return first + int(has_start), last - int(has_end)
-
-
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
 MIN_EXTRA_SAMPLES = 4  # number of samples beyond those that every polynomial of the degree fits
 STRETCH_LENGTH_FACTORS = (1, 2, 4)  # multiples of the shortest stretch that are tried until measured samples can be told apart
@@ -157,7 +147,9 @@ def _detect_marker_fills(take: Take, marker: int, degree: int, length: int, reso
             continue
         misfit_m = _estimate_nearby_misfit(path, degree, first, last, round(COMPARISON_WINDOW_S * take.rate))
         if misfit_m > MIN_NEARBY_MISFIT_RESOLUTIONS * resolution:
-            first, last = trim_measured_ends(take.visible[:, marker], first, last)
+            # The measured samples that a fill connects are its ends; next to a gap it connects to nothing.
+            first += int(first > 0 and take.visible[first - 1, marker])
+            last -= int(last + 1 < take.frame_count and take.visible[last + 1, marker])
             duration_s, label = (last - first + 1) / take.rate, take.bare_labels[marker]
             fill = f"{label} lies on an exact {POLYNOMIAL_NAMES[degree]} for {duration_s:.2f} s, as other programs fill gaps"
             reason = f"{fill}; the measured samples around it deviate from one by {misfit_m * 1e3:.2g} mm."

@@ -99,6 +99,9 @@ def read_gait_events(
     return tuple(sorted((event for event in events if 0 <= event.time_s <= last_s + 1 / rate), key=lambda event: event.time_s))
 
 
+EVENT_SOURCES = {PLATE_SOURCE: "detected from force plate", FILE_SOURCE: "from the header of the file"}
+
+
 def add_c3d_events(
     target: Path, data_start_byte: int, events_by_subject: Mapping[str, Sequence[GaitEvent]], first_frame: int, rate: float
 ) -> int:
@@ -125,10 +128,14 @@ def add_c3d_events(
         time_s = event.time_s + start_s
         same = [k for k, other in enumerate(known) if other.foot_and_kind == (event.side, event.kind) and other.is_of(subject)]
         nearest = min(same, key=lambda k: abs(known[k].time_s - time_s), default=None)
+        clock = divmod(time_s, EVENT_TIME_UNIT_S)
         if nearest is None or abs(known[nearest].time_s - time_s) > MAX_REPEATED_EVENT_S:
-            events.append(_convert_event(event, subject or only_name, time_s))
+            description = EVENT_SOURCES.get(event.source, "detected from markers")
+            names = LABELS[event.kind], event.side.capitalize(), description, subject or only_name
+            events.append(FileEvent(*names, *clock, ICONS[event.kind]))
         elif event.source == PLATE_SOURCE and abs(known[nearest].time_s - time_s) > MAX_FILE_EVENT_ERROR_S:
-            events[nearest] = _move_event(known[nearest], time_s)
+            description = f"{EVENT_SOURCES[PLATE_SOURCE]}; was at {known[nearest].time_s:.3f} s"
+            events[nearest] = known[nearest]._replace(minutes=clock[0], seconds=clock[1], description=description)
     if events != known:
         with replace_atomically(target) as part:
             part.write_bytes(_replace_events(head, events[: max(MAX_EVENTS, len(known))]) + data[data_start_byte:])
@@ -155,19 +162,6 @@ def read_header_events(head: C3dHead) -> list[FileEvent]:
     starts = [HEADER_EVENT_LABELS + HEADER_LABEL_BYTES * k for k in range(count)]
     labels = [head.data[start : start + HEADER_LABEL_BYTES].decode("ascii", "replace").strip(" \0") for start in starts]
     return [FileEvent(label, "", "", "", 0.0, time_s) for label, time_s in zip(labels, times_s, strict=True)]
-
-
-def _convert_event(event: GaitEvent, subject: str, time_s: float) -> FileEvent:
-    source = {PLATE_SOURCE: "detected from force plate", FILE_SOURCE: "from the header of the file"}
-    description = source.get(event.source, "detected from markers")
-    minutes, seconds = divmod(time_s, EVENT_TIME_UNIT_S)
-    return FileEvent(LABELS[event.kind], event.side.capitalize(), description, subject, minutes, seconds, ICONS[event.kind])
-
-
-def _move_event(event: FileEvent, time_s: float) -> FileEvent:
-    minutes, seconds = divmod(time_s, EVENT_TIME_UNIT_S)
-    description = f"detected from force plate; was at {event.time_s:.3f} s"
-    return event._replace(minutes=minutes, seconds=seconds, description=description)
 
 
 def _replace_events(head: C3dHead, events: Sequence[FileEvent]) -> bytes:

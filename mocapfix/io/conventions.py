@@ -160,7 +160,8 @@ def _decide_unit(
             f"{path}: {where.lower()} {part} {format_length(size_m)}, as of no person; give the unit with --unit, "
             f"one of {', '.join(METRES_PER_UNIT)} (--accept-contradictions cleans it as it is)."
         )
-    unit_m = _snap_unit(declared.unit_m * fitting[0])
+    rounded = declared.unit_m * fitting[0]
+    unit_m = next((metres for metres in METRES_PER_UNIT.values() if abs(rounded / metres - 1) < 1e-6), rounded)
     return unit_m, (
         f"{where} {part} {format_length(size_m)}; coordinates are taken as {_name_unit(unit_m)}, which makes that "
         f"{size_m * fitting[0]:.2f} m (--unit sets the unit).",
@@ -235,11 +236,6 @@ def _check_handedness(path: Path, body: BodyEvidence, options: ReadOptions) -> N
         f"{path}: its axes are left-handed, or all labels of left and right are exchanged: --mirror mirrors it; "
         "exchange the labels otherwise (--accept-contradictions cleans it as it is)."
     )
-
-
-def _snap_unit(unit_m: float) -> float:
-    """Return the metres of a unit without rounding error."""
-    return next((metres for metres in METRES_PER_UNIT.values() if abs(unit_m / metres - 1) < 1e-6), unit_m)
 
 
 def _name_unit(unit_m: float) -> str:

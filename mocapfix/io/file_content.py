@@ -207,7 +207,13 @@ def scan_tokens(data: bytes, first_byte: int = 0) -> TextTokens:
     values, kinds = np.empty(count), np.empty(count, np.uint8)
     fill_tokens(text, first_byte, start_bytes, line_numbers, values, kinds)
     for index in np.flatnonzero(kinds == LONG_NUMBER_TOKEN):
-        values[index], kinds[index] = _parse_long_number(_extract_token(data, int(start_bytes[index])))
+        token = _extract_token(data, int(start_bytes[index]))
+        values[index], kinds[index] = np.nan, NUMBER_TOKEN
+        try:
+            if not NOT_A_NUMBER_PATTERN.fullmatch(token):
+                values[index] = float(token.replace("_", "?"))
+        except ValueError:
+            kinds[index] = WORD_TOKEN
     begins_within_line = first_byte > 0 and data[first_byte - 1 : first_byte] not in (b"\n", b"\r")
     line_numbers += 1 + len(data[:first_byte].splitlines()) - begins_within_line
     return TextTokens(data, start_bytes, line_numbers, values, kinds != WORD_TOKEN)
@@ -215,12 +221,3 @@ def scan_tokens(data: bytes, first_byte: int = 0) -> TextTokens:
 
 def _extract_token(data: bytes, start: int) -> str:
     return data[start : start + MAX_TOKEN_BYTES].split(maxsplit=1)[0].decode("utf-8", "replace")
-
-
-def _parse_long_number(token: str) -> tuple[float, int]:
-    """Return the number that a token spells, and its kind."""
-    try:
-        value = np.nan if NOT_A_NUMBER_PATTERN.fullmatch(token) else float(token.replace("_", "?"))
-    except ValueError:
-        return np.nan, WORD_TOKEN
-    return value, NUMBER_TOKEN

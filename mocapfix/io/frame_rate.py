@@ -134,7 +134,11 @@ def find_frames(
     if frame_numbers is not None:
         steps, first_frame, numbering_notes = _count_number_steps(build_row_error, frame_numbers)
         notes += numbering_notes
-    stated = _parse_rate(stated_rate)
+    try:
+        stated = parse_number(stated_rate.strip())
+    except ValueError:
+        stated = np.nan
+    stated = stated if 0 < stated < np.inf else None
     clock = None
     if times is not None and row_count > 1:
         clock = _read_clock(times, steps, stated)
@@ -282,14 +286,6 @@ def _build_step_error(build_row_error: Callable[[int, str], ReadError], times: F
     steps = np.diff(times.values)
     problem = f"the time step is {steps[row]:g}, elsewhere {np.nanmedian(steps):g}"
     return build_row_error(row + 1, f"{problem}; export the complete trial, or with its frame numbers.")
-
-
-def _parse_rate(text: str) -> float | None:
-    try:
-        rate = parse_number(text.strip())
-    except ValueError:
-        return None
-    return rate if np.isfinite(rate) and rate > 0 else None
 
 
 def _read_clock(times: FrameTimes, steps: Int[np.ndarray, " n"], stated: float | None) -> _Clock | None:

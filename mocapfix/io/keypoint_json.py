@@ -22,7 +22,7 @@ from mocapfix.errors import ReadError
 from mocapfix.io.coordinates import METRES_PER_UNIT, get_metres_per_unit
 from mocapfix.io.file_content import BYTE_ORDER_MARK, decode_text
 from mocapfix.io.frame_rate import choose_rate
-from mocapfix.io.marker_table import build_take
+from mocapfix.io.marker_table import assume_unit, build_take
 from mocapfix.io.shipped import read_shipped_yaml
 from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import ReadOptions
@@ -30,7 +30,6 @@ from mocapfix.options import ReadOptions
 OPENPOSE_KEY = "pose_keypoints_3d"
 OPENPOSE_POINTS_FILE = "keypoints/openpose.yaml"
 NUMBERS_PER_OPENPOSE_POINT = 4  # x, y, z and the confidence
-MAX_FILM_SPAN_M = 20  # coordinates that span more units than this are not in metres
 
 
 def is_keypoint_json(head: bytes) -> bool:
@@ -56,13 +55,18 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     if not isinstance(frames, list) or not frames:
         raise ReadError(f"{path}: frames: must be a list of at least one frame; is it a file of 3-D keypoints?")
     mapping = cast("dict[str, Any]", content)
-    rate, rate_notes = _read_rate(path, mapping.get("rate"), options)
+    stated = mapping.get("rate")
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0 < stated < math.inf:
+        if options.rate_hz is None:
+            problem = f"must be frames a second, more than 0, not {stated!r}; add it to the file, or give --rate HZ"
+            raise ReadError(f"{path}: rate: {problem}.")
+        stated = None
+    rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: rate: {sentence}"), stated, options)
     labels, points = _parse_frames(path, mapping, cast("list[Any]", frames))
     unit, notes = options.unit or mapping.get("unit"), rate_notes
     if unit is None:
-        finite = points[np.isfinite(points)]
-        unit = "mm" if len(finite) and np.ptp(finite) > MAX_FILM_SPAN_M else "m"
-        notes = (*rate_notes, f"The file names no unit; {unit} is assumed, from the span of its coordinates.")
+        unit, note = assume_unit(points)
+        notes = (*rate_notes, note)
     unit_m = get_metres_per_unit(unit) if isinstance(unit, str) else None
     if unit_m is None:
         raise ReadError(f"{path}: unit: is {unit!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
@@ -78,15 +82,6 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
         options=options,
         notes=notes,
     )
-
-
-def _read_rate(path: Path, rate: object, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
-    if options.rate_hz is None and (isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < math.inf):
-        raise ReadError(
-            f"{path}: rate: must be frames a second, more than 0, not {rate!r}; add it to the file, or give --rate HZ."
-        )
-    stated = float(rate) if isinstance(rate, int | float) and 0 < rate < math.inf else None
-    return choose_rate(lambda sentence: ReadError(f"{path}: rate: {sentence}"), stated, options)
 
 
 def _parse_frames(path: Path, content: dict[str, Any], frames: list[Any]) -> tuple[list[str], Float[np.ndarray, "T P 3"]]:

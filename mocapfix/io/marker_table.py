@@ -181,6 +181,16 @@ class MarkerTable:
     notes: tuple[str, ...] = ()  # sentences about assumptions made so far
 
 
+MAX_CAPTURE_SPAN_M = 20  # coordinates that span more units than this are not in metres
+
+
+def assume_unit(coordinates: Float[np.ndarray, "*shape"]) -> tuple[str, str]:
+    """Return "mm" if coordinates span more than a capture in metres does, else "m", and a note that this is assumed."""
+    finite = coordinates[np.isfinite(coordinates)]
+    unit = "mm" if len(finite) and np.ptp(finite) > MAX_CAPTURE_SPAN_M else "m"
+    return unit, f"The file names no unit; {unit} is assumed, from the span of its coordinates."
+
+
 def find_names_line(document: TextDocument, content: str) -> int:
     """Return the index of the line that begins with Frame or Frame# and names the columns.
 

@@ -155,7 +155,10 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     layout, samples, refuse = before.layout, _ChangedSamples(before, after, unstorable), _build_refusal(target)
     assert isinstance(layout, TableLayout)
     with _open_source(before) as source:
-        old, new = (_split_lines(layout, data) for data in (source.read(), copy.read_bytes()))
+        # Bytes as characters are Latin-1, which has a character for each.
+        is_wide = layout.encoding.lower().replace("_", "-").startswith(("utf-16", "utf-32"))
+        texts = (data.decode(layout.encoding if is_wide else "latin-1") for data in (source.read(), copy.read_bytes()))
+        old, new = (text.split(layout.newline) for text in texts)
     if len(old) != len(new):
         raise refuse("its number of lines")
     columns = before.point_columns[samples.markers]
@@ -174,12 +177,6 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     is_right = _check_cells(layout, samples, cells)
     if not is_right.all():
         raise refuse(samples.describe(int(np.argmin(is_right))))
-
-
-def _split_lines(layout: TableLayout, data: bytes) -> list[str]:
-    """Return the lines of a table; one whose characters are bytes as Latin-1, which has a character for each."""
-    is_wide = layout.encoding.lower().replace("_", "-").startswith(("utf-16", "utf-32"))
-    return data.decode(layout.encoding if is_wide else "latin-1").split(layout.newline)
 
 
 def _split_cells(layout: TableLayout, line: str) -> list[str]:
@@ -340,7 +337,11 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     if has_commas:
         data = data[:first_byte] + data[first_byte:].replace(b",", b".")
     is_changed = ~((values == source.values) | (np.isnan(values) & np.isnan(source.values))) & (starts >= 0)
-    offsets, numbers = starts[is_changed], _convert_to_file_units(source, values)[is_changed]
+    if source.uses_radians:
+        columns = np.concatenate([source.get_rotation_channels(joint)[0] for joint in range(len(source.names))])
+        values = values.copy()
+        values[:, columns] = np.radians(values[:, columns])
+    offsets, numbers = starts[is_changed], values[is_changed]
     order = np.argsort(offsets)
     text = np.frombuffer(data, np.uint8)
     counts = np.bincount(count_decimals(text, starts[starts >= 0]))
@@ -362,16 +363,6 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
         patched = patched[:start] + frame_time.encode() + patched[stop:]
     with replace_atomically(target) as part:
         part.write_bytes(restore_encoding(patched, original))
-
-
-def _convert_to_file_units(source: Animation, values: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T C"]:
-    """Return values with angles in radians if the file uses radians."""
-    if not source.uses_radians:
-        return values
-    columns = np.concatenate([source.get_rotation_channels(joint)[0] for joint in range(len(source.names))])
-    converted = values.copy()
-    converted[:, columns] = np.radians(values[:, columns])
-    return converted
 
 
 MISSING_SAMPLE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual word

@@ -74,21 +74,15 @@ def find_named_computed_points(labels: Sequence[str], descriptions: Sequence[str
         [
             bool(
                 label in listed
-                or _is_computed_name(strip_subject_prefix(label))
+                or CENTRE_OF_MASS_PATTERN.fullmatch(bare := strip_subject_prefix(label))
+                or VIRTUAL_PATTERN.search(bare)
+                or JOINT_CENTRE_PATTERN.fullmatch(NAME_SEPARATORS.sub("", bare).upper())
                 or _is_segment_point(label, names)
                 or COMPUTED_DESCRIPTION_PATTERN.search(description)
             )
             for label, description in zip(labels, padded, strict=True)
         ],
         bool,
-    )
-
-
-def _is_computed_name(name: str) -> bool:
-    return (
-        CENTRE_OF_MASS_PATTERN.fullmatch(name) is not None
-        or VIRTUAL_PATTERN.search(name) is not None
-        or JOINT_CENTRE_PATTERN.fullmatch(NAME_SEPARATORS.sub("", name).upper()) is not None
     )
 
 
@@ -168,7 +162,10 @@ def classify_points(
     """
     labels, notes = tuple(declared.labels), tuple[str, ...]()
     is_output = find_model_outputs(labels, declared.model_outputs)
-    is_unlabelled_point = _find_unlabelled(labels, is_output)
+    is_unlabelled_point = np.array([is_unlabelled(label) for label in labels], bool)
+    if (is_unlabelled_point | is_output).all():
+        is_unlabelled_point &= [QUALISYS_NEW_PATTERN.fullmatch(strip_subject_prefix(label)) is None for label in labels]
+    is_unlabelled_point &= ~is_output
     numbered = ~is_output & [not label or label.isdecimal() for label in labels]
     if (numbered | is_output).all() and (numbered & visible.any(0)).sum() >= MIN_LABELLED_POINTS:
         labels, notes = _name_numbered_points(declared, numbered)
@@ -261,14 +258,6 @@ def detect_uncaptured_samples(
     without_cameras = visible & (residual_words <= MAX_RESIDUAL_COUNTS)
     records_cameras = without_cameras.sum() <= (1 - MIN_CAMERA_FRACTION) * visible.sum()
     return without_cameras if records_cameras else np.zeros_like(without_cameras)
-
-
-def _find_unlabelled(labels: Sequence[str], is_output: Bool[np.ndarray, " P"]) -> Bool[np.ndarray, " P"]:
-    """Return which points are unlabelled and are no outputs of models."""
-    unlabelled = np.array([is_unlabelled(label) for label in labels], bool)
-    if (unlabelled | is_output).all():
-        unlabelled &= [QUALISYS_NEW_PATTERN.fullmatch(strip_subject_prefix(label)) is None for label in labels]
-    return unlabelled & ~is_output
 
 
 MAX_RESOLUTION_FRAMES = 2000  # from which the resolution of the coordinates is estimated

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
 from mocapfix.io.coordinates import METRES_PER_UNIT
 from mocapfix.io.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.marker_table import (
     MarkerTable,
+    assume_unit,
     check_decimal_commas,
     detect_decimal_sign,
     find_names_line,
@@ -119,7 +119,6 @@ TIME_UNIT_PATTERN = re.compile(
     re.IGNORECASE,
 )
 TIME_PATTERN_UNITS_S = (1e-3, 1e-6, 1e-9, 1.0)
-MAX_CAPTURE_SPAN_M = 20  # coordinates that span more units than this are not in metres
 INSPECTED_FRAMES = 50  # from which the span of the coordinates is computed
 
 
@@ -167,8 +166,12 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     field_indices = np.array([point.first_field for point in points])[:, None] + np.arange(3)
     unit, notes = options.unit or next((point.unit for point in points if point.unit), ""), ()
     if not unit:
-        unit = _infer_unit(document, line_indices, delimiter, field_indices)
-        notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)
+        inspected = line_indices[:: max(1, len(line_indices) // INSPECTED_FRAMES)]
+        decimal_sign = detect_decimal_sign(document, inspected, delimiter)
+        unit, note = assume_unit(parse_fields(document, inspected, delimiter, decimal_sign, field_indices.ravel()))
+        notes = (note,)
+    unit_of_time = TIME_UNIT_PATTERN.fullmatch(cells[time_field]) if time_field is not None else None
+    times_s = zip(unit_of_time.groups() if unit_of_time else (), TIME_PATTERN_UNITS_S, strict=False)
     return read_marker_table(
         MarkerTable(
             document=document,
@@ -180,19 +183,11 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             unit_m=METRES_PER_UNIT[unit],
             rate_line=names_index,
             time_field=time_field,
-            time_unit_s=None if time_field is None else _get_time_unit(cells[time_field]),
+            time_unit_s=next((unit_s for group, unit_s in times_s if group), None),
             notes=notes,
         ),
         options,
     )
-
-
-def _get_time_unit(name: str) -> float | None:
-    """Return the seconds in the unit that the name of a time column gives, None if it gives none."""
-    match = TIME_UNIT_PATTERN.fullmatch(name)
-    if not match:
-        return None
-    return next(unit_s for group, unit_s in zip(match.groups(), TIME_PATTERN_UNITS_S, strict=True) if group)
 
 
 def _find_points(cells: list[str]) -> list[_PointColumns]:
@@ -204,15 +199,6 @@ def _find_points(cells: list[str]) -> list[_PointColumns]:
         for i, (label, axis, unit) in enumerate(columns[:-2])
         if axis == "X" and columns[i + 1 : i + 3] == [(label, "Y", unit), (label, "Z", unit)]
     ]
-
-
-def _infer_unit(document: TextDocument, line_indices: list[int], delimiter: str, field_indices: Int[np.ndarray, "P 3"]) -> str:
-    """Return "mm" if the coordinates of the points span more than a capture in metres does, else "m"."""
-    inspected = line_indices[:: max(1, len(line_indices) // INSPECTED_FRAMES)]
-    decimal_sign = detect_decimal_sign(document, inspected, delimiter)
-    coordinates = parse_fields(document, inspected, delimiter, decimal_sign, field_indices.ravel())
-    coordinates = coordinates[np.isfinite(coordinates)]
-    return "mm" if len(coordinates) and np.ptp(coordinates) > MAX_CAPTURE_SPAN_M else "m"
 
 
 DECIMALS_BY_UNIT = {"mm": 5, "cm": 6, "m": 8}  # of a coordinate in a text: 10 nm

@@ -17,7 +17,6 @@ formats").
 """
 
 import re
-from collections.abc import Container
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -237,12 +236,17 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     first_fields = [i for i in marker_table.find_xyz_triples(axes) if names[i]]
     if not first_fields:
         raise document.build_error(axes_index - 1, "names no markers; export the trajectories with their labels.")
-    units = _read_units(document, axes_index + 1, delimiter)
-    line_indices = _find_section_lines(document, axes_index + 1 + (units is not None), delimiter, sections)
+    below = document.split_cells(axes_index + 1, delimiter) if axes_index + 1 < len(document.lines) else [""]
+    units = below if not below[0] and any(below) else []  # none if the line has numbers
+    line_indices: list[int] = []
+    for index in range(axes_index + 1 + bool(units), len(document.lines)):
+        if index in sections or not document.lines[index].strip(delimiter + " \r"):
+            break
+        line_indices.append(index)
     if not line_indices:
         raise document.build_error(axes_index, "no frames follow; export the trial again.")
     marker_table.check_decimal_commas(document, line_indices, delimiter, len(axes))
-    unit = next((cell for cell in (units or [])[first_fields[0] :] if cell), "mm")
+    unit = next((cell for cell in units[first_fields[0] :] if cell), "mm")
     rate = re.sub(r"[^\d.]+.*", "", document.split_cells(start + 1, delimiter)[0])
     return marker_table.read_marker_table(
         marker_table.MarkerTable(
@@ -268,24 +272,6 @@ def _find_axes_line(document: TextDocument, start: int) -> tuple[int, str]:
             return index, delimiter
     problem = "no line that begins with Frame and names the axes follows"
     raise document.build_error(start, f"{problem}; export the trajectories again.")
-
-
-def _read_units(document: TextDocument, index: int, delimiter: str) -> list[str] | None:
-    """Return the cells of the line of units, None if the line has numbers."""
-    if index >= len(document.lines):
-        return None
-    cells = document.split_cells(index, delimiter)
-    return cells if not cells[0] and any(cells) else None
-
-
-def _find_section_lines(document: TextDocument, start: int, delimiter: str, sections: Container[int]) -> list[int]:
-    """Return the indices of the lines up to a blank one or the next section."""
-    line_indices: list[int] = []
-    for index in range(start, len(document.lines)):
-        if index in sections or not document.lines[index].strip(delimiter + " \r"):
-            break
-        line_indices.append(index)
-    return line_indices
 
 
 TAB = "\t"

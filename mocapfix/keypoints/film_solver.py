@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
@@ -193,9 +193,19 @@ def solve_film(
     step_cost = compute_transition_costs(joints.reshape(frames, -1, *joints.shape[1:]), rate)
     best = np.arange(frames) * cost.shape[1] + find_cheapest_states(step_cost, cost)
     is_visible = np.any(weight > 0, axis=1)
-    tracking = smooth_film_poses(solution.root_position[best], solution.local_rotations[best], is_visible, rate)
+    root, local, shape = solution.root_position[best], solution.local_rotations[best].copy(), joints.shape[1]
+    variance = np.where(is_visible, FRAME_POSE_SD, MISSING_FRAME_POSE_SD) ** 2
+    of_joints, no_markers = np.repeat(variance[:, None], shape, 1), np.zeros((frames, 0))
+    uncertainty = PoseUncertainty(no_markers, np.zeros((frames, shape)), of_joints, variance)
+    is_uncertain = np.repeat(~is_visible[:, None], shape, 1)
+    tracking = smooth_poses(root, local, uncertainty, is_uncertain, np.ones(shape, bool), rate)
     solution = problem.solve(scale_px_m, tracking.root, tracking.rotations, tracking)
-    return move_to_floor(problem, solution, scale_px_m)
+    # The lowest joint is at height zero, and the first root above the origin.
+    joints, _ = problem.compute_positions(solution.root_position, solution.local_rotations)
+    origin = np.array([solution.root_position[0, 0], joints[..., 1].min(), solution.root_position[0, 2]])
+    poses = solution.root_position - origin, solution.local_rotations
+    motion = Motion(*poses, solution.status, solution.iterations, no_markers, np.full(joints.shape[:2], np.nan))
+    return motion, build_camera(problem.rotation, scale_px_m, scale_px_m * problem.project_to_image_plane(origin))
 
 
 def estimate_camera_scale(problem: ReprojectionProblem) -> float:
@@ -279,27 +289,3 @@ def compute_transition_costs(joints: Float[np.ndarray, "T H J 3"], rate: float) 
     from_root = joints - joints[:, :, :1]
     square = ((from_root[:-1, :, None] - from_root[1:, None]) ** 2).sum(-1).mean(-1)
     return 0.5 * POSE_DOF / 3 * square / (JOINT_SPEED_SD_M_S / rate) ** 2
-
-
-def smooth_film_poses(
-    root: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T J 3 3"], is_visible: Bool[np.ndarray, " T"], rate: float
-) -> TrackingTerm:
-    """Return smoothed poses as a tracking term; frames without keypoints are interpolated."""
-    frames, joints = local.shape[:2]
-    variance = np.where(is_visible, FRAME_POSE_SD, MISSING_FRAME_POSE_SD) ** 2
-    uncertainty = PoseUncertainty(
-        np.zeros((frames, 0)), np.zeros((frames, joints)), np.repeat(variance[:, None], joints, 1), variance
-    )
-    is_uncertain = np.repeat(~is_visible[:, None], joints, 1)
-    return smooth_poses(root, local.copy(), uncertainty, is_uncertain, np.ones(joints, bool), rate)
-
-
-def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, Camera]:
-    """Return the motion, moved so that the lowest joint is at height zero and the first root above the origin, and its camera."""
-    joints, _ = problem.compute_positions(solution.root_position, solution.local_rotations)
-    origin = np.array([solution.root_position[0, 0], joints[..., 1].min(), solution.root_position[0, 2]])
-    no_markers, unknown_sd = np.zeros((len(joints), 0)), np.full(joints.shape[:2], np.nan)
-    root = solution.root_position - origin
-    motion = Motion(root, solution.local_rotations, solution.status, solution.iterations, no_markers, unknown_sd)
-    offset_px = scale_px_m * problem.project_to_image_plane(origin)
-    return motion, build_camera(problem.rotation, scale_px_m, offset_px)

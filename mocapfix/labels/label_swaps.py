@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.errors import join_words
 from mocapfix.kernels.label_evidence import (
     compute_exchange_costs,
     compute_own_contradictions,
@@ -141,23 +142,18 @@ def _select_exchanges(take: Take) -> list[LabelExchange]:
 
 def _build_swap_fault(take: Take, exchange: LabelExchange) -> Fault:
     cycle, first, last = exchange.cycle, exchange.first, exchange.last
-    separation_m = _measure_separation(take.markers[first : last + 1], cycle)
+    points = take.markers[first : last + 1]
+    distance_m = np.linalg.norm(points[:, cycle] - points[:, np.roll(cycle, -1)], axis=-1)
+    separation_m = float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
     share = (last - first + 1) / (take.frame_count + 1)
     wrong_part_odds = share / (1 - share) * np.exp(-np.clip(exchange.counter_evidence, -50, 50))
     confidence = float((1 - np.exp(-exchange.gain)) / (1 + wrong_part_odds))
     labels = [take.bare_labels[m] for m in cycle]
     duration = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
     distance = f"{separation_m * 1e3:.0f} mm" if np.isfinite(separation_m) else "away"
-    names = f"{', '.join(labels[:-1])} and {labels[-1]}"
     exchange_text = "exchanged their labels" if len(cycle) == 2 else "exchanged their labels in a cycle"
-    reason = f"{names} have {exchange_text} for {duration}: their samples lie {distance} from their markers."
+    reason = f"{join_words(labels)} have {exchange_text} for {duration}: their samples lie {distance} from their markers."
     return Fault("swap", cycle[0], first, last, separation_m, reason, confidence, cycle[1:])
-
-
-def _measure_separation(points: np.ndarray, cycle: tuple[int, ...]) -> float:
-    """Measure the median distance in metres between the samples of successive labels, NaN if no two are visible together."""
-    distance_m = np.linalg.norm(points[:, cycle] - points[:, np.roll(cycle, -1)], axis=-1)
-    return float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
 
 
 def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[tuple[int, ...]]:

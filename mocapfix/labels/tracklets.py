@@ -198,22 +198,13 @@ def assign_tracklets(
         votes[visible[rows], np.minimum(columns, marker_count)] += count
     winners = votes.argmax(1)
     winners[votes.max(1) == 0] = marker_count
-    return _resolve_conflicts(list(known.values()), np.where(winners == marker_count, -1, winners), votes)
-
-
-def _resolve_conflicts(
-    visible_sets: list[tuple[np.ndarray, int]], markers: Int[np.ndarray, " N"], votes: Int[np.ndarray, "N K1"]
-) -> Int[np.ndarray, " N"]:
-    """Take the label from tracklets that share it in most of their frames with another one that has it more often.
-
-    In a shorter overlap one of them shows something else at its end; `label_single_points` decides which.
-    """
-    lost = np.zeros(len(markers), int)
-    for visible, count in visible_sets:
+    markers, lost = np.where(winners == marker_count, -1, winners), np.zeros(len(costs), int)
+    # A tracklet loses a label to one that has it more often, if they share it in most of its frames. In a shorter overlap one of
+    # them shows something else at its end; `label_single_points` decides which.
+    for visible, count in known.values():
         labelled = visible[markers[visible] >= 0]
         order = labelled[np.argsort(-votes[labelled, markers[labelled]], kind="stable")]
-        _, first_places = np.unique(markers[order], return_index=True)
-        lost[np.delete(order, first_places)] += count
+        lost[np.delete(order, np.unique(markers[order], return_index=True)[1])] += count
     return np.where(lost > MAX_OVERLAP_SHARE * votes.sum(1), -1, markers)
 
 
@@ -389,7 +380,11 @@ def compute_label_confidence(
     squared = np.where(np.isnan(distances.squared_m2), 2 * none_cost[:, None], distances.squared_m2)
     each, has_label = np.arange(len(markers)), markers >= 0
     own_cost = np.where(has_label, squared[each, markers], none_cost)
-    holders = _find_holders(sampled, markers, squared.shape[1])
+    holders = np.full(squared.shape, -1)  # another tracklet that is visible at the same time and has this label
+    for row in np.unique(np.sort(sampled.tracklets, axis=1), axis=0):
+        visible = row[row >= 0]
+        labelled = visible[markers[visible] >= 0]
+        holders[np.ix_(visible, markers[labelled])] = labelled
     change = squared - own_cost[:, None]
     rows, columns = np.nonzero(holders >= 0)
     others = holders[rows, columns]
@@ -403,13 +398,3 @@ def compute_label_confidence(
     odds = np.interp(measure_durations(sampled), GHOST_DURATIONS_S, GHOST_ODDS)
     likelihood[:, -1] *= np.where(has_label, odds, 1.0)  # that it is no marker
     return np.where(distances.frame_count > 0, 1 / likelihood.sum(1), 0.0)
-
-
-def _find_holders(sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_count: int) -> Int[np.ndarray, "N K"]:
-    """Return for each tracklet and marker another tracklet that is visible at the same time and has this label, -1 for none."""
-    holders = np.full((len(markers), marker_count), -1)
-    for row in np.unique(np.sort(sampled.tracklets, axis=1), axis=0):
-        visible = row[row >= 0]
-        labelled = visible[markers[visible] >= 0]
-        holders[np.ix_(visible, markers[labelled])] = labelled
-    return holders

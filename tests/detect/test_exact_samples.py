@@ -36,14 +36,3 @@ def test_exact_stretches_end_with_the_polynomial():
     assert external_fills.find_exact_stretches(path, 0, 8, 1e-7) == [(45, 59)]
     path[20] = np.nan
     assert external_fills.find_exact_stretches(path, 1, 8, 1e-7) == [(10, 19), (21, 29), (45, 59)]
-
-
-@pytest.mark.parametrize(("first", "last", "ends"), [(0, 9, (0, 9)), (2, 7, (3, 6)), (5, 9, (6, 9)), (0, 4, (0, 3))])
-def test_connected_measured_samples_are_trimmed(first, last, ends):
-    assert external_fills.trim_measured_ends(np.ones(10, bool), first, last) == ends
-
-
-def test_nothing_is_trimmed_next_to_a_gap():
-    seen = np.ones(10, bool)
-    seen[[1, 8]] = False
-    assert external_fills.trim_measured_ends(seen, 2, 7) == (2, 7)
