@@ -204,12 +204,9 @@ def add_leg_markers(
     carriers = [skeleton.names[joint] for joint in markers.joints]
     leg_of_marker = [next(n for n, segments in enumerate(LEG_SEGMENTS) if name in segments) for name in carriers]
     weight = markers.share * leg_share[:, leg_of_marker] / LEG_MARKER_SD_M**2
-    return PointTerm(
-        np.r_[points.joints, markers.joints],
-        np.r_[points.offsets, markers.offsets],
-        np.ascontiguousarray(np.hstack([points.measured, markers.position])),
-        np.ascontiguousarray(np.hstack([points.weight, weight])),
-    )
+    joints, offsets = np.r_[points.joints, markers.joints], np.r_[points.offsets, markers.offsets]
+    measured, weights = np.hstack([points.measured, markers.position]), np.hstack([points.weight, weight])
+    return PointTerm(joints, offsets, np.ascontiguousarray(measured), np.ascontiguousarray(weights))
 
 
 def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0) -> Poses:
@@ -286,13 +283,9 @@ def hold_measured_feet(
     for yield_round in range(MAX_YIELD_ROUNDS):
         before, share = share, np.stack([smooth_share(each, contacts.rate) for each in limit.T], axis=1)
         changed = np.flatnonzero((share != before).any(1))
-        part = displace_feet(
-            subject.skeleton,
-            body.motion.select_frames(changed),
-            body.joint_positions[changed],
-            displacement[changed] * share[changed][:, foot_of_joint, None],
-            markers=leg_markers.select_frames(changed),
-        )
+        wanted, near = displacement[changed] * share[changed][:, foot_of_joint, None], leg_markers.select_frames(changed)
+        before_m, motion = body.joint_positions[changed], body.motion.select_frames(changed)
+        part = displace_feet(subject.skeleton, motion, before_m, wanted, markers=near)
         root_position, local_rotations = moved.motion.root_position.copy(), moved.motion.local_rotations.copy()
         root_position[changed], local_rotations[changed] = part.root_position, part.local_rotations
         moved = move_body(body, replace(body.motion, root_position=root_position, local_rotations=local_rotations))

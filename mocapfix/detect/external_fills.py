@@ -12,7 +12,7 @@ Such samples are no evidence for the solve. Whether they are as good as this pro
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -160,14 +160,10 @@ def _choose_stretch_length(take: Take, degree: int, resolution: float, length: i
     """Choose the number of samples at which measured stretches differ from exact ones, 0 if the largest factor is too short."""
     visible = take.visible
     for longer in (factor * length for factor in STRETCH_LENGTH_FACTORS if take.frame_count >= factor * length):
-        small = [
-            memory.recall(
-                ("misfit", m, degree, longer),
-                visible[:, m],
-                lambda m=m, longer=longer: _measure_small_misfit(take.markers[:, m], degree, longer),
-            )
-            for m in range(len(take.labels))
-        ]
+        small: list[float] = []
+        for m in range(len(take.labels)):
+            key, measure = ("misfit", m, degree, longer), partial(_measure_small_misfit, take.markers[:, m], degree, longer)
+            small.append(memory.recall(key, visible[:, m], measure))
         known = [misfit_m for misfit_m in small if not np.isnan(misfit_m)]
         if known and np.median(known) > MIN_MEASURED_MISFIT_RESOLUTIONS * resolution:
             return longer
@@ -230,15 +226,11 @@ def detect_frozen(
     resolution = compute_float_resolution(take.markers)
     length = max(MIN_FROZEN_SAMPLES, round(min_duration_s * take.rate))
     memory, visible = memory or RoundMemory(), take.visible
-    stretches = [
-        (m, first, last)
-        for m in range(len(take.labels))
-        for first, last in memory.recall(
-            ("frozen", m, length, resolution),
-            visible[:, m],
-            lambda m=m: find_exact_stretches(take.markers[:, m], 0, length, resolution),
-        )
-    ]
+    stretches: list[tuple[int, int, int]] = []
+    for m in range(len(take.labels)):
+        key, path = ("frozen", m, length, resolution), take.markers[:, m]
+        found = memory.recall(key, visible[:, m], lambda path=path: find_exact_stretches(path, 0, length, resolution))
+        stretches += [(m, first, last) for first, last in found]
     if not stretches:
         return []
     min_travel_m = max(min_neighbour_travel_m, MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS * estimate_resolution(take.markers))

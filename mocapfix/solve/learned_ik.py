@@ -130,17 +130,11 @@ def build_transfer_tree(skeleton: Skeleton) -> TransferTree:
     names = skeleton.names
     bone_end = np.array([names.index(BONE_ENDS[name]) if name in BONE_ENDS else -1 for name in names])
     clouds = [REGISTERED_JOINT_SD_M.get(name, {}) for name in names]
-    return TransferTree(
-        skeleton.parents,
-        np.ascontiguousarray(skeleton.offsets, float),
-        np.ones(len(names), bool),
-        bone_end,
-        np.cumsum([0, *map(len, clouds)]),
-        np.array([names.index(name) for cloud in clouds for name in cloud]),
-        np.array([sd**2 for cloud in clouds for sd in cloud.values()]),
-        np.array([name in HELD_JOINTS for name in names]),
-        np.zeros((0, 0, 3)),
-    )
+    offsets, is_held = np.ascontiguousarray(skeleton.offsets, float), np.array([name in HELD_JOINTS for name in names])
+    cloud_joints = np.array([names.index(name) for cloud in clouds for name in cloud])
+    variances, starts = np.array([sd**2 for cloud in clouds for sd in cloud.values()]), np.cumsum([0, *map(len, clouds)])
+    bones = skeleton.parents, offsets, np.ones(len(names), bool), bone_end
+    return TransferTree(*bones, starts, cloud_joints, variances, is_held, np.zeros((0, 0, 3)))
 
 
 def transfer_poses(
@@ -148,14 +142,8 @@ def transfer_poses(
 ) -> tuple[TransferredPoses, Float32[np.ndarray, "T F"]]:
     """Return start poses brought to joint positions in metres, NaN where unknown, and the inputs of the network."""
     frames, joints = positions.shape[:2]
-    out = TransferredPoses(
-        np.empty((frames, 3)),
-        np.empty((frames, joints, 3)),
-        np.empty((frames, joints, 3, 3)),
-        np.empty((frames, joints, 3)),
-        np.empty((frames, joints)),
-        np.empty(frames),
-    )
+    shapes = (frames, 3), (frames, joints, 3), (frames, joints, 3, 3), (frames, joints, 3), (frames, joints), (frames,)
+    out = TransferredPoses(*map(np.empty, shapes))
     features = np.empty((frames, joints * FEATURES_PER_JOINT), np.float32)
     inputs = (np.ascontiguousarray(each, float) for each in (*start, positions, joint_sd))
     scale = float(np.linalg.norm(tree.offsets))

@@ -165,12 +165,8 @@ def compute_uncertainty(
     The arguments are those of `compute_costs`.
     """
     frame_count, joint_count = poses[1].shape[:2]
-    uncertainty = PoseUncertainty(
-        np.zeros((frame_count, len(terms[0].joints))),
-        np.zeros((frame_count, joint_count)),
-        np.zeros((frame_count, joint_count)),
-        np.zeros(frame_count),
-    )
+    of_joints, of_markers = (frame_count, joint_count), (frame_count, len(terms[0].joints))
+    uncertainty = PoseUncertainty(np.zeros(of_markers), np.zeros(of_joints), np.zeros(of_joints), np.zeros(frame_count))
     shared, rows = np.zeros((frame_count, 0)) if codes is None else codes, count_rows(terms)
     run_over_frames(
         compute_uncertainty_frames, frame_count, tree, terms, squared_robust_scale, rows, *poses, shared, *uncertainty

@@ -70,15 +70,12 @@ def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvide
     for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
         pose = motion.root_position[block], motion.local_rotations[block]
         weight = problem.is_uncertain[block] / actual_variance[block]
-        marker_sd[block], joint_sd[block] = compute_pose_sd(
-            problem.pose_problem.select_frames(block),
-            pose,
-            problem.subject,
-            problem.prior,
-            actual_marker_sd,
+        tracking, part = (
             TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block]),
-            problem.options.robust_scales_m[-1],
+            problem.pose_problem.select_frames(block),
         )
+        of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
+        marker_sd[block], joint_sd[block] = compute_pose_sd(part, pose, *of_body, tracking, scale_m)
     return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
 
 
@@ -168,15 +165,9 @@ def infer_unobserved_joints(
     """Return the motion with the unobserved joints inferred from the rest of the take, and the evidence with their variance."""
     frames = np.flatnonzero(problem.is_unobserved.any(1))
     local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
+    poses, free = (motion.root_position, local_rotations), problem.pose_problem.tree.free
     occluded_joints.infer_occluded_joints(
-        motion.root_position,
-        local_rotations,
-        variance,
-        problem.is_unobserved,
-        problem.pose_problem.tree.free,
-        problem.rate,
-        conditioner=conditioner,
-        solved=motion.local_rotations,
+        *poses, variance, problem.is_unobserved, free, problem.rate, conditioner=conditioner, solved=motion.local_rotations
     )
     inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
     is_unobserved = problem.is_unobserved[frames]
@@ -266,12 +257,8 @@ def solve_changed_frames(
     root_position, local_rotations = start.root_position, start.local_rotations
     status, iterations = start.status.copy(), start.iterations.copy()
     if evidence is None:
-        evidence = PoseEvidence(
-            np.zeros((frame_count, marker_count)),
-            np.zeros((frame_count, joint_count)),
-            np.zeros((frame_count, joint_count)),
-            np.zeros(frame_count),
-        )
+        of_markers, of_joints = (frame_count, marker_count), (frame_count, joint_count)
+        evidence = PoseEvidence(np.zeros(of_markers), np.zeros(of_joints), np.zeros(of_joints), np.zeros(frame_count))
     else:
         evidence = evidence.copy(marker_count)
     windows = select_windows(changes.is_affected, problem.rate)

@@ -163,15 +163,9 @@ def build_marker_problem(
     joint_limits: JointLimitTerm,
 ) -> PoseProblem:
     """Return the pose problem of a subject and its markers, in metres, NaN where they are not used."""
-    return PoseProblem(
-        KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, free_joints),
-        MarkerAttachment(subject.joints, subject.marker_offsets),
-        markers,
-        ~np.isnan(markers[..., 0]),
-        marker_sd_m,
-        pose_prior,
-        joint_limits,
-    )
+    tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, free_joints)
+    attachment = MarkerAttachment(subject.joints, subject.marker_offsets)
+    return PoseProblem(tree, attachment, markers, ~np.isnan(markers[..., 0]), marker_sd_m, pose_prior, joint_limits)
 
 
 @dataclass(frozen=True)
@@ -189,12 +183,8 @@ class MotionProblem:
     conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
-        return replace(
-            self,
-            pose_problem=self.pose_problem.select_frames(frames),
-            is_unobserved=self.is_unobserved[frames],
-            is_uncertain=self.is_uncertain[frames],
-        )
+        masks = {"is_unobserved": self.is_unobserved[frames], "is_uncertain": self.is_uncertain[frames]}
+        return replace(self, pose_problem=self.pose_problem.select_frames(frames), **masks)
 
     def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
         return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))

@@ -331,26 +331,16 @@ def recover_lost_limbs(
     predicted = predict_markers(subject, pose)
     cost = compute_marker_cost(problem, predicted)
     is_worse = cost > compute_marker_cost(problem, predict_markers(subject, own_pose)) + MAX_COST_INCREASE
-    lost_parts = find_lost_parts(
-        problem.marker_positions,
-        problem.solver_mask,
-        subject,
-        predicted,
-        min_distance_m=MIN_RECOVERED_DISTANCE_M,
-        min_off_share=0.0,
-    )
+    limits = {"min_distance_m": MIN_RECOVERED_DISTANCE_M, "min_off_share": 0.0}
+    lost_parts = find_lost_parts(problem.marker_positions, problem.solver_mask, subject, predicted, **limits)
     is_lost = np.logical_or.reduce([is_worse, *(part.frames for part in lost_parts)])
     frames = np.flatnonzero(is_lost)
     if not len(frames):
         return
     part = problem.select_frames(frames)
     rows = np.minimum(frames, len(tracking.root) - 1)  # the tracked pose is one for each frame, or one for all
-    part_tracking = TrackingTerm(
-        tracking.rotations[rows],
-        np.where(is_uncertain[frames], tracking.weight[rows], 0.0),
-        tracking.root[rows],
-        np.zeros(len(frames)),
-    )
+    weight = np.where(is_uncertain[frames], tracking.weight[rows], 0.0)
+    part_tracking = TrackingTerm(tracking.rotations[rows], weight, tracking.root[rows], np.zeros(len(frames)))
     registered = register_poses(subject, problem.tree.free, prior, part.marker_positions)
     starts = [
         (own_pose[0][frames], own_pose[1][frames]),

@@ -232,12 +232,9 @@ class _FunctionSearch:
         self, point: int, frames: Int[np.ndarray, " F"], others: Int[np.ndarray, " K"]
     ) -> tuple[Int[np.ndarray, "2 N"], Float[np.ndarray, " N"]]:
         """Return the pairs of other points between which a point is in some frames, and its median distance from their lines."""
-        misfit = screen_pairs(
-            self.points[frames, point],
-            np.ascontiguousarray(self.points[frames[:, None], others].swapaxes(0, 1)),
-            EXACT_SCREENING_LIMITS * self.limit_m,
-            NEGLIGIBLE_WEIGHT / 2,
-        )
+        candidates = np.ascontiguousarray(self.points[frames[:, None], others].swapaxes(0, 1))
+        limit_m = EXACT_SCREENING_LIMITS * self.limit_m
+        misfit = screen_pairs(self.points[frames, point], candidates, limit_m, NEGLIGIBLE_WEIGHT / 2)
         pairs = np.array(np.nonzero(np.isfinite(misfit)))
         return pairs, misfit[tuple(pairs)]
 

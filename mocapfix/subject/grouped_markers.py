@@ -74,12 +74,8 @@ def estimate_functional_joint(first: MovingGroup, second: MovingGroup) -> Functi
         return None
     a, b = first.rotation[is_known], second.rotation[is_known]
     between = (first.move(first.centroid) + second.move(second.centroid))[is_known] / 2
-    prior = np.concatenate(
-        [
-            np.einsum("tba,tb->ta", rotation, between - group.origin[is_known]).mean(0)
-            for group, rotation in ((first, a), (second, b))
-        ]
-    )
+    sides = ((first.origin[is_known], a), (second.origin[is_known], b))
+    prior = np.concatenate([np.einsum("tba,tb->ta", rotation, between - origin).mean(0) for origin, rotation in sides])
     design = np.concatenate([a, -b], axis=2).reshape(-1, 6)
     gap = (second.origin - first.origin)[is_known].ravel()
     precision = INDEPENDENT_JOINT_POSES / count / JOINT_SAMPLE_SD_M**2

@@ -210,14 +210,9 @@ def measure_learned_body(
     columns = [labels.index(label) for label in marker_set.labels]
     markers = take.markers[:, columns]
     size_ratio = fit.subject.skeleton.total_length_m / average_length_m
-    return LearnedBody(
-        marker_set,
-        float(np.sqrt(3 * np.mean(fit.attachment.residual_sd[columns] ** 2))),
-        size_ratio,
-        fit.joint_rotations,
-        measure_distance_spread(markers),
-        measure_position_spread(markers),
-    )
+    residual_m = float(np.sqrt(3 * np.mean(fit.attachment.residual_sd[columns] ** 2)))
+    spreads = measure_distance_spread(markers), measure_position_spread(markers)
+    return LearnedBody(marker_set, residual_m, size_ratio, fit.joint_rotations, *spreads)
 
 
 def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", guess: MarkerSet) -> str:

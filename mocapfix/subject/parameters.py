@@ -209,13 +209,8 @@ def build_hip_evidence(start: Subject, average: Skeleton, parameters: Calibratio
     skeleton, posterior = start.skeleton, list(landmarks.posterior)
     hips = [skeleton.find_joint(name) for name in HIP_JOINTS]
     stubs = skeleton.parents[hips]  # between the pelvis and a hip joint
-    points = np.array(
-        [
-            *(skeleton.offsets[hips] + skeleton.offsets[stubs]),
-            *start.marker_offsets[list(landmarks[:2])],
-            start.marker_offsets[posterior].mean(0),
-        ]
-    )
+    places, of_hips = start.marker_offsets, skeleton.offsets[hips] + skeleton.offsets[stubs]
+    points = np.array([*of_hips, *places[list(landmarks[:2])], places[posterior].mean(0)])
 
     def compute_error(flat_points: np.ndarray) -> np.ndarray:
         hip_joints, spines = np.split(flat_points.reshape(-1, 3), [2])

@@ -174,13 +174,9 @@ def build_joint_calibration(
     )
     calibrated = parameters.compute_body(unknowns)
     first = states[0].problem
-    problem = replace(
-        first,
-        marker_positions=markers,
-        solver_mask=~np.isnan(markers[..., 0]),
-        attachment=first.attachment._replace(offsets=calibrated.marker_offsets),
-        pose_prior=first.pose_prior._replace(mean_vectors=calibrated.mean_pose_vectors),
-    )
+    attachment = first.attachment._replace(offsets=calibrated.marker_offsets)
+    prior, mask = first.pose_prior._replace(mean_vectors=calibrated.mean_pose_vectors), ~np.isnan(markers[..., 0])
+    problem = replace(first, marker_positions=markers, solver_mask=mask, attachment=attachment, pose_prior=prior)
     poses = np.concatenate([state.poses[0] for state in states]), np.concatenate([state.poses[1] for state in states])
     pooled = refinement.linearise_frames(parameters, problem, unknowns, poses)
     times_s = np.concatenate([take.times_s + t * TAKE_DISTANCE_S for t, take in enumerate(takes)])
@@ -514,13 +510,9 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
             moved.append(replace(each, takes=(len(person.takes),)))
     has_own = bool((own != person.subject.marker_offsets).any())
     own_subjects = {take.take: replace(person.subject, marker_offsets=own)} if has_own else {}
-    return replace(
-        person,
-        takes=(*person.takes, take.take),
-        sessions={**person.sessions, take.take: 0},
-        moved=tuple(moved),
-        take_subjects={**person.take_subjects, **own_subjects},
-    )
+    takes, sessions = (*person.takes, take.take), {**person.sessions, take.take: 0}
+    subjects = {**person.take_subjects, **own_subjects}
+    return replace(person, takes=takes, sessions=sessions, moved=tuple(moved), take_subjects=subjects)
 
 
 def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFrames]:
@@ -557,13 +549,8 @@ def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
     chosen = select_farthest_rows(flat, count // 2)
     rest = np.setdiff1d(np.arange(len(flat)), chosen)
     kept = np.sort(np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]])
-    return replace(
-        take,
-        times_s=take.times_s[kept],
-        markers=take.markers[kept],
-        root_position=take.root_position[kept],
-        local_rotations=take.local_rotations[kept],
-    )
+    arrays = ("times_s", "markers", "root_position", "local_rotations")
+    return replace(take, **{name: getattr(take, name)[kept] for name in arrays})
 
 
 def find_foreign_take(take: CalibrationFrames, state: RefinementState, others: Sequence[RefinementState]) -> str:

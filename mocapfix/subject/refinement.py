@@ -127,14 +127,11 @@ def build_calibration_problem(
     skeleton = replace(start.skeleton, offsets=calibrated.offsets)
     subject = replace(start, skeleton=skeleton, marker_offsets=calibrated.marker_offsets)
     prior_term = build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT))
-    return build_marker_problem(
-        subject,
-        body.free_joints,
-        markers,
-        CALIBRATION_MARKER_SD_M,
+    prior_term, limits = (
         prior_term._replace(mean_vectors=calibrated.mean_pose_vectors),
         build_no_joint_limits(len(calibrated.offsets)),
     )
+    return build_marker_problem(subject, body.free_joints, markers, CALIBRATION_MARKER_SD_M, prior_term, limits)
 
 
 def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"]) -> Poses:
@@ -222,15 +219,9 @@ def respond_in_frames(
 ) -> SharedResponses:
     """Return the responses of some of the frames to the shared unknowns of the calibration (see `compute_shared_responses`)."""
     part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
-    return compute_shared_responses(
-        part.tree,
-        part.build_terms(),
-        parameters.deformations,
-        part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0],
-        poses[0][frames],
-        poses[1][frames],
-        only_errors=only_errors,
-    )
+    scale, root, local = part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0], poses[0][frames], poses[1][frames]
+    shared = part.tree, part.build_terms(), parameters.deformations
+    return compute_shared_responses(*shared, scale, root, local, only_errors=only_errors)
 
 
 def build_refined_subject(
@@ -239,12 +230,9 @@ def build_refined_subject(
     """Return the subject of a refined state; the spread of a marker is its median distance per axis from the body."""
     tree = state.problem.tree
     size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
-    subject = replace(
-        start,
-        skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),
-        marker_offsets=state.problem.attachment.offsets,
-        frame_count=len(state.poses[0]),
-    )
+    skeleton = replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size)
+    offsets = state.problem.attachment.offsets
+    subject = replace(start, skeleton=skeleton, marker_offsets=offsets, frame_count=len(state.poses[0]))
     distance = np.linalg.norm(state.problem.marker_positions - kinematics.predict_markers(subject, state.poses), axis=-1)
     visible = (~np.isnan(distance)).any(0)
     spread = start.marker_spread.copy()
