@@ -252,18 +252,8 @@ class CleaningResult:
     def comparison(self) -> CleaningComparison:
         """The take before and after cleaning, as the HTML report and the recording show it."""
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world
-        return CleaningComparison(
-            self.input_take,
-            self.relabelled_take,
-            self.take,
-            self.faults,
-            self.changes,
-            skeleton,
-            joints,
-            self.residual_m,
-            get_point_terms(self.take),
-            self.contacts,
-        )
+        takes, body = (self.input_take, self.relabelled_take, self.take), (skeleton, joints, self.residual_m)
+        return CleaningComparison(*takes, self.faults, self.changes, *body, get_point_terms(self.take), self.contacts)
 
 
 def build_output_paths(

@@ -290,14 +290,9 @@ def print_faults(inspection: "InspectionReport") -> None:
     severity_heading = "severity" if is_animation else "severity, mm"
     table = Table(point, "kind", "frames", severity_heading, "confidence", "reason")
     for fault in inspection["faults"]:
-        table.add_row(
-            escape(fault["marker"]),
-            fault["kind"],
-            f"{fault['first']}-{fault['last']}",
-            _format_severity(fault, is_animation),
-            f"{fault['confidence']:.0%}",
-            escape(fault["reason"]),
-        )
+        frames, severity = f"{fault['first']}-{fault['last']}", _format_severity(fault, is_animation)
+        what = escape(fault["marker"]), fault["kind"], frames, severity
+        table.add_row(*what, f"{fault['confidence']:.0%}", escape(fault["reason"]))
     stdout_console.print(table)
 
 

@@ -95,13 +95,9 @@ def run_marker_set_learn(
 
     check_outputs_absent([output_path], overwrite)
     with show_progress(take.name) as progress:
+        read = parse_options(options).read
         learned = learn_marker_set(
-            take,
-            output_path.stem,
-            like=like,
-            subject_prefix=subject_prefix,
-            options=parse_options(options).read,
-            progress=progress,
+            take, output_path.stem, like=like, subject_prefix=subject_prefix, options=read, progress=progress
         )
         write_marker_set(output_path, learned.marker_set, learned.file_comment)
     marker_count, residual_mm = len(learned.marker_set.labels), learned.mean_residual_m * 1e3

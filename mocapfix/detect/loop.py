@@ -96,8 +96,10 @@ def detect_epoch_faults(detected: Detected, body: BodyFit, options: DetectOption
     inliers, solver_take = (
         detected.select_columns(body.marker_columns, mask) for mask in (detected.inlier_mask, detected.solver_mask)
     )
-    limits = {"min_distance_m": options.min_spike_m, "max_spike_duration_s": options.max_spike_duration_s}
-    faults = detect_body_faults(inliers, solver_take.visible, body.extended_subject, body.motion, **limits)
+    subject, spike_s, used = body.extended_subject, options.max_spike_duration_s, solver_take.visible
+    faults = detect_body_faults(
+        inliers, used, subject, body.motion, min_distance_m=options.min_spike_m, max_spike_duration_s=spike_s
+    )
     take_marker = [int(epochs.column_marker[column]) if column >= 0 else -1 for column in body.marker_columns]
     mapped = [
         replace(fault, marker=take_marker[fault.marker], other_markers=tuple(take_marker[m] for m in fault.other_markers))

@@ -132,13 +132,9 @@ def locate_samples(path: Path, parameters: C3dParameters, data: bytes) -> tuple[
 def _read_declared(parameters: C3dParameters) -> SampleBlocks:
     """Return the reading by the sources that count if all is right; its frames are the most that any of them says."""
     block = parameters.header_data_block or parameters.data_start_block
-    return SampleBlocks(
-        parameters.point_count,
-        parameters.header_analog_words,
-        parameters.scale_factor < 0,
-        C3D_BLOCK_BYTES * (block - 1) if block else parameters.section_end_byte,
-        max(parameters.frame_counts),
-    )
+    start_byte = C3D_BLOCK_BYTES * (block - 1) if block else parameters.section_end_byte
+    words = parameters.point_count, parameters.header_analog_words, parameters.scale_factor < 0
+    return SampleBlocks(*words, start_byte, max(parameters.frame_counts))
 
 
 def _list_sources(parameters: C3dParameters) -> list[_Source]:

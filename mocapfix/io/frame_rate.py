@@ -318,14 +318,9 @@ def _read_clock(times: FrameTimes, steps: Int[np.ndarray, " n"], stated: float |
     deviation = float(np.median(np.abs(differences / total - frame)))
     is_irregular = deviation > MAX_REGULAR_DEVIATION * frame + resolution / 2
     unit_s = TIME_UNITS_S[unit]
-    return _Clock(
-        frame * unit_s,
-        omitted,
-        (resolution + 2 * deviation * is_irregular) / (values[-1] - values[0]),
-        noise == 0,
-        deviation * unit_s if is_irregular else 0.0,
-        "" if unit_s == (times.unit_s or 1.0) else unit,
-    )
+    uncertainty = (resolution + 2 * deviation * is_irregular) / (values[-1] - values[0])
+    jitter_s, unit_name = deviation * unit_s if is_irregular else 0.0, "" if unit_s == (times.unit_s or 1.0) else unit
+    return _Clock(frame * unit_s, omitted, uncertainty, noise == 0, jitter_s, unit_name)
 
 
 def _count_omitted_frames(excess: Float[np.ndarray, " n"], noise: float) -> Int[np.ndarray, " n"]:

@@ -176,13 +176,8 @@ def classify_points(
         notes += ("All labels are names of computed points, such as joint centres: they were read as markers.",)
         is_named[:] = False
     is_computed = is_named | _find_points_behind_captured(visible, residual_words, is_marker)
-    return PointTypes(
-        labels,
-        np.flatnonzero(is_marker & ~is_computed),
-        np.flatnonzero(is_unlabelled_point & visible.any(0)),
-        np.flatnonzero(is_computed),
-        notes,
-    )
+    markers, unlabelled = np.flatnonzero(is_marker & ~is_computed), np.flatnonzero(is_unlabelled_point & visible.any(0))
+    return PointTypes(labels, markers, unlabelled, np.flatnonzero(is_computed), notes)
 
 
 def check_point_types(path: Path, types: PointTypes) -> None:
@@ -311,9 +306,5 @@ def add_other_points(take: Take, types: PointTypes, functions: Mapping[int, Poin
         known = (*[None] * len(by_name), *functions.values())
         take = replace(take, computed_points=ComputedPoints(computed, by_name + by_function, known))
     markers = set(take.point_columns.tolist())
-    return replace(
-        take,
-        unlabelled=unlabelled,
-        other_labels=tuple(label for i, label in enumerate(types.labels) if i not in markers),
-        notes=(*take.notes, *types.notes),
-    )
+    others = tuple(label for i, label in enumerate(types.labels) if i not in markers)
+    return replace(take, unlabelled=unlabelled, other_labels=others, notes=(*take.notes, *types.notes))

@@ -43,11 +43,6 @@ def resample_motion(motion: Motion, rate: float, new_rate: float) -> Motion:
     for joint in range(motion.local_rotations.shape[1]):
         spline = RotationSpline(frames, Rotation.from_matrix(motion.local_rotations[:, joint]))
         local_rotations[:, joint] = spline(new_frames).as_matrix()
-    return Motion(
-        root_position=CubicSpline(frames, motion.root_position)(new_frames),
-        local_rotations=local_rotations,
-        status=motion.status[nearest],
-        iterations=motion.iterations[nearest],
-        marker_sd=np.maximum(motion.marker_sd[below], motion.marker_sd[above]),
-        joint_sd=np.maximum(motion.joint_sd[below], motion.joint_sd[above]),
-    )
+    root_position = CubicSpline(frames, motion.root_position)(new_frames)
+    marker_sd, joint_sd = (np.maximum(sd[below], sd[above]) for sd in (motion.marker_sd, motion.joint_sd))
+    return Motion(root_position, local_rotations, motion.status[nearest], motion.iterations[nearest], marker_sd, joint_sd)

@@ -332,16 +332,9 @@ def build_report(
     if standing:
         body, residual_m = standing.fit, detected.measure_residuals(standing.fit)
         lost_parts = notes.find_lost_body_parts(detected, body)
-        solve = build_solve_section(
-            take,
-            body.subject,
-            body.motion,
-            residual_m,
-            NO_TRAINED_PRIOR if options.initialise.is_fast else options.prior.name_used,
-            options.solve.prior_scale,
-            options.initialise.method_used,
-            lost_parts=lost_parts,
-        )
+        prior, start = options.prior.name_used, options.initialise.method_used
+        prior = NO_TRAINED_PRIOR if options.initialise.is_fast else prior, options.solve.prior_scale
+        solve = build_solve_section(take, body.subject, body.motion, residual_m, *prior, start, lost_parts=lost_parts)
         body_notes += [PREVIEW_NOTE] * options.initialise.is_fast
         body_notes += notes.build_body_notes(detected, body, residual_m, lost_parts)
         floor_m = options.output.floor_height_m

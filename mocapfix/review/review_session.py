@@ -487,11 +487,8 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     """Return the entry of a take in the list of a session; one that cannot be read has its error."""
     entry = name_take(take)
     try:
-        file, approval, revision = (
-            read_yaml_model(ChangesFileModel, take.changes_path),
-            take_files.read_approval(take),
-            take_files.hash_changes(take.changes_path),
-        )
+        file, approval = read_yaml_model(ChangesFileModel, take.changes_path), take_files.read_approval(take)
+        revision = take_files.hash_changes(take.changes_path)
     except MocapfixError as error:
         return entry | {"error": str(error)}
     state = take_files.determine_state(file, approval, revision)

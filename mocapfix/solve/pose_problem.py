@@ -183,8 +183,12 @@ class MotionProblem:
     conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
-        masks = {"is_unobserved": self.is_unobserved[frames], "is_uncertain": self.is_uncertain[frames]}
-        return replace(self, pose_problem=self.pose_problem.select_frames(frames), **masks)
+        part, unobserved, uncertain = (
+            self.pose_problem.select_frames(frames),
+            self.is_unobserved[frames],
+            self.is_uncertain[frames],
+        )
+        return replace(self, pose_problem=part, is_unobserved=unobserved, is_uncertain=uncertain)
 
     def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
         return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))

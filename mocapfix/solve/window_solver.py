@@ -331,8 +331,8 @@ def recover_lost_limbs(
     predicted = predict_markers(subject, pose)
     cost = compute_marker_cost(problem, predicted)
     is_worse = cost > compute_marker_cost(problem, predict_markers(subject, own_pose)) + MAX_COST_INCREASE
-    limits = {"min_distance_m": MIN_RECOVERED_DISTANCE_M, "min_off_share": 0.0}
-    lost_parts = find_lost_parts(problem.marker_positions, problem.solver_mask, subject, predicted, **limits)
+    measured, limit_m = (problem.marker_positions, problem.solver_mask), MIN_RECOVERED_DISTANCE_M
+    lost_parts = find_lost_parts(*measured, subject, predicted, min_distance_m=limit_m, min_off_share=0.0)
     is_lost = np.logical_or.reduce([is_worse, *(part.frames for part in lost_parts)])
     frames = np.flatnonzero(is_lost)
     if not len(frames):

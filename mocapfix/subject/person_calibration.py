@@ -549,8 +549,8 @@ def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
     chosen = select_farthest_rows(flat, count // 2)
     rest = np.setdiff1d(np.arange(len(flat)), chosen)
     kept = np.sort(np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]])
-    arrays = ("times_s", "markers", "root_position", "local_rotations")
-    return replace(take, **{name: getattr(take, name)[kept] for name in arrays})
+    root, local = take.root_position[kept], take.local_rotations[kept]
+    return replace(take, times_s=take.times_s[kept], markers=take.markers[kept], root_position=root, local_rotations=local)
 
 
 def find_foreign_take(take: CalibrationFrames, state: RefinementState, others: Sequence[RefinementState]) -> str:
