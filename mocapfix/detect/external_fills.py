@@ -84,6 +84,7 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
 
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
+MIN_STRETCH_S = 0.1  # duration of the shortest stretch
 MIN_EXTRA_SAMPLES = 4  # number of samples beyond those that every polynomial of the degree fits
 STRETCH_LENGTH_FACTORS = (1, 2, 4)  # multiples of the shortest stretch that are tried until measured samples can be told apart
 # Number of stretches of a marker, evenly spread, at which the length is tested, and the quantile of their misfits that is used.
@@ -117,8 +118,8 @@ def detect_virtual_samples(take: Take) -> list[Fault]:
     return faults
 
 
-def detect_polynomial_fills(take: Take, min_duration_s: float = 0.1, memory: RoundMemory | None = None) -> list[Fault]:
-    """Detect the stretches of at least `min_duration_s` that lie exactly on a line, parabola or cubic.
+def detect_polynomial_fills(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
+    """Detect the stretches of at least MIN_STRETCH_S that lie exactly on a line, parabola or cubic.
 
     Returns:
         One fault for each stretch, without the measured samples that it connects, ordered by marker and first frame. Its
@@ -128,7 +129,7 @@ def detect_polynomial_fills(take: Take, min_duration_s: float = 0.1, memory: Rou
     faults: list[Fault] = []
     memory, visible = memory or RoundMemory(), take.visible
     for degree in POLYNOMIAL_NAMES:
-        min_length = max(degree + 1 + MIN_EXTRA_SAMPLES, round(min_duration_s * take.rate))
+        min_length = max(degree + 1 + MIN_EXTRA_SAMPLES, round(MIN_STRETCH_S * take.rate))
         length = _choose_stretch_length(take, degree, resolution, min_length, memory)
         if length:
             for m in range(len(take.labels)):
@@ -206,25 +207,19 @@ DISTANCE_CHANGE_INTERVAL_S = 1.0  # time between the frames of a pair, or half t
 # Quantile of the changes that is returned: about one standard deviation of a normal distribution.
 DISTANCE_CHANGE_QUANTILE = 0.84
 MAX_COMPARED_NEIGHBOURS = 3
+MIN_NEIGHBOUR_TRAVEL_M = 0.002  # distance that each compared neighbour travels
 MIN_FROZEN_SAMPLES = 4  # number of samples of the shortest stretch
 MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS = 50.0  # travel of the neighbours of a marker at rest, in multiples of the file's resolution
 
 
-def detect_frozen(
-    take: Take, min_duration_s: float = 0.1, min_neighbour_travel_m: float = 0.002, memory: RoundMemory | None = None
-) -> list[Fault]:
+def detect_frozen(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
     """Detect stretches in which a marker keeps one value while its neighbours move.
-
-    Args:
-        min_duration_s: Duration of the shortest stretch.
-        min_neighbour_travel_m: Distance that each compared neighbour travels.
-        memory: What earlier rounds on the same positions found.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the median travel of the neighbours in metres.
     """
     resolution = compute_float_resolution(take.markers)
-    length = max(MIN_FROZEN_SAMPLES, round(min_duration_s * take.rate))
+    length = max(MIN_FROZEN_SAMPLES, round(MIN_STRETCH_S * take.rate))
     memory, visible = memory or RoundMemory(), take.visible
     stretches: list[tuple[int, int, int]] = []
     for m in range(len(take.labels)):
@@ -233,7 +228,7 @@ def detect_frozen(
         stretches += [(m, first, last) for first, last in found]
     if not stretches:
         return []
-    min_travel_m = max(min_neighbour_travel_m, MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS * estimate_resolution(take.markers))
+    min_travel_m = max(MIN_NEIGHBOUR_TRAVEL_M, MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS * estimate_resolution(take.markers))
     neighbours = np.argsort(estimate_distance_changes(take.markers, take.rate), axis=1)[:, :-1]
     faults: list[Fault] = []
     for marker, first, last in stretches:

@@ -31,6 +31,7 @@ GHOST_CORRECT_FRACTION = 0.8  # of the take in which a marker is assumed to be i
 GHOST_CHANGE_COST = 0.5  # cost of a change of state, in leaps
 ELSEWHERE_CONTRADICTION = 0.5  # contradiction for which a label pays while it is elsewhere, whatever its partners show
 MIN_GHOST_GAIN = 1.0  # smallest cost, in leaps, that a ghost saves
+MIN_GHOST_M, MIN_GHOST_S = 0.03, 0.05  # smallest displacement, and the duration of the longest spike
 MIN_UNSEEN_GHOST_M = 0.045  # of a ghost that begins and ends in gaps: rare poses between two gaps reach 35 mm in captures
 MAX_GHOST_PARTNERS = 3  # number of steadiest partners by which the displacement is measured
 MAX_DISTANCE_SAMPLES = 300  # number of frames, evenly spread, from which the usual distance between two partners is computed
@@ -39,8 +40,8 @@ MAX_KEPT_DEVIATION_RATIO = 0.15  # of the two steadiest distances that a marker 
 MIN_SHARED_DEVIATION_RATIO = 0.5  # of a partner's distance to another, relative to the marker's own, that voids the latter
 
 
-def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s: float = 0.05) -> list[Fault]:
-    """Detect ghosts that are displaced by more than `min_distance_m` and last longer than `max_spike_duration_s`.
+def detect_ghosts(take: Take) -> list[Fault]:
+    """Detect ghosts that are displaced by more than MIN_GHOST_M and last longer than a spike.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the displacement in metres.
@@ -59,7 +60,7 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
         state = find_cheapest_states(step_cost[1:], state_cost) if len(visible) else np.zeros(0, int)
         for a, b in find_runs(state == 1):
             frames = visible[a : b + 1]
-            if not len(frames) > max_spike_duration_s * take.rate:
+            if not len(frames) > MIN_GHOST_S * take.rate:
                 continue
             t = np.arange(max(a, 1), min(b + 2, len(visible)))
             saved_step_cost = (step_cost[t, 0, 0] - step_cost[t, state[t - 1], state[t]]).sum()
@@ -68,10 +69,10 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
                 continue
             is_persistent = b == len(visible) - 1 or a == 0
             displacement = _measure_displacement(take.markers, distances, m, visible, (a, b))
-            may_be_moved = is_persistent and displacement.sd_m < min_distance_m / 3
+            may_be_moved = is_persistent and displacement.sd_m < MIN_GHOST_M / 3
             interval = int(frames[0]), int(frames[-1])
             is_seen = any(0 <= t < take.frame_count and take.visible[t, m] for t in (interval[0] - 1, interval[1] + 1))
-            least_m = min_distance_m if is_seen else max(min_distance_m, MIN_UNSEEN_GHOST_M)
+            least_m = MIN_GHOST_M if is_seen else MIN_UNSEEN_GHOST_M
             if displacement.distance_m > least_m and displacement.is_abrupt and not may_be_moved:
                 off_m, count = displacement.distance_m, interval[1] - interval[0] + 1
                 where = f"{off_m * 1e3:.0f} mm off its segment for {count / take.rate:.2f} s ({count} frames)"

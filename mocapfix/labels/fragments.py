@@ -15,6 +15,7 @@ from itertools import groupby
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.errors import join_words
 from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.labels.trajectory_segments import (
     MAX_DUPLICATE_DISTANCE_M,
@@ -50,7 +51,7 @@ def classify_continuation(
     """Classify a segment that continues the marker that it matches best."""
     match, evidence = candidates[0], "it begins or ends where that marker ends or begins"
     if match.partners:
-        names = _join_labels(match.partners, take)
+        names = join_words([take.bare_labels[m] for m in match.partners])
         evidence = f"its distances to {names} are within {_format_mm(match.distance_error_m)} of that marker's"
     label, duration = take.bare_labels[match.marker], _format_duration(segment, take)
     reason = f"{_get_donor_label(segment, take)} continues {label} for {duration}: {evidence}."
@@ -71,7 +72,8 @@ def classify_unassigned(
         evidence = f"{labels[possible[0].marker]} is missing at that time, but the match is uncertain"
     elif compared:
         best = min(compared, key=lambda match: match.distance_error_m)
-        error = f"its distances to {_join_labels(best.partners, take)} differ by {_format_mm(best.distance_error_m)}"
+        names, error_mm = join_words([labels[m] for m in best.partners]), _format_mm(best.distance_error_m)
+        error = f"its distances to {names} differ by {error_mm}"
         evidence = f"of the markers missing at that time, {labels[best.marker]} fits best, but {error}"
     elif candidates:
         evidence = f"{labels[candidates[0].marker]} is missing at that time, but its position is unknown"
@@ -93,13 +95,6 @@ def classify_duplicate(segment: TrajectorySegment, marker: int, distance_m: floa
         reason += " and joins the samples before and after more smoothly."
         return _build_fragment("replaces", segment, marker, distance_m, confidence, reason)
     return _build_fragment("doubles", segment, marker, distance_m, confidence, f"{reason}.")
-
-
-def classify_short(segment: TrajectorySegment, take: Take) -> Fragment:
-    """Classify a segment that is too short to be compared."""
-    duration = _format_duration(segment, take)
-    reason = f"{_get_donor_label(segment, take)} is visible for {duration}, too short to match it with a marker."
-    return _build_fragment("other", segment, segment.donor, np.nan, 0.5, reason)
 
 
 def merge_unassigned(fragments: Sequence[Fragment]) -> list[Fragment]:
@@ -127,7 +122,7 @@ def _describe_motion(segment: TrajectorySegment, take: Take) -> str:
             near = near[np.argsort(samples.measure_distances(take.markers, near).std(0), kind="stable")[:count]]
     sd_m = segment.measure_distances(take.markers, near).std(0)
     if len(near) == 3 and sd_m.max() < MAX_RIGID_DISTANCE_SD_M:
-        return f"it moves rigidly with {_join_labels(near.tolist(), take)}"
+        return f"it moves rigidly with {join_words([take.bare_labels[m] for m in near.tolist()])}"
     return "it moves independently"
 
 
@@ -143,11 +138,6 @@ def _get_donor_label(segment: TrajectorySegment, take: Take) -> str:
     if segment.donor < len(take.labels):
         return take.bare_labels[segment.donor]
     return take.unlabelled.bare_labels[segment.donor - len(take.labels)] if take.unlabelled else ""
-
-
-def _join_labels(markers: Sequence[int], take: Take) -> str:
-    *first, last = [take.bare_labels[m] for m in markers]
-    return f"{', '.join(first)} and {last}"
 
 
 def _format_mm(distance_m: float) -> str:
@@ -224,7 +214,9 @@ def _classify_by_matches(
 def _classify_directly(segment: TrajectorySegment, take: Take, receivers: np.ndarray) -> Fragment | None:
     """Classify a segment that is too short, or that repeats a visible marker; None for any other."""
     if (len(segment.frames) - 1) / take.rate < MIN_SEGMENT_DURATION_S:
-        return classify_short(segment, take)
+        duration = f"is visible for {_format_duration(segment, take)}, too short to match it with a marker"
+        reason = f"{_get_donor_label(segment, take)} {duration}."
+        return _build_fragment("other", segment, segment.donor, np.nan, 0.5, reason)
     sampled_m = segment.pick_samples(MAX_SCREENED_SAMPLES).measure_distances(take.markers, receivers)
     near = receivers[(sampled_m <= MAX_DUPLICATE_DISTANCE_M).any(0)]
     near = near[take.visible[np.ix_(segment.frames, near)].all(0)]

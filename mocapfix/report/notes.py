@@ -109,29 +109,16 @@ def describe_stray_markers(
                 assumption = "check the suspected label swap" if is_suspected else "its label was assumed to be right"
                 strays.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; {assumption}.")
                 stray_labels.append(take.labels[m])
-    return [*_describe_misplaced_markers(misplaced, residual_m.shape[1]), *_limit_stray_notes(strays, stray_labels)]
-
-
-def _describe_misplaced_markers(labels: Sequence[str], marker_count: int) -> list[str]:
-    """Return notes on markers that are far from the body in most of their frames: one sentence if the body does not fit."""
-    distance = _format_mm(MISLABELLED_MARKER_DISTANCE_M)
-    if len(labels) <= MAX_STRAY_NOTES:
-        return [f"{label} is more than {distance} from the body in most of its frames; check its label." for label in labels]
-    return [
-        f"{len(labels)} of {marker_count} markers ({format_name_list(labels)}) are more than {distance} from the body in most of "
-        "their frames: the subject file or the marker set is not that of this person."
-    ]
-
-
-def _limit_stray_notes(notes: list[str], labels: Sequence[str]) -> list[str]:
-    """Return notes on intervals in which a marker is far from the body, many of them as one sentence."""
-    if len(notes) <= MAX_STRAY_NOTES:
-        return notes
-    names, distance = format_name_list(list(dict.fromkeys(labels))), _format_mm(MIN_STRAY_DISTANCE_M)
-    return [
-        f"In {len(notes):,} intervals a marker is more than {distance} from the body and left unchanged ({names}); "
-        "check the labels, and the subject file or the marker set if you named one."
-    ]
+    far, names = _format_mm(MISLABELLED_MARKER_DISTANCE_M), format_name_list(misplaced)
+    notes = [f"{label} is more than {far} from the body in most of its frames; check its label." for label in misplaced]
+    if len(misplaced) > MAX_STRAY_NOTES:
+        what = f"{len(misplaced)} of {residual_m.shape[1]} markers ({names}) are more than {far} from the body"
+        notes = [f"{what} in most of their frames: the subject file or the marker set is not that of this person."]
+    if len(strays) > MAX_STRAY_NOTES:
+        names, far = format_name_list(list(dict.fromkeys(stray_labels))), _format_mm(MIN_STRAY_DISTANCE_M)
+        what = f"In {len(strays):,} intervals a marker is more than {far} from the body and left unchanged ({names})"
+        strays = [f"{what}; check the labels, and the subject file or the marker set if you named one."]
+    return notes + strays
 
 
 def describe_lost_part(
