@@ -12,19 +12,12 @@ from mocapfix.model.take import Take
 
 @dataclass(frozen=True)
 class SubjectInTake:
-    """A calibrated subject, and where its markers are in a take.
+    """A calibrated subject, and where its markers are in a take."""
 
-    Attributes:
-        subject: The calibrated subject.
-        extended_subject: The same with one more marker for every further place of a moved marker: K markers.
-        marker_columns: The column of each of these in `Detected.epochs`, -1 where it has none.
-        take: The samples that the solver uses, of the K markers.
-    """
-
-    subject: Subject
-    extended_subject: Subject
-    marker_columns: Int[np.ndarray, " K"]
-    take: Take
+    subject: Subject  # the calibrated subject
+    extended_subject: Subject  # the same with one more marker for every further place of a moved marker: K markers
+    marker_columns: Int[np.ndarray, " K"]  # the column of each of these in `Detected.epochs`, -1 where it has none
+    take: Take  # the samples that the solver uses, of the K markers
 
 
 @dataclass(frozen=True)
@@ -32,15 +25,12 @@ class BodyFit(SubjectInTake):
     """A subject and its motion.
 
     Attributes:
-        motion: Its poses, one a frame.
-        joint_positions: Metres, Y up.
-        marker_positions: Metres: where the body carries its markers.
         evidence: What the solver needs to know of a solution to improve it; None for a preview, which is not solved.
     """
 
-    motion: Motion
-    joint_positions: Float[np.ndarray, "T J 3"]
-    marker_positions: Float[np.ndarray, "T K 3"]
+    motion: Motion  # its poses, one a frame
+    joint_positions: Float[np.ndarray, "T J 3"]  # metres, Y up
+    marker_positions: Float[np.ndarray, "T K 3"]  # metres: where the body carries its markers
     evidence: PoseEvidence | None
 
     @property

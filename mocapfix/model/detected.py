@@ -27,13 +27,11 @@ class MarkerEpochs:
     Attributes:
         take: The take with its M columns and one more for each additional position. The original column of a moved marker
             holds the position at which it is visible longest.
-        column_marker: The marker (C,) of each column.
-        is_active: The frames (T, C) in which a column represents its marker; one column for each marker and frame.
     """
 
     take: Take
-    column_marker: np.ndarray
-    is_active: np.ndarray
+    column_marker: np.ndarray  # the marker (C,) of each column
+    is_active: np.ndarray  # the frames (T, C) in which a column represents its marker; one column for each marker and frame
 
     @property
     def added_columns(self) -> Int[np.ndarray, " E"]:
@@ -149,25 +147,15 @@ def _strip_number(label: str) -> str | None:
 
 @dataclass(frozen=True)
 class Detected:
-    """The detected faults of a take, and the take with its labels corrected.
+    """The detected faults of a take, and the take with its labels corrected."""
 
-    Attributes:
-        take: The take with its labels corrected.
-        label_faults: Faults of labels, in the order in which they were corrected.
-        sample_faults: Faults of samples, found under the corrected labels.
-        replaced_kinds: The kinds of fault whose samples are replaced.
-        body_faults: Those of `sample_faults` that only the solved body showed.
-        unconfirmed_shifts: Marker shifts that the solved body did not confirm.
-        notes: Sentences for the report.
-    """
-
-    take: Take
-    label_faults: tuple[Fault, ...] = ()
-    sample_faults: Faults = field(default_factory=Faults)
-    replaced_kinds: tuple[FaultKind, ...] = REPLACED_SAMPLE_KINDS
-    body_faults: tuple[Fault, ...] = ()
-    unconfirmed_shifts: tuple[Fault, ...] = ()
-    notes: tuple[str, ...] = ()
+    take: Take  # the take with its labels corrected
+    label_faults: tuple[Fault, ...] = ()  # faults of labels, in the order in which they were corrected
+    sample_faults: Faults = field(default_factory=Faults)  # faults of samples, found under the corrected labels
+    replaced_kinds: tuple[FaultKind, ...] = REPLACED_SAMPLE_KINDS  # the kinds of fault whose samples are replaced
+    body_faults: tuple[Fault, ...] = ()  # those of `sample_faults` that only the solved body showed
+    unconfirmed_shifts: tuple[Fault, ...] = ()  # marker shifts that the solved body did not confirm
+    notes: tuple[str, ...] = ()  # sentences for the report
 
     @cached_property
     def faults(self) -> Faults:
