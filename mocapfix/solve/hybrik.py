@@ -48,30 +48,13 @@ WEAK_TRUNK_SD_M = 10.0
 """Standard deviation of trunk joints in the registration of the root: negligible weight unless no point at the hips is known."""
 
 
-class MarkedSubject(NamedTuple):
-    """A subject, and whether marker positions are given for it."""
-
-    subject: Subject
-    has_markers: bool
-
-
-@dataclass(frozen=True)
-class BonePoint:
+class BonePoint(NamedTuple):
     """A point that a joint's rotation moves."""
 
     point_index: int  # index among J joints and K markers
     rest_position: np.ndarray  # (3,) m in the joint's axes
     is_child: bool  # whether it is a child joint, which determines the swing
     variance: float  # m^2 per axis about the rest position
-
-
-class BonePointArrays(NamedTuple):
-    """P bone points as arrays for the kernels."""
-
-    point_index: np.ndarray
-    rest_position: np.ndarray
-    is_child: np.ndarray
-    variance: np.ndarray
 
 
 def find_separate_joints(skeleton: Skeleton) -> Bool[np.ndarray, " J"]:
@@ -85,44 +68,35 @@ def find_stiff_joints(prior: MeanPosePrior) -> Bool[np.ndarray, " J"]:
 
 
 def build_bones(
-    skeleton: Skeleton, prior: MeanPosePrior, marked_subject: MarkedSubject, is_held: Bool[np.ndarray, " J"]
+    subject: Subject, prior: MeanPosePrior, has_markers: bool, is_held: Bool[np.ndarray, " J"]
 ) -> tuple[HybrikSkeleton, RootPoints]:
-    """Return the bones for HybrIK, and the points that determine the root. Markers follow the joints in the subject's order.
+    """Return the bones for HybrIK, and the points that determine the root. Markers, if there are any, follow the joints.
 
     Args:
         prior: The mean pose; a joint that it locks about all axes is stiff, and what it carries moves with its parent.
         is_held: Joints that keep the mean pose.
     """
-    joint_count, parents = len(skeleton.names), skeleton.parents
-    points = [list_bone_points(j, skeleton, prior, marked_subject) for j in range(joint_count)]
+    skeleton, parents = subject.skeleton, subject.skeleton.parents
+    points = [list_bone_points(j, subject, prior, has_markers) for j in range(len(parents))]
     root_points, points[0] = points[0], []
-    arrays = stack_points([point for each in points for point in each])
-    conflict_joint = np.full(joint_count, -1)
+    conflict_joint = np.full(len(parents), -1)
     for k in (skeleton.find_joint(name) for name in SUBTREE_ROOTS):
         conflict_joint[parents[parents[k]]] = k
-    bones = HybrikSkeleton(
-        parents,
-        skeleton.offsets,
-        np.array([any(point.is_child for point in each) for each in points]) & ~is_held,
-        np.cumsum([0, *map(len, points)]),
-        arrays.point_index,
-        arrays.rest_position,
-        arrays.is_child,
-        np.concatenate([find_off_axis_points(each) for each in points]),
-        arrays.variance,
-        conflict_joint,
-    )
+    is_solved = np.array([any(point.is_child for point in each) for each in points]) & ~is_held
+    first_point, is_off_axis = np.cumsum([0, *map(len, points)]), np.concatenate([find_off_axis_points(each) for each in points])
+    index, rest_position, is_child, variance = map(np.array, zip(*(point for each in points for point in each), strict=True))
+    of_points = first_point, index, rest_position, is_child, is_off_axis, variance
+    bones = HybrikSkeleton(parents, skeleton.offsets, is_solved, *of_points, conflict_joint)
     near_root = {point.point_index for point in root_points}
     trunk = [point for point in list_trunk_points(skeleton, prior) if point.point_index not in near_root]
-    arrays = stack_points(root_points + trunk)
-    distance = np.linalg.norm(arrays.rest_position[:, None] - arrays.rest_position, axis=2)
-    first_coincident = (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1)
-    return bones, RootPoints(arrays.point_index, arrays.rest_position, arrays.variance, first_coincident)
+    index, rest_position, _, variance = map(np.array, zip(*root_points, *trunk, strict=True))
+    distance = np.linalg.norm(rest_position[:, None] - rest_position, axis=2)
+    return bones, RootPoints(index, rest_position, variance, (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1))
 
 
-def list_bone_points(j: int, skeleton: Skeleton, prior: MeanPosePrior, marked_subject: MarkedSubject) -> list[BonePoint]:
+def list_bone_points(j: int, subject: Subject, prior: MeanPosePrior, has_markers: bool) -> list[BonePoint]:
     """List all points that the rotation of joint `j` moves."""
-    offsets, subject = skeleton.offsets, marked_subject.subject
+    skeleton, offsets = subject.skeleton, subject.skeleton.offsets
     root = [BonePoint(0, np.zeros(3), False, 0.0)] if j == 0 else []
     joints: list[BonePoint] = []
     for c in np.flatnonzero(skeleton.parents == j):
@@ -134,7 +108,7 @@ def list_bone_points(j: int, skeleton: Skeleton, prior: MeanPosePrior, marked_su
                 position = offsets[c] + prior.mean_rotations[c] @ offsets[g]
                 variance = (STIFF_JOINT_SD_RAD * np.linalg.norm(offsets[g])) ** 2 if is_separate else 0.0
                 joints.append(BonePoint(int(g), position, False, float(variance)))
-    own_markers = np.flatnonzero(subject.joints == j) if marked_subject.has_markers else []
+    own_markers = np.flatnonzero(subject.joints == j) if has_markers else []
     is_leaf = not joints
     markers = [
         BonePoint(len(skeleton.names) + int(k), subject.marker_offsets[k], is_leaf, BONE_MARKER_SD_M**2) for k in own_markers
@@ -162,15 +136,6 @@ def list_trunk_points(skeleton: Skeleton, prior: MeanPosePrior) -> list[BonePoin
             rotations[j] = rotations[p] @ prior.mean_rotations[j]
             points.append(BonePoint(j, positions[j], False, WEAK_TRUNK_SD_M**2))
     return points
-
-
-def stack_points(points: list[BonePoint]) -> BonePointArrays:
-    return BonePointArrays(
-        np.array([point.point_index for point in points]),
-        np.array([point.rest_position for point in points], float),
-        np.array([point.is_child for point in points], bool),
-        np.array([point.variance for point in points], float),
-    )
 
 
 CHEST_SPAN_JOINTS = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))
@@ -373,7 +338,7 @@ def solve_hybrik(
         is_stub = find_stiff_joints(prior) & ~find_separate_joints(skeleton)  # the hip stubs, redundant with the thighs
         held_joints = is_stub & (variant == "x")
     is_held = check_array("held_joints", held_joints, (joint_count,)).astype(bool)
-    bones, root_points = build_bones(skeleton, prior, MarkedSubject(subject, markers is not None), is_held)
+    bones, root_points = build_bones(subject, prior, markers is not None, is_held)
     points = joint_positions
     if markers is not None:
         marker_positions = check_array("markers", markers, (frame_count, len(subject.joints), 3))
