@@ -226,15 +226,6 @@ AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginni
 AMC_HEAD_PATTERN = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
 
 
-@dataclass(frozen=True)
-class _BoneLines:
-    """The lines of one bone in an AMC."""
-
-    frames: Int[np.ndarray, " n"]  # frame of each line, counted from 1
-    tokens: Int[np.ndarray, " n"]  # token that each line begins with
-    value_counts: Int[np.ndarray, " n"]  # number of values on each line
-
-
 def is_asf_or_amc(head: bytes) -> bool:
     """Return whether a file with this beginning is an AMC or an ASF."""
     lower = head.lower()
@@ -383,12 +374,21 @@ def _locate_values(
             raise ReadError(f"{path}, line {line_number}: bone {name[:MAX_QUOTED_CHARACTERS]} is not in the skeleton.")
         bone_of_line[line] = names.index(name)
     columns: list[np.ndarray] = []
+    frame_tokens = line_tokens[~is_bone_line]  # the frame numbers
     for index, bone in enumerate(skeleton.bones):
         if bone.degrees_of_freedom:
             own = np.flatnonzero(is_bone_line & (bone_of_line == index))
-            bone_lines = _BoneLines(frame_of_line[own], line_tokens[own], token_counts[own] - 1)
-            frame_tokens = line_tokens[~is_bone_line]
-            _check_bone_lines(path, tokens, bone.name, frame_tokens, bone_lines, len(bone.degrees_of_freedom))
+            width, values = len(bone.degrees_of_freedom), token_counts[own] - 1
+            counts = np.bincount(frame_of_line[own], minlength=len(frame_tokens) + 1)[1:]
+            if (counts != 1).any():
+                frame = int(np.argmax(counts != 1))
+                line, number = tokens.line_numbers[frame_tokens[frame]], tokens.get_text(int(frame_tokens[frame]))
+                problem = "occurs twice" if counts[frame] > 1 else "is missing"
+                raise ReadError(f"{path}, line {line}: bone {bone.name} {problem} in frame {number}.")
+            if (values != width).any():
+                wrong = int(np.argmax(values != width))
+                problem = f"bone {bone.name} has {values[wrong]} values and {width} degrees of freedom"
+                raise ReadError(f"{path}, line {tokens.line_numbers[line_tokens[own][wrong]]}: {problem}.")
             columns.append(line_tokens[own, None] + 1 + np.array(bone.amc_columns))
     return tokens.values[line_tokens[~is_bone_line]], np.hstack(columns)
 
@@ -405,23 +405,6 @@ def _match_names(tokens: TextTokens, line_tokens: Int[np.ndarray, " L"], names: 
     for index, name in enumerate(encoded_names):
         name_of_line[first_words == name] = index
     return name_of_line
-
-
-def _check_bone_lines(
-    path: Path, tokens: TextTokens, name: str, frame_tokens: Int[np.ndarray, " T"], lines: _BoneLines, width: int
-) -> None:
-    """Raise ReadError unless a bone has one line with `width` values in every frame; `frame_tokens` are the frame numbers."""
-    line_counts = np.bincount(lines.frames, minlength=len(frame_tokens) + 1)[1:]
-    if (line_counts != 1).any():
-        frame = int(np.argmax(line_counts != 1))
-        token = int(frame_tokens[frame])
-        problem = "occurs twice" if line_counts[frame] > 1 else "is missing"
-        frame_number = tokens.get_text(token)
-        raise ReadError(f"{path}, line {tokens.line_numbers[token]}: bone {name} {problem} in frame {frame_number}.")
-    if (lines.value_counts != width).any():
-        line = int(np.argmax(lines.value_counts != width))
-        problem = f"bone {name} has {lines.value_counts[line]} values and {width} degrees of freedom"
-        raise ReadError(f"{path}, line {tokens.line_numbers[lines.tokens[line]]}: {problem}.")
 
 
 CMU_LENGTH_FACTOR = 0.45  # of lengths in inches

@@ -284,14 +284,6 @@ NO_TWIST_INFORMATION = 1e-6  # information, in 1/rad^2, of a zero twist for bone
 MIN_ROOT_POINTS = 3  # points of a frame that determine the root rotation
 
 
-class RootRegistration(NamedTuple):
-    """The root of T frames: position (T, 3) m, rotation (T, 3, 3), and (T,) whether the frame itself determines them."""
-
-    position: np.ndarray
-    rotation: np.ndarray
-    is_known: np.ndarray
-
-
 def solve_hybrik(
     positions: ArrayLike,
     subject: Subject,
@@ -344,21 +336,21 @@ def solve_hybrik(
         marker_positions = check_array("markers", markers, (frame_count, len(subject.joints), 3))
         points = np.concatenate([joint_positions, marker_positions], axis=1)
     variance = compute_point_variances(joint_sd, joint_positions, points.shape[1])
-    root = register_root(root_points, points, variance, variant == "x")
+    root_position, root_rotation, is_known = register_root(root_points, points, variance, variant == "x")
     local_rotations = np.tile(prior.mean_rotations, (frame_count, 1, 1, 1))
-    local_rotations[:, 0], reach_error = root.rotation, np.empty(frame_count)
+    local_rotations[:, 0], reach_error = root_rotation, np.empty(frame_count)
     if twists is None:
-        weighted_twists = load_shipped_regressor().predict_twists(joint_positions, root.rotation)
+        weighted_twists = load_shipped_regressor().predict_twists(joint_positions, root_rotation)
     else:
         weighted_twists = check_array("twists", twists, (None, joint_count, 2), allow_nan=False)
     if len(weighted_twists) not in {1, frame_count}:
         raise ConstraintError(f"twists must have 1 or {frame_count} frames, not {len(weighted_twists)}.")
     observations = HybrikObservations(points, variance, weighted_twists + [NO_TWIST_INFORMATION, 0.0])
     run_over_frames(
-        solve_hybrik_frames, frame_count, bones, VARIANT_CODES[variant], observations, root.position, local_rotations, reach_error
+        solve_hybrik_frames, frame_count, bones, VARIANT_CODES[variant], observations, root_position, local_rotations, reach_error
     )
     status = np.select(
-        [~root.is_known, reach_error > MAX_REACH_ERROR_M, reach_error < -MAX_REACH_ERROR_M],
+        [~is_known, reach_error > MAX_REACH_ERROR_M, reach_error < -MAX_REACH_ERROR_M],
         [int(FrameStatus.GUESSED), int(FrameStatus.OUT_OF_REACH), int(FrameStatus.TOO_NEAR)],
         int(FrameStatus.PLACED),
     )
@@ -366,13 +358,13 @@ def solve_hybrik(
         np.full((frame_count, len(subject.joints)), np.nan),
         np.full((frame_count, joint_count), np.nan),
     )
-    return Motion(root.position, local_rotations, status, np.zeros(frame_count, int), marker_sd, predicted_joint_sd)
+    return Motion(root_position, local_rotations, status, np.zeros(frame_count, int), marker_sd, predicted_joint_sd)
 
 
 def register_root(
     root_points: RootPoints, points: Float[np.ndarray, "T Q 3"], variance: np.ndarray, fit_position: bool
-) -> RootRegistration:
-    """Return the root of every frame by least squares without reflections (HybrIK, appendix A, whose Eq. 33 allows them).
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3 3"], Bool[np.ndarray, " T"]]:
+    """Return root position (m) and rotation by least squares without reflections (HybrIK, appendix A), and whether known.
 
     Frames with too few points take the rotation of the nearest frame and an interpolated position.
 
@@ -396,7 +388,7 @@ def register_root(
         # a known root position is kept although its rotation is not determined
         fallback = np.where(np.isnan(points[:, :1]).any(axis=2), interpolated, points[:, 0])
         position, rotation = np.where(is_known[:, None], position, fallback), rotation[nearest]
-    return RootRegistration(position, rotation, is_known)
+    return position, rotation, is_known
 
 
 def check_array(name: str, values: ArrayLike | float, shape: tuple[int | None, ...], allow_nan: bool = True) -> np.ndarray:

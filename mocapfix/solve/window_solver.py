@@ -54,17 +54,14 @@ class WorldPoses(NamedTuple):
     local_rotations: np.ndarray
 
 
-class MarkerEquations(NamedTuple):
-    """The quadratic cost of the markers of N frames about their poses, in root position, root rotation and pose vectors."""
-
-    curvature: np.ndarray  # (N, 6 + 3 F, 6 + 3 F)
-    gradient: np.ndarray  # (N, 6 + 3 F)
-
-
 def compute_marker_equations(
     problem: PoseProblem, pose: WorldPoses, jacobian: Float[np.ndarray, "N F 3 3"], robust_scale_m: float
-) -> MarkerEquations:
-    """Return the cost of markers about poses; `jacobian` from pose vectors to the free joints' rotations in parent axes."""
+) -> tuple[Float[np.ndarray, "N D D"], Float[np.ndarray, "N D"]]:
+    """Return curvature and gradient of the cost of the markers about poses, in root position, root rotation and pose vectors.
+
+    Args:
+        jacobian: Rotation of each of F free joints, in its parent's axes, by its pose vector; D = 6 + 3 F.
+    """
     tree, attachment = problem.tree, problem.attachment
     joints = np.flatnonzero(tree.free)[1:]
     position, rotation, _ = pose
@@ -88,7 +85,7 @@ def compute_marker_equations(
     weighted = np.swapaxes(flat * np.repeat(weight, 3, axis=1)[..., None], 1, 2)
     curvature = weighted @ flat
     curvature[:, range(6), range(6)] += MIN_ROOT_CURVATURE
-    return MarkerEquations(curvature, (weighted @ error.reshape(len(error), -1, 1))[..., 0])
+    return curvature, ((weighted @ error.reshape(len(error), -1, 1))[..., 0])
 
 
 def cross_columns(axes: Float[np.ndarray, "... 3 3"], arm: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
@@ -202,13 +199,13 @@ def compute_sampled_prior(
     size = 3 * len(joints)
     vectors = compute_pose_vectors(pose.local_rotations, model.reference_rotations)
     start, jacobian = vectors[:, joints], compute_left_jacobian(vectors[:, joints])
-    equations = compute_marker_equations(problem, pose, jacobian, robust_scale_m)
+    marker_curvature, marker_gradient = compute_marker_equations(problem, pose, jacobian, robust_scale_m)
     locked_force, locked_information = compute_locked_prior(base, pose.local_rotations[:, joints], joints)
     transposed = np.swapaxes(jacobian, -1, -2)
     for n, block in enumerate(np.moveaxis(transposed @ locked_information @ jacobian, 1, 0)):
         part = slice(6 + 3 * n, 9 + 3 * n)  # after the six numbers of the root
-        equations.curvature[:, part, part] += block
-    equations.gradient[:, 6:] += (transposed @ locked_force[..., None]).reshape(-1, size)
+        marker_curvature[:, part, part] += block
+    marker_gradient[:, 6:] += (transposed @ locked_force[..., None]).reshape(-1, size)
     has_root_markers = bool((problem.attachment.joints == 0).any())
     rows = np.r_[0, joints] if has_root_markers else joints  # the markers of a part of a body do not show the root's tilt
     codes, step = np.zeros((len(vectors), model.code_size)), np.zeros((len(vectors), size))
@@ -218,7 +215,7 @@ def compute_sampled_prior(
         if n:
             prior = linearise_model(model, vectors, codes, rows, residual_information)
         information = prior.information[:, -size:, -size:]
-        curvature, gradient = equations.curvature.copy(), equations.gradient.copy()
+        curvature, gradient = marker_curvature.copy(), marker_gradient.copy()
         curvature[:, 6:, 6:] += weight * information
         force = prior.compute_force(vectors[:, rows])[:, -size:] - (information @ step[..., None])[..., 0]  # at the start
         gradient[:, 6:] += weight * force

@@ -153,14 +153,6 @@ CHI2_MEDIAN_3_DOF = 2.366  # median of the chi-squared distribution with three d
 NORMAL_MEDIAN_FACTOR = 2.2  # mean square over median square of a normal residual; the median ignores outliers
 
 
-class InterpolatedResidual(NamedTuple):
-    """A residual over T frames, zero outside the gaps."""
-
-    mean: Float[np.ndarray, "T 3"]
-    variance: Float[np.ndarray, " T"]  # per axis
-    signal_power: float  # the variance per axis far from any known sample
-
-
 def interpolate_residual(
     residual: Float[np.ndarray, "T 3"],
     is_gap: Bool[np.ndarray, " T"],
@@ -170,8 +162,8 @@ def interpolate_residual(
     margin_s: float,
     noise_sd: float,
     min_sd: float,
-) -> InterpolatedResidual:
-    """Return the process of a residual (T, 3), in any unit and NaN where unknown, in the frames `is_gap` (T,).
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"], float]:
+    """Return the process of a residual, in any unit and NaN where unknown, in gaps: mean, variance per axis, and that far away.
 
     Args:
         time_scale_s: Of the residual's correlation.
@@ -200,7 +192,7 @@ def interpolate_residual(
         weight = np.linalg.solve(among, cross.T).T
         mean[gap] = weight @ residual[near]
         variance[gap] = np.maximum(power - (weight * cross).sum(1), 0.0)
-    return InterpolatedResidual(mean, variance, power)
+    return mean, variance, power
 
 
 def build_residual_map(

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations, product
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -187,13 +186,6 @@ def find_point_functions(
     return {point: each for point, each in functions.items() if is_parent[list(each.parents)].all()}
 
 
-class _Fit(NamedTuple):
-    """Coefficients of a regression, and the distance of the target in each frame, NaN where unknown."""
-
-    coefficients: Float[np.ndarray, " U"]
-    misfit_m: Float[np.ndarray, " T"]
-
-
 class _FunctionSearch:
     """The search for functions in sampled frames.
 
@@ -317,10 +309,10 @@ class _FunctionSearch:
         own, first = sound[:, :1], sound[:, 1:2]
         # the weights of all parents but the first
         basis = (sound[:, 2:] - first).swapaxes(-1, -2)
-        fit = self._regress((own - first)[:, 0], basis)
-        if not self._holds(fit.misfit_m):
+        coefficients, misfit_m = self._regress((own - first)[:, 0], basis)
+        if not self._holds(misfit_m):
             return None
-        weights = np.r_[1 - fit.coefficients.sum(), fit.coefficients]
+        weights = np.r_[1 - coefficients.sum(), coefficients]
         used = np.flatnonzero(np.abs(weights) > NEGLIGIBLE_WEIGHT)
         if len(used) < len(parents):
             return self._fit_mean(point, tuple(parents[i] for i in used)) if len(used) > 1 else None
@@ -340,17 +332,17 @@ class _FunctionSearch:
         corners = np.einsum("cp,tpx->tcx", corner_weights, sound[:, 1:])
         relative = (corners[:, 1:] - corners[:, :1]).swapaxes(-1, -2)
         basis = np.concatenate([relative, build_frame_axes(corners).swapaxes(-1, -2)], axis=-1)
-        fit = self._regress(sound[:, 0] - corners[:, 0], basis)
-        if not self._holds(fit.misfit_m):
+        coefficients, misfit_m = self._regress(sound[:, 0] - corners[:, 0], basis)
+        if not self._holds(misfit_m):
             return None
-        second, third, *offset = fit.coefficients.tolist()
+        second, third, *offset = coefficients.tolist()
         weights = np.array([1 - second - third, second, third]) @ corner_weights
         is_mean, is_copy = np.abs(offset).max() < NEGLIGIBLE_OFFSET_M, np.abs(weights - 1).min() < NEGLIGIBLE_WEIGHT
         if is_mean and (is_copy or weights.min() < -NEGLIGIBLE_WEIGHT):
             return None  # of a copy either may be the original, and a parent follows from its mean and the other parents
         return PointFunction(parents, weights, np.array(offset), corner_weights=corner_weights)
 
-    def _regress(self, target: Float[np.ndarray, "T 3"], basis: Float[np.ndarray, "T 3 U"]) -> _Fit:
+    def _regress(self, target: Float[np.ndarray, "T 3"], basis: Float[np.ndarray, "T 3 U"]) -> tuple[np.ndarray, np.ndarray]:
         """Fit a target as a combination of vectors, with little weight for the frames that do not agree with the others.
 
         Coefficients have a prior with the standard deviation 1 (a weight of 1, or an offset of one metre).
@@ -365,7 +357,7 @@ class _FunctionSearch:
             coefficients = np.linalg.solve(weighted @ rows + self.limit_m**2 * np.eye(count), weighted @ target.ravel())
             misfit = np.linalg.norm(target - (rows @ coefficients).reshape(target.shape), axis=-1)
             weight = self.limit_m / np.maximum(misfit, self.limit_m)
-        return _Fit(coefficients, np.where(is_known, misfit, np.nan))
+        return coefficients, np.where(is_known, misfit, np.nan)
 
     def _holds(self, misfit_m: Float[np.ndarray, " T"]) -> bool:
         """Return whether a function gives the position of its point."""
