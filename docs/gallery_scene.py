@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+from PIL import Image, ImageOps
 from playwright.sync_api import Browser, Page, Route
 
 from mocapfix.review.server import find_three_module
@@ -23,6 +23,7 @@ WIDTH_PX, HEIGHT_PX = 800, 420
 CLIP_FRAMES_PER_S = 20
 CLIP_QUALITY = 70
 PICTURE_COLOURS = 256
+PAGE_FRAME = "#c3ccd6"  # around the picture of a page, which may be as white as the page that shows it
 MEASURED, FAULTY, ESTIMATED, RELABELLED, UNLABELLED = "#46525f", "#e0382c", "#12a150", "#7a4df0", "#e0992c"
 BODY, CHARACTER = "#b9c6d6", "#e5b78e"
 LEGEND = {
@@ -194,7 +195,7 @@ def save_picture(name: str, picture: Image.Image) -> None:
 
 def save_page(name: str, page: Page) -> None:
     """Save what a page shows; its colours are few, but even the rare ones are kept."""
-    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    picture = ImageOps.expand(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), 2, PAGE_FRAME)
     few = picture.quantize(PICTURE_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(PICTURES / f"{name}.png", optimize=True)
 
