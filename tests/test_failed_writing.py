@@ -1,7 +1,6 @@
 """Writing that fails or is interrupted: one sentence, the input untouched, no half output, nothing left behind."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from mocapfix.io.files import make_output_folder
 from mocapfix.options import OutputOptions
 from mocapfix.result import CleaningResult
 
+resource = pytest.importorskip("resource", reason="limits of files, permissions and signals are those of POSIX")
 ALL_FORMATS = OutputOptions(extra_formats=("gltf", "amc", "npz", "trc", "csv"))
 RUN_CLEAN = """
 import signal, sys, time

@@ -1,6 +1,8 @@
 """Locks on folders and takes: one holder at a time, and attempts that are counted until they are recorded."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -22,12 +24,10 @@ def test_errors_of_what_holds_the_lock_are_not_those_of_the_lock(tmp_path: Path)
 
 
 def test_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
-    child = os.fork()
-    if not child:
-        lock_batch_folder(tmp_path).__enter__()
-        os._exit(0)
-    os.waitpid(child, 0)
-    assert f"process {child}," in (tmp_path / ".batch.lock").read_text(encoding="utf-8")
+    code = "import os, pathlib, sys; from mocapfix.batch.records import lock_batch_folder; print(os.getpid(), flush=True); "
+    code += "lock_batch_folder(pathlib.Path(sys.argv[1])).__enter__(); os._exit(0)"
+    process = subprocess.check_output([sys.executable, "-c", code, str(tmp_path)], encoding="utf-8").strip()
+    assert f"process {process}," in (tmp_path / ".batch.lock").read_text(encoding="utf-8")
     with lock_batch_folder(tmp_path):
         assert f"process {os.getpid()}," in (tmp_path / ".batch.lock").read_text(encoding="utf-8")
 
