@@ -21,7 +21,7 @@ MAX_TUPLE_RESULTS = 3
 FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
 SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank", "schur")
 """the kernels of which a minimisation consists"""
-FOLDERS_WITH_COLUMNS = {"animations", "batch", "characters", "fill"}
+FOLDERS_WITH_COLUMNS = {"batch", "fill"}
 
 
 def name_of(path: Path) -> str:

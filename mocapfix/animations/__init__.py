@@ -1,7 +1,7 @@
 """Animations: BVH and AMC input, cleaned in joint rotations and in the root's position, without markers.
 
-clean           the stages in order, and the animation as they leave it
-detect          its faults; offsets, those that are constant over some frames (pops and flips)
-repair          their repair, by the method that suits each kind
-apply_repairs   which repairs are applied; feet that are held (`--feet lock`)
+- `clean`: the stages in order, and the animation as they leave it
+- `detect`: its faults; offsets, those that are constant over some frames (pops and flips)
+- `repair`: their repair, by the method that suits each kind
+- `apply_repairs`: which repairs are applied; feet that are held (`--feet lock`)
 """

@@ -55,11 +55,9 @@ def apply_repairs(
     options: CleanOptions,
     reviewed: Sequence[ReviewedChange],
 ) -> RepairedAnimation:
-    """Apply repairs to an animation and leave all other values unchanged.
+    """Apply repairs of faults to an animation and leave all other values unchanged.
 
-    repair    of all `faults`
-    options   those of detection (the kinds to repair) and of gap filling are used
-    reviewed  decisions on the changes of an earlier cleaning
+    Decides by the options of detection (the kinds to repair) and of filling, and by the reviewed changes of an earlier cleaning.
     """
     tips = build_tip_take(animation)
     is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
@@ -188,9 +186,13 @@ def lock_feet(
 ) -> LockedFeet:
     """Hold standing feet at one place each, by the rotations of the animation's legs.
 
-    motion    of the skeleton of the alignment, converted from the repaired animation
-    options   `keep` and `frames` limit what is changed
-    reviewed  changes of an earlier cleaning that were declined: these contacts are not held
+    Args:
+        repaired: The animation.
+        alignment: The 31-joint skeleton in it.
+        motion: That of this skeleton.
+        contacts: Of the feet.
+        options: `keep` and `frames` limit what is changed.
+        reviewed: Changes of an earlier cleaning that were declined: these contacts are not held.
     """
     animation = repaired.animation
     is_editable = compute_editable_mask(repaired.tips_before, options)
@@ -258,11 +260,7 @@ def _turn_leg(animation: Animation, alignment: SkeletonAlignment, held: Motion, 
 
 
 def _list_slides(leg: _Leg, is_standing: Bool[np.ndarray, " T"], moved_m: Float[np.ndarray, " T"]) -> list[Fault]:
-    """Return a fault for each contact of a foot that slides, over the frames in which the leg is changed for it.
-
-    is_standing  (T,) when the foot stands
-    moved_m      (T,) how far it is moved
-    """
+    """Return a fault for each contact of a foot that slides, over the frames in which it is moved for it."""
     runs = find_runs(is_standing)
     borders = [0, *((before[1] + after[0] + 1) // 2 for before, after in pairwise(runs)), len(moved_m)]
     faults: list[Fault] = []

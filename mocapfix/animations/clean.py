@@ -62,13 +62,9 @@ JOINT_SOURCE = "joints"  # the source of events that follow from joints
 
 
 def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, subject: Subject, motion: Motion) -> BodyContacts:
-    """Find the contacts and the events of gait of an animation.
+    """Find the contacts and the events of gait of an animation, by the motion of the 31-joint skeleton in it.
 
     A reference pose before the motion (the T-pose of CMU's BVH release) has no contacts.
-
-    animation        as the motion was converted from it
-    alignment        the 31-joint skeleton in the animation
-    subject, motion  of the 31-joint skeleton
     """
     skeleton = subject.skeleton
     start = int(animation.has_reference_pose and animation.frame_count > 1)
@@ -227,7 +223,7 @@ class AnimationBody:
     def compute_motion(self, animation: Animation, joint_take: Take) -> tuple[Subject, Motion] | None:
         """Compute the motion of the 31-joint skeleton; None if the animation lacks values that it needs.
 
-        joint_take  joint positions of the animation, with standard deviations
+        The standard deviations are those of the joints in `joint_take`.
         """
         root_position, local_rotations = self.alignment.convert_poses(*animation.compute_world_poses())
         if not (np.isfinite(root_position).all() and np.isfinite(local_rotations).all()):
@@ -250,10 +246,13 @@ class AnimationBody:
 def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tuple[AnimationBody | None, str]:
     """Find the 31-joint skeleton in an animation by its joint names.
 
-    hierarchy  name of a naming convention, or a YAML file; None selects the one that matches the most joints
+    The naming convention `hierarchy`, or a YAML file, is used, by default the one that matches the most joints.
 
-    Returns the body, None if the animation is not of a whole body, and a sentence that gives the reason. Raises SceneError if
-    there is no such convention or if the given one does not match.
+    Returns:
+        The body, None if the animation is not of a whole body, and a sentence that gives the reason.
+
+    Raises:
+        SceneError: If there is no such convention or if the given one does not match.
     """
     mapping = map_joints(animation.names, animation.parents, hierarchy)
     if mapping.file_joints is None:
@@ -275,9 +274,7 @@ def clean_animation(
 ) -> AnimationResult:
     """Clean an animation: detect and repair faults in its joint rotations and in its root's position.
 
-    load_pose_model  loads the pose prior when lost joints are predicted; None without a prior
-
-    Raises as `pipeline.clean`.
+    The pose prior is loaded when lost joints are predicted, if there is one. Raises as `pipeline.clean`.
     """
     reject_marker_options(animation, options)
     check_fill_options(build_joint_take(animation), options.fill, "joint")

@@ -190,7 +190,7 @@ def _compute_axis_differences(track: Float[np.ndarray, "T 4"], order: int) -> Fl
 def _is_jitter(differences: dict[int, Float[np.ndarray, "T 3"]], burst: JitterBurst) -> bool:
     """Return True if a burst is white, steady, and either about all axes or unlike the rest of the joint's motion.
 
-    differences  by their order, 2 and 4
+    The differences are given by their order, 2 and 4.
     """
     covariance: dict[int, Float[np.ndarray, "3 3"]] = {}
     for order, margin in ((4, 0), (2, 1)):
@@ -269,13 +269,16 @@ def detect_pose_faults(
 ) -> list[Fault]:
     """Detect the faults of a moving figure, ordered by first frame and track.
 
-    names   of the joints
-    root_position, local_rotations  metres, and relative to the parents; NaN where the file has no value
-    orders  as from `list_rotation_orders`
-    moving_joint  the joint whose position `root_position` is
-
     The markers of the faults are indices of tracks. Severities are in radians, of the root's position in metres, and NaN for
     gaps.
+
+    Args:
+        names: Names of the joints.
+        root_position: Metres, of `moving_joint`; NaN where the file has no value, and so are rotations.
+        local_rotations: Relative to the parents.
+        orders: As from `list_rotation_orders`.
+        rate: Frames per second.
+        moving_joint: The joint that moves the figure.
     """
     if len(root_position) < 2:
         return []

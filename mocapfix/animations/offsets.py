@@ -4,10 +4,8 @@ The third differences of a body's motion are small, and a step makes three of th
 removing one constant between them removes both (see `stats.constant_offsets`). The steps of lively motion are distinguished by
 comparison with the third differences in a window around them.
 
-A quick estimate of how much of a track's steps the removal of a constant offset leaves.
-
-Fitting an offset takes a hundred times longer than this estimate, which solves the normal equations of all pairs of steps at
-once, and which few pairs pass. The estimate is a lower bound, so no offset that would be found is lost.
+Fitting an offset takes a hundred times longer than a bound on what its removal leaves, which solves the normal equations of all
+pairs of steps at once, and which few pairs pass. It is a lower bound, so no offset that would be found is lost.
 """
 
 from typing import NamedTuple
@@ -191,8 +189,7 @@ def detect_offsets(
 ) -> list[TemporaryOffset]:
     """Detect offsets that do not overlap, ordered by first frame; of overlapping ones the one with the strongest evidence.
 
-    track   positions (T, 3), or twice the quaternions (T, 4) of a joint, without sign changes
-    models  the kinds of offset to try
+    The track has positions (T, 3), or twice the quaternions (T, 4) of a joint, without sign changes.
     """
     if len(track) < MIN_TRACK_FRAMES:
         return []
@@ -268,8 +265,7 @@ def _fit_model(
 ) -> tuple[float, float]:
     """Fit an offset of one kind by least squares. Returns the squares that remain, and the amount.
 
-    outside_sum  third differences of the samples outside the interval alone
-    inside       weights of the samples inside the interval
+    The third differences of the samples outside the interval alone are `outside_sum`, the weights of those inside `inside`.
     """
     slopes = np.einsum("rk,rkcp->rcp", inside, model.basis[samples]).reshape(outside_sum.size, -1)
     target = -(outside_sum + np.einsum("rk,rkc->rc", inside, model.fixed[samples])).ravel()

@@ -59,10 +59,7 @@ def smooth_joint_jitter(
 ) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"]]:
     """Return the quaternions of one joint over a span without jitter, and their variance in rad^2 per axis.
 
-    quaternions    of the joint, without sign changes
-    joints         the other joints whose state is used
-    is_steady      known frames without jitter
-    jitter_sd_rad  standard deviation of the jitter per axis
+    They have no sign changes. The state of other `joints` is used, in known frames without jitter, which are steady.
     """
     rate, frames = span.rate, span.frames
     steady = select_training_frames(is_steady & ~np.isin(np.arange(len(is_steady)), frames), span.first, span.last, rate)
@@ -82,8 +79,7 @@ def remove_rotation_offset(
 ) -> tuple[Float[np.ndarray, "n 4"], float]:
     """Return one joint's quaternions over a span without its offset, and the variance of the offset in rad^2 per axis.
 
-    is_sound        frames without faults
-    rotation_order  the joint's axes of rotation, such as "ZYX"
+    The rotation order has the joint's axes of rotation, such as "ZYX".
     """
     inside = make_quaternions_continuous(quaternions[span.first : span.last + 1])
     context = _find_offset_context(is_sound, span)
@@ -143,11 +139,7 @@ DISPLACEMENT_UNIT_M = 1.0  # difference of the displacements between the edges t
 
 
 class InterpolatedBody(NamedTuple):
-    """An interpolated body over n frames.
-
-    root_position      (n, 3) m;  local_rotations  (n, J, 3, 3)
-    root_variance      (n,) m^2 per axis;  rotation_variance  (n, J) rad^2 per axis
-    """
+    """An interpolated body over n frames: metres, rotations, and variances per axis in m^2 and rad^2."""
 
     root_position: np.ndarray
     local_rotations: np.ndarray
@@ -179,11 +171,7 @@ def interpolate_body(
     is_known: Bool[np.ndarray, " T"],
     span: FrameSpan,
 ) -> InterpolatedBody:
-    """Return the interpolated body over a span.
-
-    root_position  in metres
-    is_known       frames in which the whole body is known
-    """
+    """Return the interpolated body over a span, from the frames in which the whole body is known."""
     frame_count, joint_count = local_rotations.shape[:2]
     context = find_context_frames(is_known, span)
     if not len(context):  # at low rates, or far from the nearest known frames
@@ -274,8 +262,7 @@ def compute_edge_features(
 ) -> Float[np.ndarray, "S F"]:
     """Return the state features at both edges of stretches, and the displacement and rotation of the root between the edges.
 
-    length     frames of a stretch
-    half_span  frames between a stretch and the states at its edges
+    A stretch has `length` frames, and `half_span` frames are between it and the states at its edges.
     """
     before, after = start_frames - 1 - half_span, start_frames + length + half_span
     root_position, local_rotations = motion.root_position, motion.local_rotations
@@ -371,12 +358,10 @@ def repair_animation(
     rate: float,
     conditioner: PriorConditioner | None = None,
 ) -> AnimationRepair:
-    """Return the animation without its faults.
+    """Return the animation without its faults, which are as from `detect_pose_faults`.
 
-    root_position    in metres, NaN without a value; local_rotations likewise. Those that no fault names stay NaN
-    rotation_orders  each joint's axes of rotation
-    faults           as from `animations.detect.detect_pose_faults`
-    conditioner      a pose model for this skeleton
+    Positions (in metres) and rotations are NaN without a value; those that no fault names stay so. The conditioner has a pose
+    model for this skeleton.
     """
     shape = (len(root_position), local_rotations.shape[1] + 1)
     if not faults:

@@ -54,6 +54,12 @@ class SkeletonAlignment:
     rotation_source_joint: Float[np.ndarray, "J 3 3"]  # A: the axes of each joint in those of the source's joint
 
     @property
+    def is_sharing(self) -> Bool[np.ndarray, " J"]:
+        """The joints that share the rotation between two of them evenly: those of the trunk and neck of the 31-joint skeleton."""
+        is_cmu31 = self.skeleton.names == load_cmu31_body().skeleton.names
+        return np.array([is_cmu31 and name in TRUNK_CHAIN_JOINTS for name in self.skeleton.names])
+
+    @property
     def is_mapped(self) -> Bool[np.ndarray, " J"]:
         """The joints that have a counterpart."""
         return self.source_joints >= 0
@@ -77,22 +83,20 @@ class SkeletonAlignment:
     def convert_rotations(self, rotations: Float[np.ndarray, "T S 3 3"]) -> Float[np.ndarray, "T J 3 3"]:
         """Convert the world rotations of the source's joints to local rotations of the skeleton.
 
-        Joints without counterpart keep their rest rotation, except in the trunk and neck, where the rotation between two joints
-        with counterparts is shared evenly.
+        Joints without counterpart keep their rest rotation, except those that share the rotation of a joint below them.
         """
-        names = self.skeleton.names
         local = np.tile(self.skeleton.rest_rotations, (len(rotations), 1, 1, 1))
-        world = local.copy()
-        world[:, self.is_mapped] = rotations[:, self.source_joints[self.is_mapped]] @ self.rotation_source_joint[self.is_mapped]
-        for joint in np.flatnonzero(self.is_mapped).tolist():
-            above = self.find_mapped_ancestor(joint)
-            rotation = np.swapaxes(world[:, above], 1, 2) @ world[:, joint] if above >= 0 else world[:, joint]
-            path = list_path(joint, above, self.skeleton.parents)
-            is_shared = len(path) > 1 and all(names[each] in TRUNK_CHAIN_JOINTS for each in path)
-            if is_shared:
-                local[:, path] = scale_rotations(rotation, 1 / len(path))[:, None]
-            else:
-                local[:, joint] = rotation
+        world, is_parent = np.empty(local.shape), ~self.skeleton.is_leaf
+        for joint, parent in enumerate(self.skeleton.parents.tolist()):
+            above = world[:, parent] if parent >= 0 else np.eye(3)[None]
+            if self.is_mapped[joint]:
+                world[:, joint] = rotations[:, self.source_joints[joint]] @ self.rotation_source_joint[joint]
+                local[:, joint] = above.swapaxes(1, 2) @ world[:, joint]
+                path = list_path(joint, self.find_mapped_ancestor(joint), self.skeleton.parents)
+                if len(path) > 1 and self.is_sharing[path].all():
+                    local[:, path] = scale_rotations(local[:, joint], 1 / len(path))[:, None]
+            elif is_parent[joint]:
+                world[:, joint] = above @ local[:, joint]
         return local
 
     def convert_rotation_back(

@@ -316,13 +316,8 @@ def map_bones(character: Character) -> BoneMapping:
 
     The names of the shipped characters and naming conventions are tried first, without regard to case, separators, namespaces and
     prefixes. If they do not give a body, the tree and the positions of the bones in the rest pose are used alone; the character
-    may face any direction, but must stand upright. Fingers and other bones have no segment and keep their rest pose.
-
-    Args:
-        character: Its own mapping is not used.
-
-    Returns:
-        The mapping, with a sentence on how it was found.
+    may face any direction, but must stand upright. Fingers and other bones have no segment and keep their rest pose. The
+    character's own mapping is not used.
 
     Raises:
         SceneError: If the bones do not form a body with two arms and two legs. The message names the file.
@@ -382,16 +377,9 @@ def find_side_twists(
     positions: Float[np.ndarray, "J 3"],
     bones: Mapping[str, tuple[int, ...]],
 ) -> dict[str, tuple[int, ...]]:
-    """Find the twist bones beside the chains of the limbs.
+    """Return by segment the twist bones beside the chains of the limbs, from near to far.
 
-    Args:
-        names: Names of the bones; those with "twist" or "roll" may lie a little outside their segment.
-        parents: (J,) index of each bone's parent.
-        positions: (J, 3) m, world, in the rest pose.
-        bones: Segment to the bones of its chain.
-
-    Returns:
-        Segment to its twist bones, from near to far; segments without any are missing.
+    They are children that lie on the segment's axis in the rest pose; those named as twist bones may lie a little outside it.
     """
     used = {bone for chain in bones.values() for bone in chain}
     found: dict[str, tuple[int, ...]] = {}

@@ -36,18 +36,14 @@ def get_next_segment(segment: str) -> str:
 
 @dataclass(frozen=True)
 class BoneMapping:
-    """Which bones of a character form the segments of its body.
+    """Which bones of a character form the segments of its body."""
 
-    bones   segment (one of SEGMENTS) to the indices of its bones, from the pelvis outwards. The bones of a limb's segment lie one
-            after the other, and the last of them carries the next segment. Segments that a character lacks are missing
-    twists  segment (one of TWISTING_SEGMENTS) to the indices of bones beside the chain that only take a share of a twist, from
-            near to far
-    reason  sentence on how the mapping was found
-    """
-
+    # segment (one of SEGMENTS) to the indices of its bones, from the pelvis outwards. The bones of a limb's segment lie one after
+    # the other, and the last of them carries the next segment. Segments that a character lacks are missing
     bones: Mapping[str, tuple[int, ...]]
+    # segment (one of TWISTING_SEGMENTS) to bones beside the chain that only take a share of a twist, from near to far
     twists: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    reason: str = ""
+    reason: str = ""  # sentence on how the mapping was found
 
     @property
     def missing_segments(self) -> list[str]:
@@ -57,58 +53,37 @@ class BoneMapping:
 
 @dataclass(frozen=True)
 class Character:
-    """A rigged figure: the skeleton of its J bones, and which of them form the segments of its body.
+    """A rigged figure: the skeleton of its J bones, and which of them form the segments of its body."""
 
-    Attributes:
-        name: Short name, part of the names of output files.
-        skeleton: The bones in the rest pose, with the scales of the file multiplied out.
-        mapping: The segments of its body.
-        scales: (J,) length in metres of one unit of the file along each bone's own axes: translations of its children in the
-            file are the skeleton's offsets divided by it.
-        root_scale: Metres in a unit of the file, for translations of the roots.
-        rotation_y_up_file: (3, 3) from the file's axes to axes with Y up.
-        has_feet_flat: Whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical.
-        source: The file it was read from, None for a preset.
-    """
-
-    name: str
-    skeleton: Skeleton
+    name: str  # short, part of the names of output files
+    skeleton: Skeleton  # the bones in the rest pose, with the scales of the file multiplied out
     mapping: BoneMapping
+    # length in metres of one unit of the file along each bone's own axes: translations of its children in the file are the
+    # skeleton's offsets divided by it
     scales: Float[np.ndarray, " J"]
-    root_scale: float = 1.0
-    rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
-    has_feet_flat: bool = True
-    source: "CharacterSource | None" = None
+    root_scale: float = 1.0  # metres in a unit of the file, for translations of the roots
+    rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))  # to axes with Y up
+    has_feet_flat: bool = True  # whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical
+    source: "CharacterSource | None" = None  # the file it was read from, None for a preset
 
 
 @dataclass(frozen=True)
 class CharacterSource:
-    """The file of a character, for writers that keep what is in it.
-
-    path  the file
-    data  its bytes
-    nodes (J,) index of each bone's node in a glTF file; empty for other formats
-    kind  "gltf", "bvh" or "yaml"
-    """
+    """The file of a character, for writers that keep what is in it."""
 
     path: str
     data: bytes
-    nodes: Int[np.ndarray, " _"]
-    kind: str
+    nodes: Int[np.ndarray, " _"]  # index of each bone's node in a glTF file; empty for other formats
+    kind: str  # "gltf", "bvh" or "yaml"
 
 
 @dataclass(frozen=True)
 class CharacterMotion:
-    """The motion of a character over T frames.
+    """The motion of a character over T frames."""
 
-    pelvis_position  (T, 3) m: the head of the pelvis bone in its parent's axes (for a root: in the world)
-    local_rotations  (T, J, 3, 3): each bone's axes to its parent's; bones that the motion does not turn keep their rest rotation
-    rate             frames per second
-    """
-
-    pelvis_position: Float[np.ndarray, "T 3"]
-    local_rotations: Float[np.ndarray, "T J 3 3"]
-    rate: float
+    pelvis_position: Float[np.ndarray, "T 3"]  # m: the head of the pelvis bone in its parent's axes (for a root: in the world)
+    local_rotations: Float[np.ndarray, "T J 3 3"]  # bones that the motion does not turn keep their rest rotation
+    rate: float  # frames per second
 
     @property
     def frame_count(self) -> int:

@@ -328,11 +328,7 @@ FBX_SUFFIX = "fbx"
 
 @dataclass(frozen=True)
 class CharacterFiles:
-    """What is written of a character.
-
-    character  the character, with a mapping of its bones
-    has_fbx    whether FBX is written too
-    """
+    """What is written of a character, and whether FBX is."""
 
     character: Character
     has_fbx: bool = False
@@ -346,11 +342,9 @@ class CharacterFiles:
     def write(
         self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
     ) -> list[str]:
-        """Write the motion of a solved skeleton, retargeted onto the character.
+        """Write the motion of a solved skeleton, retargeted onto the character, into a GLB and files beside it.
 
-        target    the GLB; the other files are beside it
-        rate      frames per second
-        contacts  of the motion, with its floor; if the feet of the motion are locked in them, so are the character's
+        If the feet of the motion are locked in its contacts, so are the character's.
 
         Returns sentences for the report. Raises WriteError if a file is not writable.
         """

@@ -235,9 +235,8 @@ MIN_LIMB_LENGTH_M = 1e-6
 def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None) -> Character:
     """Load a preset by its name, or the character in a file, with all segments that retargeting needs.
 
-    Of several skeletons in a file, the first is taken whose bones form a body, or are those of the mapping.
-
-    mapping_path  an edited mapping of its bones, in place of the one that the character has
+    Of several skeletons in a file, the first is taken whose bones form a body, or are those of the mapping in a file, which
+    replaces the one that the character has.
 
     Raises:
         ReadError, SceneError: If there is no such character, its file is invalid, or its bones do not form a body.

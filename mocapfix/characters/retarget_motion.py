@@ -25,6 +25,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters import kept_positions
+from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.characters.body_frames import (
     CHAIN_SEGMENTS,
     LIMB_DIRECTIONS,
@@ -36,18 +38,7 @@ from mocapfix.characters.body_frames import (
     fit_chain,
 )
 from mocapfix.characters.character import LIMB_ENDS, SIDES, TWISTING_SEGMENTS, Character, CharacterMotion
-from mocapfix.characters.kept_positions import (
-    Points,
-    Rotations,
-    compute_hand_targets,
-    compute_kept_positions,
-    hold_kept_feet,
-    keep_feet_within_reach,
-    level_feet,
-    measure_flat_feet,
-    move_hands_out_of_thighs,
-    resample_foot_contacts,
-)
+from mocapfix.characters.kept_positions import Points, Rotations
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.skeleton import UNLIMITED_RAD, compute_local_rotations, find_ancestor
 from mocapfix.options import FEET_LOCK
@@ -312,24 +303,26 @@ def build_retarget_problem(
     """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
     segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
-    feet_contacts = resample_foot_contacts(contacts, motion.frame_count, motion.rate) if contacts is not None else None
-    flat_feet = measure_flat_feet(source_frame, segments, feet_contacts)
+    feet_contacts = (
+        kept_positions.resample_foot_contacts(contacts, motion.frame_count, motion.rate) if contacts is not None else None
+    )
+    flat_feet = kept_positions.measure_flat_feet(source_frame, segments, feet_contacts)
     floor_height_m = contacts.floor.height_m if contacts is not None else 0.0
-    kept = compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
-    segments = level_feet(segments, flat_feet)
+    kept = kept_positions.compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
+    segments = kept_positions.level_feet(segments, flat_feet)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
-    kept = keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
+    kept = kept_positions.keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
     ankles = kept.ankles
     if feet_contacts is not None and feet_contacts.held_feet.mode == FEET_LOCK:
         feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}
-        ankles, feet = hold_kept_feet(target_frame, ankles, feet, feet_contacts)
+        ankles, feet = kept_positions.hold_kept_feet(target_frame, ankles, feet, feet_contacts)
         for side, foot in feet.items():
             joint = tree.find_joint(f"{side}_foot")
             rotation[:, joint] = foot @ tree.standard_rotations[joint]
     points = {f"{side}_foot": ankle for side, ankle in ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
         start = compute_tree_poses(tree.tree, kept.pelvis, compute_local_rotations(rotation, tree.tree.parents))[0]
-        hands = compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
+        hands = kept_positions.compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))
 
@@ -343,7 +336,7 @@ def solve_retarget_problem(problem: RetargetProblem) -> tuple[RetargetProblem, P
     pelvis, local = solve_segments(tree, problem.target.character, targets)
     for _ in range(MAX_SEPARATIONS if wrists else 0):
         position = name_positions(tree, compute_tree_poses(tree.tree, pelvis, local)[0])
-        moved = move_hands_out_of_thighs(problem.source, problem.target, problem.segments, position, wrists)
+        moved = kept_positions.move_hands_out_of_thighs(problem.source, problem.target, problem.segments, position, wrists)
         is_moved = np.any([np.abs(moved[side] - wrists[side]).max(1) > MIN_SEPARATION_M for side in SIDES], axis=0)
         if not is_moved.any():
             break
@@ -371,10 +364,7 @@ def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dic
 def compose_character_motion(
     frame: BodyFrame, tree: SolveTree, pelvis: Points, local: JointRotations, rate: float
 ) -> CharacterMotion:
-    """Return the motion of all bones of a character from the pelvis in the world and the local rotations of a solve tree.
-
-    Bones that the tree does not place keep their rest rotation relative to their parents.
-    """
+    """Return the motion of all bones of a character from the pelvis in the world and the local rotations of a solve tree."""
     skeleton, mapping = frame.character.skeleton, frame.character.mapping
     _, world = compute_tree_poses(tree.tree, pelvis, local)
     standard = world @ np.swapaxes(tree.standard_rotations, 1, 2)
@@ -382,16 +372,11 @@ def compose_character_motion(
     for side in SIDES:
         rotation.setdefault(f"{side}_clavicle", standard[:, max(tree.chest, 0)])
     placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)
-    rotations = np.tile(skeleton.rest_rotations, (len(pelvis), 1, 1, 1))
-    above: dict[int, Rotations] = {-1: np.tile(np.eye(3), (len(pelvis), 1, 1))}
-    is_parent = ~skeleton.is_leaf
-    for bone, parent in enumerate(skeleton.parents.tolist()):
-        if bone in placed:
-            rotations[:, bone] = np.swapaxes(above[parent], 1, 2) @ placed[bone]
-        if is_parent[bone]:
-            above[bone] = placed[bone] if bone in placed else above[parent] @ rotations[:, bone]
-    pelvis_bone = mapping.bones["pelvis"][0]
-    parent = int(skeleton.parents[pelvis_bone])
+    source_joints = np.full(len(skeleton.names), -1)
+    source_joints[list(placed)] = np.arange(len(placed))
+    alignment = SkeletonAlignment(skeleton, source_joints, np.tile(np.eye(3), (len(skeleton.names), 1, 1)))
+    rotations = alignment.convert_rotations(np.stack(list(placed.values()), axis=1))
+    parent = int(skeleton.parents[mapping.bones["pelvis"][0]])
     if parent >= 0:
-        pelvis = np.einsum("tji,tj->ti", above[parent], pelvis - frame.rest_position[parent])
+        pelvis = (pelvis - frame.rest_position[parent]) @ frame.rest_rotation[parent]
     return CharacterMotion(pelvis, rotations, rate)
