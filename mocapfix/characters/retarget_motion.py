@@ -303,11 +303,11 @@ def build_retarget_problem(
     """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
     segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
-    feet_contacts = (
-        kept_positions.resample_foot_contacts(contacts, motion.frame_count, motion.rate) if contacts is not None else None
-    )
+    feet_contacts, floor_height_m = None, 0.0
+    if contacts is not None:
+        feet_contacts = kept_positions.resample_foot_contacts(contacts, motion.frame_count, motion.rate)
+        floor_height_m = contacts.floor.height_m
     flat_feet = kept_positions.measure_flat_feet(source_frame, segments, feet_contacts)
-    floor_height_m = contacts.floor.height_m if contacts is not None else 0.0
     kept = kept_positions.compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
     segments = kept_positions.level_feet(segments, flat_feet)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)

@@ -14,7 +14,7 @@ from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.io import bvh
 from mocapfix.io.bvh import write_bvh
 from mocapfix.options import OutputOptions
-from mocapfix.report.build_report import ContactSection
+from mocapfix.report.report import ContactSection
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
