@@ -70,8 +70,9 @@ class NameTable:
         for same_spelling in zip(*spellings, strict=True):
             for bone, key in enumerate(same_spelling):
                 bone_by_key.setdefault(key, bone)
+        bone_by_key.pop(("", ""), None)  # of names without words
         found: list[tuple[str, int]] = []
-        used = {-1, bone_by_key.pop(("", ""), -1)}
+        used = {-1}
         for part, keys in self.parts:
             bone = next((bone_by_key[key] for key in keys if bone_by_key.get(key, -1) not in used), -1)
             if bone >= 0:

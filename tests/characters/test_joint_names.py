@@ -102,8 +102,9 @@ def test_body_without_a_limb_is_not_mapped():
     assert "no joint name is known" in unknown.reason
 
 
-def test_convention_from_file(tmp_path):
-    names = [f"j{index}" for index in range(len(MIXAMO_NAMES))]
+@pytest.mark.parametrize("letter", ["j{}", "\u9aa8{}", None], ids=["latin", "digits", "other letters"])
+def test_convention_from_file(tmp_path, letter: str | None):
+    names = [letter.format(index) if letter else chr(0x4E00 + index) for index in range(len(MIXAMO_NAMES))]
     name_by_model = {model: names[MIXAMO_NAMES.index(name)] for model, name in map_names(MIXAMO_NAMES, MIXAMO_PARENTS).items()}
     lines = ["name: mine", "title: My own", "joints:", *(f"  {model}: [{name}]" for model, name in name_by_model.items())]
     (tmp_path / "mine.yaml").write_text("\n".join(lines), encoding="utf-8")
