@@ -180,7 +180,7 @@ def clean_subject(
     with timer("fill"):
         filling_body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
-        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill, is_own_set=choice.is_learned)
+        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill)
         is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
         decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
         decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))

@@ -1,12 +1,8 @@
-"""The fill: estimates of missing samples, their combination, and which changes are applied.
+"""The fill: estimates of missing samples, their weights, and which changes are applied.
 
-gap_filling         the stage: each missing or faulty sample gets its most precise estimate, or a reason why it stays empty
-fill_methods        the methods by name, and estimates as all of them return them
-spline_fill         estimates of a take from its own trajectories; cluster_fill, from neighbours
-marker_processes    Gaussian processes over all markers
-gap_estimates       estimates of single gaps: neighbour_clusters, edge_interpolation, marker_processes
-rigid_group_fill    estimates for props
-weighted_estimates  the combination of estimates
-apply_decisions     which changes are applied
-computed_points     points that a program computed from markers
+- `gap_filling`: the stage: each missing or faulty sample gets its estimate, or a reason why it stays empty
+- `gap_estimates`: which estimators a gap has, and the weight of each
+- `gap_windows`: a gap, the stretches that imitate it, and estimates of it, as all estimators take and return them
+- `edge_interpolation`, `neighbour_clusters`, `body_fill`, `rigid_group_fill`, `marker_processes`: the estimators
+- `apply_decisions`: which changes are applied; `computed_points`: points that a program computed from markers
 """

@@ -1,114 +1,196 @@
-"""Estimates of every gap of a take, weighted by what each of them achieves where the same markers are hidden elsewhere in it.
+"""Which estimates a gap has, and the weight of each: what it achieves where the same markers are hidden elsewhere in the take.
 
-`estimate_gaps` fills a gap from the marker's own trajectory, from rigid clusters of its neighbours and by a regression on their
-deformation, the short gaps first: what is filled precisely is a neighbour for longer ones. `add_processes` adds a Gaussian
-process over all markers where these leave a gap uncertain. The weights come from two kinds of evidence:
+An estimator is built once for a take and called for each lost marker of each gap, the short gaps first: what is filled precisely
+serves as visible for longer ones. `ESTIMATORS` lists them; those of `LATER_ESTIMATORS` need the estimates of all other gaps, and
+are called in the gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate.
 
-- `choose_hidden_stretches`: visible parts of the take that imitate the gap and are treated as missing. They are as long, hide
-  the same markers, and have visible samples beside them; where the take has none that long, shorter ones, which are worth less;
-- `measure_neighbour_errors`: markers that are visible throughout the gap are treated as missing in it. Hidden stretches are few
-  in a short take, and often those in which the marker rests; the neighbours show how the person moves during this gap.
+The errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates &
+Granger 1969, "The combination of forecasts"). It is measured in the hidden stretches of the gap. Few stretches show little of it:
+variances and correlations are then shrunk to the expected ones, variances by their logarithms, since errors of one method in
+different gaps differ by factors.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 
-from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M, MIN_CLUSTER_MARKERS
+from mocapfix.fill.body_fill import BodyPlacement
 from mocapfix.fill.edge_interpolation import (
-    ACTIVITY_POWER,
-    EdgeMotion,
-    MethodRatios,
-    build_edge_maps,
-    compare_edge_motion,
-    compute_expected_sd,
-    estimate_from_edges,
+    WorldInterpolation,
+    average_neighbour_errors,
+    fill_with_splines,
+    measure_neighbour_errors,
 )
-from mocapfix.fill.fill_methods import (
+from mocapfix.fill.gap_windows import (
+    MIN_FILL_SD_M,
+    Estimator,
     FillMethod,
+    Gap,
     GapEstimate,
     GapWindow,
     MarkerEstimate,
-    MovingAxes,
-    SpeedLimit,
-    build_marker_estimate,
-    measure_speed_limit,
-    measure_velocity_variation,
+    MarkersInTake,
+    choose_hidden_stretches,
+    compare_edge_motion,
+    iterate_gaps,
 )
-from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MIN_VISIBLE_SHARE, MarkerProcesses
+from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses
 from mocapfix.fill.neighbour_clusters import (
-    MIN_KEPT_FRAME_SHARE,
-    build_changing_axes,
-    build_cluster_axes,
-    estimate_by_regression,
+    CLUSTER_SIZES,
+    ChangingClusterInterpolation,
+    ClusterInterpolation,
+    NeighbourRegression,
     measure_distance_changes,
-    remove_steps,
-    select_changing_cluster,
-    select_regression_cluster,
 )
-from mocapfix.fill.spline_fill import fill_with_splines
-from mocapfix.fill.weighted_estimates import combine_gap_estimates
-from mocapfix.stats.sequences import group_gaps, sample_evenly
+from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.stats.marker_distances import RigidGroup
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
-MAX_HIDDEN_STRETCHES = 12  # stretches that are hidden for one gap
-MIN_STRETCH_STARTS = 2  # first frames that must be possible for stretches of a length
-MIN_STARTS_PER_LENGTH = 0.05  # the same, relative to the length
-SHORTER_STRETCH_RATIO = 0.7  # ratio by which stretches are shortened at a time while too few first frames are possible
-MAX_EXAMINED_STARTS = 4000  # first frames that are examined
-MAX_GAP_POINTS = 7  # points along a gap at which errors are measured
-MAX_EDGE_SAMPLES = 4  # samples at each edge of a gap that are used
-EDGE_CONTEXT_S = 0.06  # time on either side of a gap whose samples determine position and velocity at its edge
+EstimatorClass = Callable[[MarkersInTake], Estimator]
+
+ESTIMATORS: tuple[EstimatorClass, ...] = (
+    WorldInterpolation,
+    ClusterInterpolation,
+    ChangingClusterInterpolation,
+    NeighbourRegression,
+    BodyPlacement,
+    RigidGroupPlacement,
+)
+LATER_ESTIMATORS: tuple[EstimatorClass, ...] = (MarkerProcesses,)
+
+MIN_LIMB_MARKERS = 3  # markers lost together among the steadiest neighbours that count as a lost limb
+MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
+MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
+MAX_LONE_SPLINE_SD_M = 0.0005  # standard deviation of a spline up to which nothing else is tried
+MAX_KNOWN_SD_M = 0.003  # standard deviation of a filled gap below which it serves as visible for longer gaps
 
 
-def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> GapWindow:
-    """Return the window of a gap first..last.
+class MarkerFill(NamedTuple):
+    """The fill of a marker over the frames first..last by one method, as a reviewer requested it."""
 
-    is_usable  frames in which all markers are visible that the gap hides
-    rate       frame rate in Hz
+    marker: int
+    first: int
+    last: int
+    method: FillMethod
+
+
+def estimate_missing_samples(
+    markers: Float[np.ndarray, "T M 3"],
+    rate: float,
+    *,
+    body: BodyFit | None = None,
+    rigid_groups: Sequence[RigidGroup] = (),
+    requests: Sequence[MarkerFill] = (),
+) -> MarkerEstimate:
+    """Return the estimates of all missing samples.
+
+    Args:
+        markers: Metres, NaN if not visible or an outlier.
+        rate: Frame rate in Hz.
+        body: The solved body; None without one.
+        rigid_groups: Groups of markers that are rigid and not on the body.
+        requests: Samples that are estimated by one method only; NaN where it gives no estimate.
     """
-    length, reach = last - first + 1, max(1, round(EDGE_CONTEXT_S * rate))
-    before = -1 - find_adjacent_samples(is_usable[max(0, first - reach) : first][::-1])[::-1]
-    steps = find_adjacent_samples(is_usable[last + 1 : last + 1 + reach])
-    lead, tail = (-int(before[0]) if len(before) else 0), (int(steps[-1]) + 1 if len(steps) else 0)
-    hidden_length, starts = find_stretches(is_usable, length, lead, tail)
-    count = min(length, MAX_GAP_POINTS)
-    return GapWindow(
-        first, length, before, length + steps, space_points(length, count),
-        starts, hidden_length, hidden_length + steps, space_points(hidden_length, count),
-    )  # fmt: skip
+    settled = _fill_short_gaps(markers, rate, requests)
+    is_settled = ~np.isnan(settled.sd)
+    if not (np.isnan(markers[..., 0]) & ~is_settled).any():
+        return settled
+    known = np.where(is_settled[..., None], settled.position, markers)
+    changes = measure_distance_changes(markers)
+    take = MarkersInTake(markers, known, settled, changes, rate, body, rigid_groups)
+    gaps = _estimate_gaps(take)
+    _add_later_estimates(take, gaps)
+    for request in requests:
+        _use_request(take, gaps, request)
+    return take.estimate
 
 
-def find_adjacent_samples(is_usable: Bool[np.ndarray, " N"]) -> Int[np.ndarray, " A"]:
-    """Return indices of usable samples, the first and some others, if the first is usable; otherwise none."""
-    usable = np.flatnonzero(is_usable)
-    return usable[sample_evenly(len(usable), MAX_EDGE_SAMPLES)] if len(usable) and usable[0] == 0 else usable[:0]
+def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[MarkerFill]) -> MarkerEstimate:
+    """Return the estimates of the gaps that splines fill precisely, and of which none is requested by another method."""
+    position, sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
+    is_unsettled = ~(sd <= MAX_LONE_SPLINE_SD_M)
+    for request in requests:
+        for first, last in find_runs(np.isnan(markers[:, request.marker, 0])):
+            is_unsettled[first : last + 1, request.marker] |= first <= request.last and last >= request.first
+    position[is_unsettled], sd[is_unsettled] = np.nan, np.nan
+    return MarkerEstimate(position, sd, np.full(sd.shape, FillMethod.SPLINE, np.int8))
 
 
-def space_points(length: int, count: int) -> Int[np.ndarray, " S"]:
-    """Return the offsets of evenly spaced points from the first to the last frame of a gap."""
-    return np.round(np.linspace(0, length - 1, count)).astype(int)
+class _EstimatedMarker(NamedTuple):
+    """A lost marker, its estimates, and the similarity of each hidden stretch to its gap."""
+
+    gap: Gap
+    estimates: list[GapEstimate]
+    similarity: Float[np.ndarray, " K"]
 
 
-def find_stretches(is_usable: Bool[np.ndarray, " T"], length: int, lead: int, tail: int) -> tuple[int, Int[np.ndarray, " K"]]:
-    """Return the length of the stretches, the gap's own if the take has enough of them, and their first frames.
+def _estimate_gaps(take: MarkersInTake) -> list[_EstimatedMarker]:
+    """Estimate every gap, the shortest first."""
+    estimators, surroundings = [build(take) for build in ESTIMATORS], _Surroundings(take)
+    estimated: list[_EstimatedMarker] = []
+    has_ends = take.is_common.copy()
+    if take.body:
+        has_ends[take.body.marker_columns[take.body.marker_columns >= 0]] = True
+    for first, last, lost in iterate_gaps(~take.is_known, take.is_visible, has_ends):
+        is_shown: np.ndarray = np.all(take.is_known[:, lost], axis=1)
+        window = choose_hidden_stretches(is_shown, first, last, take.rate)
+        for gap, similarity in surroundings.describe_gap(window, lost):
+            estimates = [e for estimate in estimators for e in estimate(gap) if surroundings.is_plausible(e, gap)]
+            estimated.append(_EstimatedMarker(gap, estimates, similarity))
+            _store(take, estimated[-1], estimates)
+        _remember(take, window, lost)
+    return estimated
 
-    lead, tail  frames before and after a stretch that must be usable too
-    """
-    missing_before = np.concatenate([[0], np.cumsum(~is_usable)])
-    while True:
-        span = lead + length + tail
-        step = 1 + max(0, len(is_usable) - span) // MAX_EXAMINED_STARTS
-        starts = np.arange(0, len(is_usable) - span + 1, step)
-        starts = starts[missing_before[starts + span] == missing_before[starts]] + lead
-        if length == 1 or len(starts) * step >= max(MIN_STRETCH_STARTS, MIN_STARTS_PER_LENGTH * length):
-            return length, starts[sample_evenly(len(starts), MAX_HIDDEN_STRETCHES)] if len(starts) else starts
-        length = max(1, int(length * SHORTER_STRETCH_RATIO))
+
+def _add_later_estimates(take: MarkersInTake, gaps: Sequence[_EstimatedMarker]) -> None:
+    """Estimate the gaps that are uncertain by the estimators that need the estimates of all others."""
+    is_settled = take.estimate.sd < MAX_SETTLED_SD_M
+    uncertain = [each for each in gaps if not is_settled[each.gap.window.gap_frames, each.gap.marker].all()]
+    if not uncertain:
+        return
+    estimators, surroundings = [build(take) for build in LATER_ESTIMATORS], _Surroundings(take)
+    for each in uncertain:
+        later = [e for estimate in estimators for e in estimate(each.gap) if surroundings.is_plausible(e, each.gap)]
+        if later:
+            each.estimates.extend(later)
+            _store(take, each, each.estimates)
 
 
-MAX_RATIO_NEIGHBOURS = 8  # number of neighbours, the steadiest first, whose errors are compared with the expected ones
-COMPARED_ERROR_MARGIN_M = 0.001  # length that is added to both errors: smaller ones count as equal
+def _store(take: MarkersInTake, marker: _EstimatedMarker, estimates: Sequence[GapEstimate]) -> None:
+    """Set the samples of a marker in a gap to the combination of estimates, if there are any."""
+    if estimates:
+        samples = marker.gap.window.gap_frames, marker.gap.marker
+        combined = combine_gap_estimates(estimates, marker.gap.window, marker.similarity)
+        take.estimate.position[samples], take.estimate.sd[samples], take.estimate.method[samples] = combined
+
+
+def _remember(take: MarkersInTake, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> None:
+    """Use what was filled precisely as visible from now on."""
+    for marker in lost_markers:
+        samples = window.gap_frames, marker
+        if (take.estimate.sd[samples] <= MAX_KNOWN_SD_M).all():
+            take.markers[samples] = take.estimate.position[samples]
+            take.is_known[samples] = True
+
+
+def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request: MarkerFill) -> None:
+    """Set the requested samples to the estimates of one method."""
+    wanted = np.arange(request.first, request.last + 1)
+    wanted = wanted[~take.is_visible[wanted, request.marker]]
+    take.estimate.sd[wanted, request.marker] = np.nan
+    for each in gaps:
+        chosen = [estimate for estimate in each.estimates if estimate.method == request.method]
+        frames = np.intersect1d(each.gap.window.gap_frames, wanted)
+        if each.gap.marker == request.marker and chosen and len(frames):
+            combined = combine_gap_estimates(chosen, each.gap.window, each.similarity)
+            for values, new in zip(take.estimate, combined, strict=True):
+                values[frames, request.marker] = new[frames - each.gap.window.first]
+
+
+MAX_ACTIVITY_NEIGHBOURS = 8  # number of neighbours, the steadiest first, whose speeds are compared
 VELOCITY_SPAN_S = 0.1  # time over which speeds are measured
 MIN_COMPARED_SPEED_M_S = 0.02  # speed below which neighbours count as equally at rest
 MIN_COMPARED_STEPS = 5  # steps in which a neighbour must be visible while the marker is
@@ -117,11 +199,7 @@ MAX_ACTIVITY_RATIO = 30.0  # largest ratio of the neighbours' speeds
 
 
 class NeighbourActivity:
-    """The speeds of all markers, which show whether a marker is visible mainly while the person rests.
-
-    markers  in metres, NaN if not visible
-    rate     frame rate in Hz
-    """
+    """The speeds of all markers, which show whether a marker is visible mainly while the person rests."""
 
     def __init__(self, markers: Float[np.ndarray, "T M 3"], rate: float) -> None:
         self.lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
@@ -141,7 +219,7 @@ class NeighbourActivity:
         steps = slice(first, max(first + 1, window.first + window.length - self.lag // 2))
         in_gap = self._average(neighbours, self.square[steps][:, neighbours], self.is_known[steps][:, neighbours])
         with_marker = self._compute_squares_with(marker)[neighbours]
-        both = np.stack([in_gap, with_marker])[:, ~np.isnan(in_gap + with_marker)][:, :MAX_RATIO_NEIGHBOURS]
+        both = np.stack([in_gap, with_marker])[:, ~np.isnan(in_gap + with_marker)][:, :MAX_ACTIVITY_NEIGHBOURS]
         if not both.size:
             return 1.0
         difference = np.diff(np.log(both + MIN_COMPARED_SPEED_M_S**2), axis=0).mean()
@@ -163,283 +241,236 @@ class NeighbourActivity:
         return self._square_with_marker[marker]
 
 
-class NeighbourErrors(NamedTuple):
-    """The errors of K methods for M markers in one gap."""
-
-    # (K, M) logarithms of the errors relative to that expected of the straight method; NaN where a marker is not visible
-    log_ratio: np.ndarray
-
-    def compute_ratios(self, neighbours: Int[np.ndarray, " N"]) -> MethodRatios | None:
-        """Return the mean ratios of some markers, the steadiest first; None if none of them is visible.
-
-        neighbours  markers in descending order of how constant their distance to the lost one is
-        """
-        known = neighbours[~np.isnan(self.log_ratio[:, neighbours]).any(0)][:MAX_RATIO_NEIGHBOURS]
-        return MethodRatios(self.log_ratio[:, known].mean(1), len(known)) if len(known) else None
+MAX_SPEED_RATIO = 3.0  # speed of an estimate, relative to the fastest visible motion, above which it is rejected
+SPEED_PERCENTILE = 99.9  # percentile of the speeds of visible markers that counts as the fastest visible motion
+VELOCITY_LAG_S = 0.1  # time over which the variation of velocities is measured
+MIN_SPEED_LIMIT_M_S = 2.0  # smallest value of this fastest speed, for takes with little motion
 
 
-def measure_neighbour_errors(
-    markers: Float[np.ndarray, "T M 3"], window: GapWindow, rate: float, velocity_sd: Float[np.ndarray, " M"]
-) -> NeighbourErrors:
-    """Return the errors of the markers that are visible at the points of a gap and beside it.
+class _Surroundings:
+    """How the markers of a take move around its gaps."""
 
-    markers      in metres, NaN if not visible
-    velocity_sd  variation of each marker's velocity in m/s
-    """
-    w = window
-    maps = np.stack(build_edge_maps(w.before, w.after, w.length, w.points, rate))
-    error = np.einsum("kpc,cma->kpma", maps, markers[w.context_frames]) - markers[w.first + w.points]
-    size = np.sqrt((error**2).sum(-1).mean(1))
-    expected = np.sqrt(3 * (compute_expected_sd(w, rate, 1.0, None) ** 2).mean()) * velocity_sd
-    return NeighbourErrors(np.log((size + COMPARED_ERROR_MARGIN_M) / (expected + COMPARED_ERROR_MARGIN_M)))
+    def __init__(self, take: MarkersInTake) -> None:
+        self.take = take
+        self.velocity_sd = measure_velocity_variation(take.visible_markers, take.rate)
+        self.activity = NeighbourActivity(take.visible_markers, take.rate)
+        self.max_speed_m_s = measure_speed_limit(take.visible_markers, take.rate)
 
-
-CLUSTER_SIZES = (4, 8)  # numbers of the steadiest neighbours that define axes
-MIN_LIMB_MARKERS = 3  # markers lost together from which all others define axes too
-MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
-MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
-MAX_LONE_SPLINE_SD_M = 0.0005  # standard deviation of a spline up to which nothing else is tried
-MAX_KNOWN_SD_M = 0.003  # standard deviation of a filled gap below which it serves as visible for longer gaps
-
-
-def estimate_without_body(markers: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float) -> MarkerEstimate:
-    """Return the estimates of all samples that are missing or no inliers, where no body is solved.
-
-    markers    in metres, NaN if missing
-    is_inlier  samples that are used
-    rate       frame rate in Hz
-    """
-    markers = np.where(is_inlier[..., None], markers, np.nan)
-    position, sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
-    is_unsettled = ~(sd <= MAX_LONE_SPLINE_SD_M)
-    position[is_unsettled], sd[is_unsettled] = np.nan, np.nan
-    settled = build_marker_estimate(position, sd, FillMethod.SPLINE)
-    if not (np.isnan(markers[..., 0]) & is_unsettled).any():
-        return settled
-    estimate, gaps, neighbourhood = estimate_gaps(markers, settled, rate, measure_speed_limit(markers, rate))
-    return add_processes(estimate, gaps, neighbourhood, markers)
-
-
-class EstimatedGap(NamedTuple):
-    """A gap, the markers that are lost throughout it, and for each its estimates and the activity of its neighbours."""
-
-    window: GapWindow
-    lost_markers: np.ndarray
-    estimates: list[list[GapEstimate]]
-    activities: list[float]
-    is_limb: list[bool]  # for each whether it is one of several lost markers of a limb
-
-
-class Neighbourhood:
-    """The markers of a take, visible or filled precisely, and how constant their distances are."""
-
-    def __init__(self, markers: np.ndarray, settled: MarkerEstimate, rate: float, limit: SpeedLimit) -> None:
-        self.rate, self.limit, self.is_visible = rate, limit, ~np.isnan(markers[..., 0])
-        self.is_common = self.is_visible.mean(0) > MIN_VISIBLE_SHARE
-        self.change_m = measure_distance_changes(markers)
-        self.velocity_sd = measure_velocity_variation(markers, rate)
-        self.activity = NeighbourActivity(markers, rate)
-        is_settled = ~np.isnan(settled.sd)
-        self.markers = np.where(is_settled[..., None], settled.position, markers)
-        self.is_known = ~np.isnan(self.markers[..., 0])
-
-    def open_window(self, first: int, last: int, lost_markers: np.ndarray) -> GapWindow:
-        """Return the window of a gap of some markers."""
-        is_shown: np.ndarray = np.all(self.is_known[:, lost_markers], axis=1)
-        return choose_hidden_stretches(is_shown, first, last, self.rate)
-
-    def estimate_gap(self, window: GapWindow, lost_markers: np.ndarray) -> EstimatedGap:
-        """Return the estimates of the markers that are lost throughout a gap."""
-        w, known = window, self.is_known
+    def describe_gap(
+        self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]
+    ) -> Iterator[tuple[Gap, Float[np.ndarray, " K"]]]:
+        """Yield what is known around each of the markers that are lost throughout a gap, and the similarity of its stretches."""
+        take, w, known = self.take, window, self.take.is_known
         shown = np.flatnonzero(known[:, lost_markers].all(1))
         shown = shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)] if len(shown) else shown
         used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
         frames = np.unique(np.concatenate(used))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        is_lost = self.is_common & ~known[w.first + w.length // 2]
-        is_limb = [self._is_in_lost_limb(marker, is_lost) for marker in lost_markers.tolist()]
-        others = self._build_axes_of_others(lost_markers, is_neighbour, frames) if any(is_limb) else None
-        errors = measure_neighbour_errors(self.markers, w, self.rate, self.velocity_sd) if len(w.context_frames) else None
-        gap = EstimatedGap(w, lost_markers, [], [], is_limb)
-        for marker, in_limb in zip(lost_markers.tolist(), is_limb, strict=True):
-            order = self._order_neighbours(marker, is_neighbour)
-            gap.activities.append(self.activity.compare(marker, w, order))
-            surroundings = _MarkerSurroundings(w, frames, order, gap.activities[-1], others if in_limb else None, errors, in_limb)
-            gap.estimates.append(self._estimate_marker(marker, surroundings))
-        return gap
+        is_lost = take.is_common & ~known[w.first + w.length // 2]
+        has_context = len(w.context_frames) > 0
+        errors = measure_neighbour_errors(take.markers, w, take.rate, self.velocity_sd) if has_context else None
+        for marker in lost_markers.tolist():
+            change = take.distance_change_m[marker]
+            order = np.argsort(change, kind="stable")
+            neighbours = order[is_neighbour[order] & np.isfinite(change[order])]
+            edges = compare_edge_motion(take.markers[:, marker], w, take.rate)
+            gap = Gap(
+                marker,
+                w,
+                lost_markers,
+                neighbours,
+                frames,
+                is_limb=self._is_in_lost_limb(marker, is_lost),
+                activity=self.activity.compare(marker, w, neighbours),
+                speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), w.length / take.rate),
+                method_ratios=None if errors is None else average_neighbour_errors(errors, neighbours),
+            )
+            yield gap, edges.similarity
 
-    def _is_in_lost_limb(self, marker: int, is_lost: np.ndarray) -> bool:
+    def _is_in_lost_limb(self, marker: int, is_lost: Bool[np.ndarray, " M"]) -> bool:
         """Return whether a lost marker is one of several on the same limb."""
-        steadiest = np.argsort(np.where(self.is_common, self.change_m[marker], np.inf), kind="stable")[: CLUSTER_SIZES[0]]
+        change = np.where(self.take.is_common, self.take.distance_change_m[marker], np.inf)
+        steadiest = np.argsort(change, kind="stable")[: CLUSTER_SIZES[0]]
         return 1 + int(is_lost[steadiest].sum()) >= MIN_LIMB_MARKERS
 
-    def _order_neighbours(self, marker: int, is_neighbour: np.ndarray) -> np.ndarray:
-        """Return the neighbours of a marker, those with the most constant distance first."""
-        order = np.argsort(self.change_m[marker], kind="stable")
-        return order[is_neighbour[order] & np.isfinite(self.change_m[marker, order])]
+    def is_plausible(self, estimate: GapEstimate, gap: Gap) -> bool:
+        """Return whether an estimate is nowhere faster than the limit, edges included.
 
-    def _estimate_marker(self, marker: int, surroundings: "_MarkerSurroundings") -> list[GapEstimate]:
-        """Return the estimates of one marker."""
-        window, order, change = surroundings.window, surroundings.neighbours, self.change_m[marker]
-        estimates = self._estimate_from_edges(marker, surroundings) if len(window.context_frames) else []
-        cluster = select_regression_cluster(self.is_known, marker, order[change[order] < MAX_DISTANCE_CHANGE_M])
-        if len(cluster) >= MIN_CLUSTER_MARKERS:
-            regressed = estimate_by_regression(self.markers, marker, cluster, change[cluster], window, self.rate)
-            estimates += [regressed.grow(surroundings.activity**ACTIVITY_POWER)] if regressed else []
-        return [each for each in estimates if self.is_plausible(each, marker, window)]
-
-    def _estimate_from_edges(self, marker: int, surroundings: "_MarkerSurroundings") -> list[GapEstimate]:
-        """Return the interpolations of one marker, in the world and in axes of its neighbours."""
-        window, frames, neighbours, activity, others, errors, is_limb = surroundings
-        change, axes = self.change_m[marker], list[MovingAxes | None]([None, others] if others else [None])
-        for size in CLUSTER_SIZES:
-            cluster = neighbours[:size]
-            if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(neighbours) > CLUSTER_SIZES[0]):
-                built = build_cluster_axes(self.markers, cluster, change[cluster], frames)
-                axes += [built] if built else []
-        # What it costs that members come and go is not known where no stretch shows it.
-        is_tried = len(window.starts) > 0 or len(neighbours) < MIN_CLUSTER_MARKERS
-        changing = select_changing_cluster(self.is_known, change, window, CLUSTER_SIZES[-1]) if is_tried else None
-        changing_axes = build_changing_axes(self.markers, changing, window, frames) if changing else None
-        edges = self.compare_edges(marker, window)
-        speed = edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), window.length / self.rate)
-        ratios = errors.compute_ratios(neighbours) if errors else None
-        estimates: list[GapEstimate] = []
-        for number, each in enumerate(axes):
-            estimates += estimate_from_edges(
-                self.markers[:, marker],
-                each,
-                window,
-                self.rate,
-                speed,
-                ratios=ratios if each is None or is_limb else None,
-                axes_number=number,
-                activity=activity,
-            )
-        if changing and changing_axes:
-            in_changing_axes = estimate_from_edges(
-                self.markers[:, marker], changing_axes, window, self.rate, speed, axes_number=len(axes), activity=activity
-            )
-            estimates += [remove_steps(each, changing, window) for each in in_changing_axes]
-        return estimates
-
-    def compare_edges(self, marker: int, window: GapWindow) -> EdgeMotion:
-        """Return how fast a marker is beside a gap, and how similar the hidden stretches are."""
-        return compare_edge_motion(self.markers[:, marker], window, self.rate)
-
-    def is_plausible(self, estimate: GapEstimate, marker: int, window: GapWindow) -> bool:
-        """Return whether an estimate is complete and nowhere impossibly fast, edges included."""
-        beside = np.concatenate([[window.first - 1], window.gap_frames, [window.first + window.length]])
-        path = self.markers[np.clip(beside, 0, len(self.markers) - 1), marker].copy()
+        A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
+        """
+        w = gap.window
+        beside = np.concatenate([[w.first - 1], w.gap_frames, [w.first + w.length]])
+        path = self.take.markers[np.clip(beside, 0, len(self.take.markers) - 1), gap.marker].copy()
         path[1:-1] = estimate.position
-        return not np.isnan(estimate.position).any() and not self.limit.is_exceeded(path, self.rate)
-
-    def _build_axes_of_others(self, lost_markers: np.ndarray, is_neighbour: np.ndarray, frames: np.ndarray) -> MovingAxes | None:
-        """Return axes fixed to all neighbours of a lost limb; None if few markers are left."""
-        cluster = np.setdiff1d(np.flatnonzero(is_neighbour), lost_markers)
-        if len(cluster) <= CLUSTER_SIZES[-1]:
-            return None
-        change = np.median(self.change_m[np.ix_(cluster, cluster)], axis=1)
-        return build_cluster_axes(self.markers, cluster, np.where(np.isfinite(change), change, 1.0), frames)
-
-    def remember(self, estimated: MarkerEstimate, window: GapWindow, lost_markers: np.ndarray) -> None:
-        """Use what was filled precisely as visible from now on."""
-        for marker in lost_markers:
-            samples = window.gap_frames, marker
-            if (estimated.sd[samples] <= MAX_KNOWN_SD_M).all():
-                self.markers[samples] = estimated.position[samples]
-                self.is_known[samples] = True
+        speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) * self.take.rate
+        return not np.isnan(estimate.position).all() and not (np.nan_to_num(speed) > self.max_speed_m_s).any()
 
 
-class _MarkerSurroundings(NamedTuple):
-    """What is known around a marker that is lost throughout a gap."""
+def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, " M"]:
+    """Return the standard deviation of each marker's velocity in m/s; near that of all for markers that show little of it.
 
-    window: GapWindow
-    frames: np.ndarray  # in which it is compared with its neighbours
-    neighbours: np.ndarray  # markers that are known throughout, those with the most constant distance first
-    activity: float  # how many times as fast they are in the gap as while the marker is visible
-    axes_of_others: MovingAxes | None  # axes fixed to all of them; None if few are left, or no limb is lost
-    errors: NeighbourErrors | None  # of the neighbours in the gap; None if nothing is visible beside it
-    is_limb: bool  # whether the marker is one of several lost markers of a limb
-
-
-def estimate_gaps(
-    markers: Float[np.ndarray, "T M 3"], settled: MarkerEstimate, rate: float, limit: SpeedLimit
-) -> tuple[MarkerEstimate, list[EstimatedGap], Neighbourhood]:
-    """Return the estimates of the missing samples from trajectories and neighbours, and those of each gap.
-
-    markers  in metres, NaN if not visible or an outlier
-    settled  samples that splines fill precisely
-    rate     frame rate in Hz
-    limit    on the speed of a marker
+    Velocities are those over VELOCITY_LAG_S, in which noise is small.
     """
-    neighbourhood = Neighbourhood(markers, settled, rate, limit)
-    result = MarkerEstimate(*(values.copy() for values in settled))
-    estimated: list[EstimatedGap] = []
-    for first, last, lost in iterate_gaps(np.isnan(neighbourhood.markers[..., 0]), neighbourhood.is_visible):
-        window = neighbourhood.open_window(first, last, lost)
-        estimated.append(neighbourhood.estimate_gap(window, lost))
-        for marker, each in zip(lost.tolist(), estimated[-1].estimates, strict=True):
-            if each:
-                _store(result, marker, window, each, neighbourhood.compare_edges(marker, window).similarity)
-        neighbourhood.remember(result, window, lost)
-    return result, estimated, neighbourhood
+    lag = min(max(1, round(VELOCITY_LAG_S * rate)), max(1, len(markers) - 1))
+    step = markers[lag:] - markers[:-lag]
+    count = (~np.isnan(step[..., 0])).sum(0)
+    square = np.zeros(markers.shape[1])
+    for m in np.flatnonzero(count):
+        square[m] = np.nanvar(step[:, m], axis=0).sum()
+    typical = square[count > 0].mean() if (count > 0).any() else 0.0
+    typical_share = np.exp(-count / lag)
+    return np.sqrt(typical_share * typical + (1 - typical_share) * square) * rate / lag
 
 
-def _store(
-    result: MarkerEstimate, marker: int, window: GapWindow, estimates: list[GapEstimate], similarity: Float[np.ndarray, " K"]
-) -> None:
-    """Set the samples of one marker in a gap to the combination of its estimates."""
-    samples = window.gap_frames, marker
-    result.position[samples], result.sd[samples], result.method[samples] = combine_gap_estimates(estimates, window, similarity)
+def measure_speed_limit(markers: Float[np.ndarray, "T M 3"], rate: float) -> float:
+    """Return the largest speed of an estimate in m/s; infinite if no marker is visible in two frames in a row.
 
-
-def iterate_gaps(is_missing: np.ndarray, is_visible: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yield the first and last frame of each gap and the markers it has, the shortest first.
-
-    Markers that are visible together come together. A marker that is rarely visible has no gaps at the beginning and end.
+    Args:
+        markers: Metres, NaN if not visible or an outlier.
+        rate: Frame rate in Hz.
     """
-    gaps, is_common = group_gaps(is_missing & is_visible.any(0)), is_visible.mean(0) > MIN_VISIBLE_SHARE
-    for (first, last), lost in sorted(gaps.items(), key=lambda gap: (gap[0][1] - gap[0][0], gap[0])):
-        is_inside = first > 0 and last < len(is_missing) - 1
-        remaining = lost if is_inside else lost[is_common[lost]]
-        while len(remaining):
-            together = _select_visible_together(is_visible, remaining)
-            yield first, last, together
-            remaining = np.setdiff1d(remaining, together)
+    speeds = [np.linalg.norm(np.diff(markers[:, m], axis=0), axis=-1) for m in range(markers.shape[1])]
+    visible = np.concatenate([speed[~np.isnan(speed)] for speed in speeds]) * rate if speeds else np.zeros(0)
+    if not len(visible):
+        return np.inf
+    return MAX_SPEED_RATIO * max(float(np.percentile(visible, SPEED_PERCENTILE)), MIN_SPEED_LIMIT_M_S)
 
 
-def _select_visible_together(is_visible: np.ndarray, markers: np.ndarray) -> np.ndarray:
-    """Return the marker that is visible most often and those that leave enough of the frames in which it is."""
-    by_frequency = markers[np.argsort(-is_visible[:, markers].sum(0), kind="stable")]
-    shared, together = is_visible[:, by_frequency[0]].copy(), [int(by_frequency[0])]
-    for marker in by_frequency[1:].tolist():
-        both = shared & is_visible[:, marker]
-        if both.sum() >= MIN_KEPT_FRAME_SHARE * shared.sum():
-            shared = both
-            together.append(marker)
-    return np.sort(together)
+EXPECTED_WEIGHT = 2.0  # number of independent hidden stretches that the expected covariance is worth
+FIRST_STRETCH_DISCOUNT = 0.5  # number of stretches that are subtracted: a single one shows little
+EXPECTED_CORRELATION = 0.3  # expected correlation of the errors of two estimates of one sample
+SAME_AXES_CORRELATION = 0.75  # the same where both were made in the same axes
+COVARIANCE_RIDGE = 1e-3  # relative increase of the variances, so that equal estimates share their weight
 
 
-def add_processes(
-    result: MarkerEstimate,
-    gaps: list[EstimatedGap],
-    neighbourhood: Neighbourhood,
-    visible_markers: Float[np.ndarray, "T M 3"],
-) -> MarkerEstimate:
-    """Return the estimates with Gaussian processes in the gaps that the others leave uncertain."""
-    is_settled = result.sd < MAX_SETTLED_SD_M
-    uncertain = [(gap, np.flatnonzero(~is_settled[gap.window.gap_frames][:, gap.lost_markers].all(0))) for gap in gaps]
-    if not any(len(rows) for _, rows in uncertain):
-        return result
-    processes = MarkerProcesses(visible_markers, result.position, result.sd, neighbourhood.rate)
-    result = MarkerEstimate(*(values.copy() for values in result))
-    for (window, lost, estimates, activities, is_limb), rows in uncertain:
-        predicted = processes.estimate_gap(window, lost[rows]) if len(rows) else None
-        for row, process in zip(rows.tolist(), predicted or [], strict=False):
-            marker, growth = int(lost[row]), 1.0 if is_limb[row] else activities[row] ** ACTIVITY_POWER
-            if neighbourhood.is_plausible(process, marker, window):
-                grown = process.grow(growth)
-                similarity = neighbourhood.compare_edges(marker, window).similarity
-                _store(result, marker, window, [*estimates[row], grown], similarity)
+class CombinedEstimate(NamedTuple):
+    """The combined estimates of a marker in one gap: positions, standard deviations per axis, and the main methods."""
+
+    position: Float[np.ndarray, "n 3"]
+    sd: Float[np.ndarray, " n"]
+    method: Int8[np.ndarray, " n"]
+
+
+def combine_gap_estimates(
+    estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]
+) -> CombinedEstimate:
+    """Return the combination of estimates with the smallest expected error at each point of the gap.
+
+    An estimate that lacks some frames counts in the others only.
+
+    Args:
+        estimates: At least one.
+        window: The gap.
+        similarity: Of each hidden stretch to the gap, 0 to 1.
+    """
+    is_estimated = np.stack([~np.isnan(e.position[:, 0]) for e in estimates])
+    if not is_estimated.all():
+        return _combine_where_estimated(estimates, window, similarity, is_estimated)
+    error = np.stack([e.error for e in estimates])
+    covariance = compute_error_covariances(error, similarity)
+    expected_sd = np.stack([e.expected_sd for e in estimates], axis=1)
+    known_share = (~np.isnan(error[..., 0])).mean(2) @ similarity / max(len(similarity), 1)
+    count = np.maximum(window.count_independent_stretches() * known_share - FIRST_STRETCH_DISCOUNT, 0.0)
+    count *= window.hidden_length / window.length * np.array([e.evidence for e in estimates])
+    correlation = build_expected_correlation([e.axes for e in estimates])
+    shrunk = shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
+    weights, variance = (np.array(values) for values in zip(*(compute_weights(each) for each in shrunk), strict=True))
+    frames = np.arange(window.length)
+    by_frame = np.stack([np.interp(frames, window.points, column) for column in weights.T])
+    position = np.einsum("en,ena->na", by_frame, np.stack([e.position for e in estimates]))
+    sd = np.interp(frames, window.points, np.sqrt(variance))
+    methods = np.array([e.method for e in estimates])
+    by_method = np.stack([by_frame[methods == method].sum(0) for method in FillMethod])
+    return CombinedEstimate(position, sd, np.array(list(FillMethod), np.int8)[by_method.argmax(0)])
+
+
+def _combine_where_estimated(
+    estimates: Sequence[GapEstimate], window: GapWindow, similarity: np.ndarray, is_estimated: Bool[np.ndarray, "E n"]
+) -> CombinedEstimate:
+    """Return the combination in each frame of those estimates that it has."""
+    n = window.length
+    result = CombinedEstimate(np.full((n, 3), np.nan), np.full(n, np.nan), np.zeros(n, np.int8))
+    patterns, rows = np.unique(is_estimated, axis=1, return_inverse=True)
+    for p, pattern in enumerate(patterns.T):
+        frames = np.flatnonzero(rows.ravel() == p)
+        chosen = [_extend(e) for e, is_chosen in zip(estimates, pattern, strict=True) if is_chosen]
+        if chosen:
+            for values, new in zip(result, combine_gap_estimates(chosen, window, similarity), strict=True):
+                values[frames] = new[frames]
     return result
+
+
+def _extend(estimate: GapEstimate) -> GapEstimate:
+    """Return an estimate with arbitrary positions in the frames that it lacks; its deviation there is the largest elsewhere."""
+    largest = np.nanmax(estimate.expected_sd, initial=MIN_FILL_SD_M)
+    expected_sd = np.where(np.isnan(estimate.expected_sd), largest, estimate.expected_sd)
+    return estimate._replace(position=np.nan_to_num(estimate.position), expected_sd=expected_sd)
+
+
+def build_expected_correlation(axes: Sequence[str | None]) -> Float[np.ndarray, "E E"]:
+    """Return the expected correlations of the errors of estimates in axes with these names."""
+    is_same = np.array([[a is not None and a == b for b in axes] for a in axes])
+    return np.where(is_same, SAME_AXES_CORRELATION, EXPECTED_CORRELATION)
+
+
+def compute_error_covariances(
+    error: Float[np.ndarray, "E K S 3"], similarity: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "S E E"]:
+    """Return the second moments (m2 per axis) of the errors of E estimates at the points of a gap; NaN where unknown.
+
+    Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
+    """
+    estimates, _, points, _ = error.shape
+    is_known = ~np.isnan(error[..., 0])
+    moment, count = np.zeros((2, points, estimates, estimates))
+    for s in range(points):
+        known = is_known[:, :, s] * np.sqrt(similarity)
+        flat = (np.nan_to_num(error[:, :, s]) * np.sqrt(similarity)[:, None]).reshape(estimates, -1)
+        moment[s], count[s] = flat @ flat.T / 3, known @ known.T
+    moment, count = moment + moment[::-1], count + count[::-1]
+    if points > 2:
+        moment[1:-1], count[1:-1] = (x[1:-1] + 0.5 * (x[:-2] + x[2:]) for x in (moment, count))
+    return np.divide(moment, count, out=np.full(moment.shape, np.nan), where=count > 0)
+
+
+def shrink_covariances(
+    covariance: Float[np.ndarray, "S E E"],
+    expected_sd: Float[np.ndarray, "S E"],
+    expected_correlation: Float[np.ndarray, "E E"],
+    trust: Float[np.ndarray, " E"],
+) -> Float[np.ndarray, "S E E"]:
+    """Return covariances between the measured ones, with a weight for each estimate (0 to 1), and the expected ones."""
+    variance = np.einsum("see->se", covariance)
+    is_known = ~np.isnan(variance)
+    measured_sd = np.sqrt(np.where(is_known, variance, 1.0))
+    log_sd = [np.log(np.maximum(sd, MIN_FILL_SD_M)) for sd in (measured_sd, expected_sd)]
+    sd = np.exp(np.where(is_known, trust * log_sd[0] + (1 - trust) * log_sd[1], log_sd[1]))
+    scale = np.maximum(measured_sd, MIN_FILL_SD_M / 10)
+    correlation = np.clip(covariance / scale[:, :, None] / scale[:, None], -1, 1)
+    correlation = np.where(np.isnan(correlation), expected_correlation, correlation)
+    shared_trust = np.sqrt(trust[:, None] * trust)
+    correlation = shared_trust * correlation + (1 - shared_trust) * expected_correlation
+    diagonal = np.arange(sd.shape[1])
+    correlation[:, diagonal, diagonal] = 1 + COVARIANCE_RIDGE
+    return correlation * sd[:, :, None] * sd[:, None]
+
+
+def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndarray, " E"], float]:
+    """Return weights that are not negative, sum to one and give a small expected error, and the variance of that error.
+
+    Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
+    need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
+    """
+    active = np.arange(len(covariance))
+    while True:
+        solved = np.linalg.solve(covariance[np.ix_(active, active)], np.ones(len(active)))
+        if (solved > 0).all():
+            break
+        kept = active[solved > 0]
+        active = kept if len(kept) else active[[np.argmin(np.diag(covariance)[active])]]
+    weights = np.zeros(len(covariance))
+    weights[active] = solved / solved.sum()
+    variance, best = float(weights @ covariance @ weights), int(np.argmin(np.diag(covariance)))
+    if variance <= covariance[best, best]:
+        return weights, variance
+    return np.eye(len(covariance))[best], float(covariance[best, best])

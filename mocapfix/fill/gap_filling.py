@@ -1,196 +1,39 @@
-"""The fill: every missing or faulty sample gets its most precise estimate, or stays empty with a reason.
+"""The fill: every missing or faulty sample gets its estimate, or stays empty with a reason.
 
-With a solved body a sample has up to four estimates: the marker's place on the body plus the interpolated residual at the edges
-of the gap, its rigid cluster, a spline, and a Gaussian process over all markers.
+The estimates and their weights: `gap_estimates`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.fill.cluster_fill import fill_from_clusters
-from mocapfix.fill.fill_methods import (
-    FillMethod,
-    FillRequest,
-    MarkerEstimate,
-    build_marker_estimate,
-    explain_requested_fills,
-    find_impossible_speeds,
-    locate_requested_fills,
-    measure_fastest_speed,
-    measure_speed_limit,
-    use_requested_methods,
-)
-from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
-from mocapfix.fill.marker_processes import fill_from_gaussian_process
-from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
-from mocapfix.fill.spline_fill import MIN_FILL_SD_M, fill_with_splines
-from mocapfix.fill.weighted_estimates import combine_estimates
-from mocapfix.io.changes_file import Correction
+from mocapfix.fill.gap_estimates import MarkerFill, estimate_missing_samples
+from mocapfix.fill.gap_windows import FillMethod
+from mocapfix.io.changes_file import Correction, RequestedFill
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, UnfilledRun, compute_editable_mask, expand_unfilled_reasons
-from mocapfix.model.detected import Detected
-from mocapfix.model.motion import Motion
-from mocapfix.model.subject import Subject
-from mocapfix.model.take import SAMPLE_NOISE_M, Take
+from mocapfix.model.detected import Detected, MarkerEpochs
+from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
-from mocapfix.solve import kinematics
-from mocapfix.stats.gaussian_process import interpolate_residual
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
-GAUSSIAN_PROCESS_CORRELATION = 0.8
-"""Correlation of the errors of the Gaussian process and the other estimates: where it is used, they rely on the same markers."""
-MAX_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by splines
-SETTLED_SPLINE_SD_M = 0.001  # standard deviation of a spline below which its samples are used as known ones by the clusters
-PARTIAL_BODY_SD_RATIO = 2.0
-"""Ratio of errors to predicted standard deviations where a body has few markers, or a set that was learned from the take."""
+EMPTY_REASON = "left empty in review"
+NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"
 
 
-def combine_with_partial_body(
-    estimate: MarkerEstimate, body_estimate: MarkerEstimate, is_missing: Bool[np.ndarray, "T M"]
-) -> MarkerEstimate:
-    """Return the combination of the estimates without a body and those from a body that few markers determine.
+@dataclass(frozen=True)
+class FillRequest:
+    """A request to fill the samples of a column of a take, over the frames first..last, by one method."""
 
-    estimate       the estimate without a body, as `estimate_without_body` returns it
-    body_estimate  the estimate from the solved body
-    is_missing     samples that are estimated
-    """
-    widened = body_estimate._replace(sd=body_estimate.sd * PARTIAL_BODY_SD_RATIO)
-    combined, ratio = combine_estimates([estimate.select(is_missing), widened.select(is_missing)])
-    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_FILL_SD_M)).expand(is_missing)
-
-
-def estimate_missing_samples(
-    take: Take, is_inlier: Bool[np.ndarray, "T M"], body_estimate: MarkerEstimate | None = None
-) -> MarkerEstimate:
-    """Return the most precise estimate of all samples that are missing or no inliers.
-
-    is_inlier      samples that are used
-    body_estimate  the estimate from the solved body, if there is one
-    """
-    markers = np.where(is_inlier[..., None], take.markers, np.nan)
-    if is_inlier.all():
-        nothing = np.full(is_inlier.shape, np.nan)
-        return build_marker_estimate(np.full(markers.shape, np.nan), nothing, FillMethod.SPLINE)
-    context = _FillContext(markers, take.rate, np.isnan(markers[..., 0]), measure_fastest_speed(markers, take.rate))
-    combined, ratio = combine_estimates(iterate_estimates(context, body_estimate))
-    others = combined.expand(context.is_missing)
-    filled = fill_from_gaussian_process(markers, others.position, others.sd, take.rate)
-    del others
-    process = _select_plausible(filled, is_inlier, context, FillMethod.GAUSSIAN_PROCESS)
-    del filled
-    estimate, process_ratio = combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
-    estimate = estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_FILL_SD_M))
-    return estimate.expand(context.is_missing)
-
-
-class _FillContext(NamedTuple):
-    """What the estimates have in common."""
-
-    markers: np.ndarray  # (T, M, 3) m, NaN if not visible or an outlier
-    rate: float  # frame rate in Hz
-    is_missing: np.ndarray  # (T, M) the samples that are NaN
-    fastest_speed: float | None  # of the visible motion, in m/s; None if nothing is visible in two frames in a row
-
-
-def iterate_estimates(context: _FillContext, body_estimate: MarkerEstimate | None) -> Iterator[MarkerEstimate]:
-    """Yield the estimates of the missing samples from splines, clusters and the body."""
-    markers, rate = context.markers, context.rate
-    position, sd = fill_with_splines(markers, rate, MAX_SPLINE_GAP_S)
-    spline = build_marker_estimate(position, sd, FillMethod.SPLINE).select(context.is_missing)
-    del position, sd
-    with_splines = markers.copy()
-    with_splines[context.is_missing] = np.where((spline.sd <= SETTLED_SPLINE_SD_M)[:, None], spline.position, np.nan)
-    yield spline
-    yield _select_plausible(fill_from_clusters(with_splines, rate), ~context.is_missing, context, FillMethod.CLUSTER)
-    if body_estimate:
-        yield body_estimate.select(context.is_missing)
-
-
-def _select_plausible(
-    filled: tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]],
-    is_learned: Bool[np.ndarray, "T M"],
-    context: _FillContext,
-    method: FillMethod,
-) -> MarkerEstimate:
-    """Return the estimates of the missing samples from a method that has learned from others, none near impossible speeds."""
-    is_missing, path = context.is_missing, context.markers.copy()
-    position, sd = (values[is_missing] for values in filled)
-    path[is_missing] = position
-    is_impossible = find_impossible_speeds(path, ~is_missing, context.rate, context.fastest_speed)[is_missing]
-    sd = np.where(is_impossible, np.nan, sd) * compute_gap_inflation(is_learned)[is_missing]
-    return build_marker_estimate(position, sd, method)
-
-
-def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarray, "T M"]:
-    """Return the factor by which the standard deviation of a learned estimate is underestimated.
-
-    Such an estimate is learned from the frames in which the marker is visible. The longer a gap is relative to these, the more of
-    it differs from what was learned.
-    """
-    factor = np.ones(is_inlier.shape)
-    for m in range(is_inlier.shape[1]):
-        visible_count = max(is_inlier[:, m].sum(), 1)
-        for first, last in find_runs(~is_inlier[:, m]):
-            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / visible_count
-    return factor
-
-
-BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
-BODY_RESIDUAL_REACH_S = 0.3  # time on either side of a gap that is used
-MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
-MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
-MAX_EDGE_RESIDUAL_M = 0.05
-"""Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
-MAX_EDGE_RESIDUAL_RATIO = 4.0  # the same relative to the marker's median residual
-
-
-def fill_from_body(
-    markers: Float[np.ndarray, "T K 3"], is_wanted: Bool[np.ndarray, "T K"], subject: Subject, motion: Motion, rate: float
-) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
-    """Return positions of the wanted samples in metres, and their standard deviations per axis; NaN elsewhere.
-
-    In a gap the residual consists of the marker's motion relative to its joint and of the error of a pose that was solved without
-    this marker. Both are known at the edges of the gap, and decay with the correlation of the residual.
-
-    markers  in metres in the subject's order, NaN if not visible or an outlier
-    """
-    joint_positions, joint_rotations = kinematics.compute_world_poses(subject.skeleton, motion)
-    filled, sd = np.full(markers.shape, np.nan), np.full(is_wanted.shape, np.nan)
-    for k, joint in enumerate(subject.joints):
-        wanted = is_wanted[:, k]
-        if not wanted.any():
-            continue
-        rotation = joint_rotations[:, joint]
-        predicted = joint_positions[:, joint] + rotation @ subject.marker_offsets[k]
-        residual = np.einsum("tba,tb->ta", rotation, markers[:, k] - predicted)
-        distance = np.linalg.norm(residual, axis=1)
-        if (is_known := ~np.isnan(distance)).any():
-            median = float(np.median(distance[is_known]))
-            residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * median)] = np.nan
-        interpolated, variance, power = interpolate_residual(
-            residual,
-            wanted,
-            rate,
-            time_scale_s=BODY_RESIDUAL_FADE_S,
-            margin_s=BODY_RESIDUAL_REACH_S,
-            noise_sd=SAMPLE_NOISE_M,
-            min_sd=MIN_BODY_RESIDUAL_M,
-        )
-        filled[wanted, k] = predicted[wanted] + np.einsum("tab,tb->ta", rotation[wanted], interpolated[wanted])
-        total_variance = variance[wanted] * (1 + motion.marker_sd[wanted, k] ** 2 / power)
-        sd[wanted, k] = np.sqrt(np.maximum(total_variance, MIN_BODY_FILL_SD_M**2))
-    return filled, sd
-
-
-MAX_SETTLED_GAP_SD_M = 0.002
-"""Standard deviation of the estimates over the whole take up to which a gap is not estimated by itself; it holds throughout."""
-MAX_GAP_ESTIMATE_SD_M = 0.03
-"""Standard deviation anywhere in a gap above which its own estimate is not used where there is another."""
+    column: int
+    first: int
+    last: int
+    method: RequestedFill
 
 
 class FilledTake(NamedTuple):
@@ -213,8 +56,6 @@ def fill_gaps(
     props: Mapping[str, Sequence[str]],
     corrections: Sequence[Correction],
     options: FillOptions,
-    *,
-    is_own_set: bool,
 ) -> Filled:
     """Fill a take's missing and faulty samples.
 
@@ -227,7 +68,6 @@ def fill_gaps(
         props: the labels of each prop that the marker set names.
         corrections: those of a reviewer, who may request the fills of samples.
         options: the options of filling.
-        is_own_set: whether the marker set was learned from this take.
     """
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
@@ -239,7 +79,6 @@ def fill_gaps(
         find_ends(inliers)[:, epochs.column_marker],
         body,
         options,
-        is_partial_body=body is not None and (is_own_set or not body.subject.solved_joints.all()),
         rigid_groups=groups,
         requests=locate_requested_fills(corrections, epochs),
     )
@@ -253,6 +92,16 @@ def fill_gaps(
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
     return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, groups)
+
+
+def locate_requested_fills(corrections: Sequence[Correction], epochs: MarkerEpochs) -> list[FillRequest]:
+    """Return the requests among corrections, for every column of a marker that moved."""
+    return [
+        FillRequest(int(column), each.first, each.last, each.entry.method)
+        for each in corrections
+        if each.entry.method is not None
+        for column in np.flatnonzero(epochs.column_marker == each.markers[0])
+    ]
 
 
 def find_rigid_groups_outside(
@@ -279,7 +128,6 @@ def fill_take(
     body: BodyFit | None,
     options: FillOptions,
     *,
-    is_partial_body: bool = False,
     rigid_groups: Sequence[RigidGroup] = (),
     requests: Sequence[FillRequest] = (),
 ) -> FilledTake:
@@ -293,27 +141,21 @@ def fill_take(
             whole take.
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
-        is_partial_body: whether the body has unsolved joints, or a marker set that was learned from this take.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
         requests: how a reviewer wants some samples to be filled.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
-    body_estimate = estimate_from_body(take, is_inlier, body) if body else None
-    if body_estimate is not None and not is_partial_body:
-        estimate = estimate_missing_samples(take, is_inlier, body_estimate)
-        estimate = join_gap_estimates(estimate, np.where(is_inlier[..., None], take.markers, np.nan), take.rate)
-    else:
-        estimate = estimate_without_body(take.markers, is_inlier, take.rate)
-        if body_estimate is not None:
-            estimate = combine_with_partial_body(estimate, body_estimate, ~is_inlier)
-    if rigid_groups:
-        in_groups = estimate_from_rigid_groups(np.where(is_inlier[..., None], take.markers, np.nan), rigid_groups)
-        estimate = prefer_rigid_groups(estimate, in_groups, ~is_inlier)
-    if requests:
-        inliers = np.where(is_inlier[..., None], take.markers, np.nan)
-        estimate = use_requested_methods(estimate, requests, inliers, body_estimate, take.rate)
-    markers, sd, method = estimate
+    markers, sd, method = estimate_missing_samples(
+        np.where(is_inlier[..., None], take.markers, np.nan),
+        take.rate,
+        body=body,
+        rigid_groups=rigid_groups,
+        requests=[MarkerFill(r.column, r.first, r.last, FillMethod[r.method.upper()]) for r in requests if r.method != "empty"],
+    )
+    for request in requests:
+        if request.method == "empty":
+            sd[request.first : request.last + 1, request.column] = np.nan
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)
     reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
@@ -321,54 +163,6 @@ def fill_take(
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
     return FilledTake(after, list_unfilled_runs(after, take, is_editable, reasons), np.where(is_filled, method, -1))
-
-
-def join_gap_estimates(estimate: MarkerEstimate, markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerEstimate:
-    """Combine estimates of the whole take with estimates of single gaps, in the gaps where the former are uncertain.
-
-    The estimates of a single gap are weighted by their errors in stretches of its length, hidden where the marker is visible.
-    If the take has no such stretch they are uncertain too, and the body has more weight.
-
-    estimate  from all methods over the whole take
-    markers   in metres, NaN if not visible or an outlier
-    rate      frame rate in Hz
-    """
-    is_missing = np.isnan(markers[..., 0])
-    is_settled = find_gaps_below(estimate.sd, is_missing, MAX_SETTLED_GAP_SD_M)
-    if is_settled[is_missing].all():
-        return estimate
-    settled_sd = np.where(is_settled, estimate.sd, np.nan)
-    settled = estimate._replace(position=np.where(is_settled[..., None], estimate.position, np.nan), sd=settled_sd)
-    in_gaps, _, _ = estimate_gaps(markers, settled, rate, measure_speed_limit(markers, rate))
-    sd = in_gaps.sd * compute_gap_inflation(~is_missing)
-    is_precise = find_gaps_below(in_gaps.sd, is_missing & ~is_settled, MAX_GAP_ESTIMATE_SD_M)
-    is_used = ~is_settled & (is_precise | np.isnan(estimate.sd))
-    in_gaps = in_gaps._replace(sd=np.where(is_used, sd, np.nan))
-    combined, ratio = combine_estimates([estimate.select(is_missing), in_gaps.select(is_missing)])
-    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_FILL_SD_M)).expand(is_missing)
-
-
-def find_gaps_below(
-    sd: Float[np.ndarray, "T M"], is_missing: Bool[np.ndarray, "T M"], max_sd_m: float
-) -> Bool[np.ndarray, "T M"]:
-    """Return the samples of the gaps in which a standard deviation is at most `max_sd_m` throughout."""
-    is_below = is_missing & (sd <= max_sd_m)
-    for m in np.flatnonzero((is_missing & ~is_below).any(0)):
-        for first, last in find_runs(is_missing[:, m]):
-            is_below[first : last + 1, m] &= is_below[first : last + 1, m].all()
-    return is_below
-
-
-def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: BodyFit) -> MarkerEstimate:
-    """Estimate the take's missing samples from the solved body."""
-    columns = body.marker_columns
-    positions, sd = np.full(take.markers.shape, np.nan), np.full(take.visible.shape, np.nan)
-    has_column = columns >= 0
-    subject_take = take.select(columns, is_inlier)
-    is_missing = ~is_inlier[:, columns] & has_column
-    filled, filled_sd = fill_from_body(subject_take.markers, is_missing, body.extended_subject, body.motion, take.rate)
-    positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
-    return build_marker_estimate(positions, sd, FillMethod.BODY)
 
 
 def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -> None:
@@ -445,6 +239,18 @@ def explain_unfilled_ends(
     is_left &= (reasons == "") | (sd_m > options.max_sd_m)
     before, after = (f"{words} measured{rule}" for words in ("before the marker is first", "after the marker is last"))
     return np.where(is_left & (ends < 0), before, np.where(is_left & (ends > 0), after, reasons))
+
+
+def explain_requested_fills(
+    reasons: Shaped[np.ndarray, "T M"], requests: Sequence[FillRequest], is_without_estimate: Bool[np.ndarray, "T M"]
+) -> Shaped[np.ndarray, "T M"]:
+    """Return the reasons why samples stay empty, with those that follow from a request."""
+    reasons = reasons.copy()
+    for each in requests:
+        reason = EMPTY_REASON if each.method == "empty" else NO_ESTIMATE_REASON.format(method=each.method)
+        samples = slice(each.first, each.last + 1), each.column
+        reasons[samples] = np.where(is_without_estimate[samples], reason, reasons[samples])
+    return reasons
 
 
 def list_unfilled_runs(

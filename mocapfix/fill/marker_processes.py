@@ -4,11 +4,8 @@ frames.
 A Gaussian model of the whole marker set given the visible markers (Gloersen & Federolf 2016, "Predicting missing marker
 trajectories in human motion data using marker intercorrelations", PLoS ONE 11), extended to a process over the frames that also
 uses time and recurrence (`stats.gaussian_process`). Positions are relative to axes fixed to the marker set, dominated by the
-trunk. Its constants minimise the error on lost limbs of captures and of CMU's training subjects.
-
-`fill_from_gaussian_process` fills a take beside a solved body, and validates its variance: stretches as long as the gap are
-predicted elsewhere in the take. `MarkerProcesses` estimates single gaps without a body, with its errors in hidden stretches;
-there the axes follow the input markers only, as in the gap nothing else is known.
+trunk. They follow the input markers only, as in the gap nothing else is known. The constants minimise the error on lost limbs of
+captures and of CMU's training subjects.
 """
 
 from typing import NamedTuple
@@ -16,15 +13,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, compute_variation_growth
+from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
+from mocapfix.fill.gap_windows import (
+    FillMethod,
+    Gap,
+    GapEstimate,
+    GapWindow,
+    MarkersInTake,
+    MovingAxes,
+    compute_variation_growth,
+)
 from mocapfix.stats.gaussian_process import GaussianProcess, HeldOutPrediction, StateCovariance, fit_gaussian_process
-from mocapfix.stats.rigid_alignment import align_to_common_shape, align_to_shape, fit_common_shape, transform_to_body_axes
-from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
+from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape, transform_to_body_axes
+from mocapfix.stats.sequences import sample_evenly, select_training_frames
 
 MAX_SETTLED_SD_M = 0.01
 """Standard deviation of other estimates below which a gap is not filled here, if it holds throughout the gap."""
 MAX_INPUT_SD_M = 0.03  # standard deviation of other estimates below which a filled sample is an input, like a visible one
-MIN_VISIBLE_SHARE = 0.05  # share of the frames in which a marker must be visible
 MIN_PROCESS_TRAINING_FRAMES = 8  # frames that learning a gap requires
 MIN_INPUT_MARKERS = 4  # markers that the state of the body requires
 MIN_SHARED_FRAME_SHARE = 0.5  # share of the frames with the lost markers in which all input markers must be known together
@@ -44,75 +49,6 @@ MARKER_FILL_KERNEL = StateCovariance(
 PROCESS_SAMPLE_NOISE_M = 0.001  # noise of a sample
 
 
-class BodyAxes(NamedTuple):
-    """Axes fixed to the marker set: rotation (T, 3, 3) to the world, and origin (T, 3) m."""
-
-    rotation: np.ndarray
-    origin: np.ndarray
-
-
-def fill_from_gaussian_process(
-    markers: Float[np.ndarray, "T M 3"],
-    other_positions: Float[np.ndarray, "T M 3"],
-    other_sd: Float[np.ndarray, "T M"],
-    rate: float,
-) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
-    """Return positions of missing samples in metres, and their standard deviations per axis; NaN elsewhere.
-
-    Gaps that other estimates fill precisely enough are left NaN, as are those with too little visible throughout.
-
-    markers          in metres, Y up, NaN if not visible or an outlier
-    other_positions  other estimates of the missing samples, with their standard deviations; NaN without an estimate
-    rate             frame rate in Hz
-    """
-    visible = ~np.isnan(markers[..., 0])
-    filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
-    is_common = visible.sum(0) > MIN_VISIBLE_SHARE * len(visible)
-    gaps = {
-        gap: uncertain
-        for gap, lost in group_gaps(~visible & is_common).items()
-        if len(uncertain := find_uncertain_markers(other_sd, *gap, lost))
-    }
-    if not gaps:
-        return filled, sd
-    is_known = is_common & (visible | (other_sd < MAX_INPUT_SD_M))
-    all_positions = np.where(visible[..., None], markers, other_positions)
-    rotation, origin, is_aligned = align_to_common_shape(np.where(is_known[..., None], all_positions, np.nan))
-    axes = BodyAxes(rotation, origin)
-    local = transform_to_body_axes(all_positions, origin, rotation)
-    remaining = list(gaps.items())
-    while remaining:
-        (first, last), lost = remaining.pop()
-        is_shown = is_aligned & visible[:, lost].all(1)
-        candidates = np.setdiff1d(np.flatnonzero(is_known[first : last + 1].all(0)), lost)
-        inputs = select_input_markers(is_known[is_shown], candidates)
-        training = select_training_frames(is_shown & is_known[:, inputs].all(1), first, last, rate)
-        gap = np.flatnonzero(is_aligned[first : last + 1]) + first
-        if len(inputs) < MIN_INPUT_MARKERS and last - first > MIN_GAP_PIECE_S * rate:
-            middle = (first + last) // 2
-            remaining += [((first, middle), lost), ((middle + 1, last), lost)]
-            continue
-        if len(training) < MIN_PROCESS_TRAINING_FRAMES or len(inputs) < MIN_INPUT_MARKERS or not len(gap):
-            continue
-        process = fit_marker_process(local, inputs, lost, axes, training, rate)
-        states = compute_marker_state_features(local[:, inputs], axes, gap, rate)
-        predicted, relative_variance = process.predict(states, gap / rate)
-        power = np.fmax(process.cross_validate_gaps((last - first + 1) / rate), process.signal_power)
-        power = power.reshape(-1, 3).mean(1)
-        samples = np.ix_(gap, lost)
-        world = np.einsum("tab,tmb->tma", rotation[gap], predicted.reshape(len(gap), -1, 3))
-        filled[samples] = world + origin[gap, None]
-        sd[samples] = np.sqrt(relative_variance[:, None] * power + PROCESS_SAMPLE_NOISE_M**2)
-    return filled, sd
-
-
-def find_uncertain_markers(
-    other_sd: Float[np.ndarray, "T M"], first: int, last: int, lost_markers: Int[np.ndarray, " L"]
-) -> Int[np.ndarray, " U"]:
-    """Return those of the markers lost over first..last that other estimates do not fill precisely throughout."""
-    return lost_markers[~(other_sd[first : last + 1, lost_markers] < MAX_SETTLED_SD_M).all(0)]
-
-
 def select_input_markers(is_known: Bool[np.ndarray, "N M"], candidate_markers: Int[np.ndarray, " C"]) -> Int[np.ndarray, " I"]:
     """Return as many candidates as are known together in MIN_SHARED_FRAME_SHARE of the frames, the most frequent first."""
     by_frequency = candidate_markers[np.argsort(-is_known[:, candidate_markers].sum(0), kind="stable")]
@@ -124,7 +60,7 @@ def fit_marker_process(
     local: Float[np.ndarray, "T M 3"],
     input_markers: Int[np.ndarray, " I"],
     lost_markers: Int[np.ndarray, " L"],
-    axes: BodyAxes,
+    axes: MovingAxes,
     training_frames: Int[np.ndarray, " N"],
     rate: float,
 ) -> GaussianProcess:
@@ -136,13 +72,13 @@ def fit_marker_process(
 
 
 def compute_marker_state_features(
-    inputs: Float[np.ndarray, "T I 3"], axes: BodyAxes, frames: Int[np.ndarray, " N"], rate: float
+    inputs: Float[np.ndarray, "T I 3"], axes: MovingAxes, frames: Int[np.ndarray, " N"], rate: float
 ) -> Float[np.ndarray, "N F"]:
     """Return the features of the body's state in some frames, each in units of a difference that counts as one.
 
     inputs  positions of the input markers in the body's axes, in metres
     """
-    rotation, origin = axes
+    rotation, origin = axes.rotation_world_axes, axes.origin
     half_span, last = max(1, round(MARKER_VELOCITY_HALF_SPAN_S * rate)), len(inputs) - 1
     before, after = np.maximum(frames - half_span, 0), np.minimum(frames + half_span, last)
     seconds = ((after - before) / rate + (last == 0))[:, None]
@@ -168,32 +104,36 @@ MAX_HELD_OUT_SHARE = 0.7  # share of the training frames above which a hidden st
 
 
 class MarkerProcesses:
-    """The Gaussian processes of a take, one for each gap that is estimated.
+    """Estimates markers by Gaussian processes over all others, one for each gap in which these leave them uncertain.
 
-    markers          in metres, Y up, NaN if not visible or an outlier
-    other_positions  other estimates of the missing samples, with their standard deviations; NaN without an estimate
-    rate             frame rate in Hz
+    The filled samples of other gaps are inputs too.
     """
 
-    def __init__(
-        self,
-        markers: Float[np.ndarray, "T M 3"],
-        other_positions: Float[np.ndarray, "T M 3"],
-        other_sd: Float[np.ndarray, "T M"],
-        rate: float,
-    ) -> None:
-        self.rate, self.is_visible = rate, ~np.isnan(markers[..., 0])
-        self.is_common = self.is_visible.sum(0) > MIN_VISIBLE_SHARE * len(markers)
-        self.is_known = self.is_common & (self.is_visible | (other_sd < MAX_INPUT_SD_M))
-        self.positions = np.where(self.is_visible[..., None], markers, other_positions)
+    def __init__(self, take: MarkersInTake) -> None:
+        self.rate, self.is_visible, self.is_common, self.sd = take.rate, take.is_visible, take.is_common, take.estimate.sd.copy()
+        self.is_known = self.is_common & (self.is_visible | (self.sd < MAX_INPUT_SD_M))
+        self.positions = np.where(self.is_visible[..., None], take.visible_markers, take.estimate.position)
         self.common_shape = fit_common_shape(np.where(self.is_known[..., None], self.positions, np.nan))
         self._axes_of_inputs: dict[tuple[int, ...], _InputAxes] = {}
+        self._latest: tuple[tuple[int, ...], dict[int, GapEstimate]] = ((), {})
 
-    def estimate_gap(self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> list[GapEstimate] | None:
-        """Return the estimates of the markers that are lost throughout a gap; None if too little is visible."""
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        w = gap.window
+        is_settled = (self.sd[w.gap_frames][:, gap.lost_markers] < MAX_SETTLED_SD_M).all(0)
+        uncertain = gap.lost_markers[~is_settled | (gap.lost_markers == gap.marker)]
+        key = (w.first, w.length, *uncertain.tolist())
+        if key != self._latest[0]:
+            self._latest = key, dict(zip(uncertain.tolist(), self.estimate_gap(w, uncertain), strict=False))
+        if gap.marker not in self._latest[1]:
+            return []
+        estimate, growth = self._latest[1][gap.marker], 1.0 if gap.is_limb else gap.activity**ACTIVITY_POWER
+        return [estimate._replace(expected_sd=estimate.expected_sd * growth)]
+
+    def estimate_gap(self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> list[GapEstimate]:
+        """Return the estimates of the markers that are lost throughout a gap; none if too little is visible."""
         w = window
         if not self.is_common[lost_markers].all():
-            return None
+            return []
         position = np.full((w.length, len(lost_markers), 3), np.nan)
         error = np.full((len(w.starts), len(w.points), len(lost_markers), 3), np.nan)
         sd = np.full((w.length, len(lost_markers)), np.nan)
@@ -210,7 +150,7 @@ class MarkerProcesses:
                 self._estimate_piece(w, w.gap_frames[piece], inputs, lost_markers) if len(inputs) >= MIN_INPUT_MARKERS else None
             )
             if estimate is None:
-                return None
+                return []
             position[piece], sd[piece] = estimate.position, estimate.sd
             if end - begin + 1 == w.length:
                 error = estimate.error
@@ -233,7 +173,7 @@ class MarkerProcesses:
             positions = self.positions[:, inputs]
             rotation, origin, is_aligned = align_to_shape(positions, self.is_known[:, inputs], self.common_shape.select(inputs))
             local = transform_to_body_axes(self.positions, origin, rotation)
-            self._axes_of_inputs[key] = _InputAxes(BodyAxes(rotation, origin), local, is_aligned)
+            self._axes_of_inputs[key] = _InputAxes(MovingAxes(rotation, origin), local, is_aligned)
         return self._axes_of_inputs[key]
 
     def _estimate_piece(
@@ -253,7 +193,8 @@ class MarkerProcesses:
         states = compute_marker_state_features(local[:, inputs], axes, frames, self.rate)
         predicted, relative_variance = process.predict(states, frames / self.rate)
         world = (
-            np.einsum("tab,tmb->tma", axes.rotation[frames], predicted.reshape(len(frames), -1, 3)) + axes.origin[frames, None]
+            np.einsum("tab,tmb->tma", axes.rotation_world_axes[frames], predicted.reshape(len(frames), -1, 3))
+            + axes.origin[frames, None]
         )
         power = np.fmax(process.cross_validate_gaps(len(frames) / self.rate), process.signal_power).reshape(-1, 3).mean(1)
         novelty = compute_variation_growth(is_usable, w.length / self.rate, self.rate)
@@ -273,7 +214,11 @@ class MarkerProcesses:
 
     @staticmethod
     def _compute_hidden_error(
-        hidden: HeldOutPrediction | None, training: np.ndarray, frames: np.ndarray, relative_variance: np.ndarray, axes: BodyAxes
+        hidden: HeldOutPrediction | None,
+        training: np.ndarray,
+        frames: np.ndarray,
+        relative_variance: np.ndarray,
+        axes: MovingAxes,
     ) -> np.ndarray:
         """Return the errors (S, L, 3) in the world at some frames of a stretch, increased to the uncertainty in the gap."""
         if hidden is None:
@@ -283,13 +228,13 @@ class MarkerProcesses:
         inflation = np.sqrt(np.maximum(relative_variance / hidden.relative_variance[at], 1.0))
         error = hidden.error[at].reshape(len(frames), -1, 3) * inflation[:, None, None]
         error[held_frames[at] != frames] = np.nan
-        return np.einsum("sab,smb->sma", axes.rotation[frames], error)
+        return np.einsum("sab,smb->sma", axes.rotation_world_axes[frames], error)
 
 
 class _InputAxes(NamedTuple):
     """The axes of some input markers, all markers in them (T, M, 3), and whether a frame determines them (T,)."""
 
-    axes: BodyAxes
+    axes: MovingAxes
     local: np.ndarray
     is_aligned: np.ndarray
 

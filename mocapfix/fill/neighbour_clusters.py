@@ -6,11 +6,9 @@ a gap define axes by weighted registration. In these axes the missing marker is 
 (`edge_interpolation`), or predicted: a regression learned from the take predicts its position from the deformation of the cluster
 (a joint in between, skin), and the residual at the edges is interpolated.
 
-Axes of a cluster whose members come and go within a gap.
-
-In each frame the visible members are aligned with the common shape of the cluster. Where the members change, the axes move by as
-much as the cluster deforms. Errors are therefore measured with the members that the gap has at each point, and the estimate in a
-gap is shifted so that it has no steps.
+Members of a cluster may also come and go within a gap. In each frame the visible ones are aligned with the common shape of the
+cluster. Where the members change, the axes move by as much as the cluster deforms. Errors are therefore measured with the members
+that the gap has at each point, and the estimate in a gap is shifted so that it has no steps.
 """
 
 from typing import NamedTuple
@@ -18,24 +16,40 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.cluster_fill import (
-    CLUSTER_RESIDUAL_FADE_S,
-    MAX_CLUSTER_MARKERS,
-    MAX_CLUSTER_TRAINING_FRAMES,
-    MIN_CLUSTER_FRAMES,
-    MIN_CLUSTER_RESIDUAL_M,
-    MIN_DISTANCE_CHANGE_M,
-    SHAPE_RIDGE_M,
-    align_cluster,
-    compute_column_percentiles,
+from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, interpolate_in_axes
+from mocapfix.fill.gap_windows import (
+    MIN_KEPT_FRAME_SHARE,
+    FillMethod,
+    Gap,
+    GapEstimate,
+    GapWindow,
+    MarkersInTake,
+    MovingAxes,
 )
-from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MovingAxes
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, build_residual_map, estimate_roughness
-from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, align_to_shape, fit_common_shape, transform_to_body_axes
+from mocapfix.stats.rigid_alignment import (
+    MIN_ALIGNMENT_MARKERS,
+    align_to_shape,
+    compute_cross_covariance,
+    fit_common_shape,
+    fit_rotations,
+    transform_to_body_axes,
+)
 from mocapfix.stats.sequences import sample_evenly
 
-MIN_KEPT_FRAME_SHARE = 0.7  # share of these frames that the cluster must keep when a marker is added to it
+CLUSTER_SIZES = (4, 8)  # numbers of the steadiest neighbours that define axes
+MIN_CLUSTER_MARKERS = 3  # markers that define axes
+MIN_DISTANCE_CHANGE_M = 0.003  # variation of a distance on one rigid body, which bounds the weight of a marker
+MAX_DISTANCE_CHANGE_M = 0.1  # variation of the distance of two markers above which one does not predict the other
+MAX_CLUSTER_MARKERS = 12  # markers that predict one position
+MIN_CLUSTER_FRAMES = 30  # frames in which the missing marker and its cluster must be visible
+MAX_CLUSTER_TRAINING_FRAMES = 300  # evenly spaced frames from which distances and deformations are learned
+SHAPE_RIDGE_M = 0.01  # ridge of the regression: deformations far below it are ignored
+INDEPENDENT_FRAME_S = 0.5
+"""Time after which another frame shows an independent deformation: frames in between do not make the regression more certain."""
+CLUSTER_RESIDUAL_FADE_S = 0.3  # time scale of the correlation of the residual
+MIN_CLUSTER_RESIDUAL_M = 0.001  # smallest standard deviation of the residual
 MIN_DISTANCE_FRAMES = 9  # frames that show how constant a distance is
 MAX_EXAMINED_FRAMES = 600  # evenly spaced frames among which those with different configurations are selected
 RESTING_FRAME_WEIGHT = 0.1  # weight of a frame at rest in this selection, relative to a frame with average motion
@@ -45,8 +59,8 @@ DISTANCE_RANGE_SD = 3.29  # their difference for a normal distribution, in stand
 HIDDEN_FOLDS = 4
 """Groups of hidden stretches, each predicted by a regression without it, and stretches of the take that give its error."""
 MAX_HIDDEN_SHARE = 0.7  # share of the training frames above which a group of hidden stretches leaves too few
-MAX_CLUSTER_INFLATION = 3.0
-"""Largest factor by which the error of a learned estimate is increased for gaps that are long relative to what was learned."""
+MAX_NOVELTY = 3.0
+"""Largest factor by which the variance of a learned estimate grows for gaps that are long relative to what was learned."""
 MAX_RESIDUAL_SAMPLES = 6  # samples at each edge of a gap from which the residual is interpolated
 
 
@@ -80,6 +94,17 @@ def measure_distance_changes(markers: Float[np.ndarray, "T M 3"]) -> Float[np.nd
     return change
 
 
+def compute_column_percentiles(ordered: Float[np.ndarray, "T N"], share: float) -> Float[np.ndarray, " N"]:
+    """Return the quantile `share` of each column, which must ascend and end with its NaN; infinite for fewer than two values."""
+    count = (~np.isnan(ordered)).sum(0)
+    last, columns = np.maximum(count - 1, 0), np.arange(ordered.shape[1])
+    position = share * last
+    below = position.astype(int)
+    above = np.minimum(below + 1, last)
+    quantile = ordered[below, columns] + (position - below) * (ordered[above, columns] - ordered[below, columns])
+    return np.where(count >= 2, quantile, np.inf)
+
+
 def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> Float[np.ndarray, " M"]:
     """Return the expected variation of the distances of a marker that is seldom visible: near markers are the steadiest."""
     visible = np.flatnonzero(~np.isnan(markers[:, marker, 0]))
@@ -89,6 +114,26 @@ def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> 
     mean = np.divide(np.nansum(distance, axis=0), count, out=np.full(len(count), np.inf), where=count > 0)
     mean[marker] = np.inf
     return UNKNOWN_CHANGE_RATIO * mean
+
+
+class AlignedCluster(NamedTuple):
+    """A cluster in its own axes (T, K, 3), and these axes in the world: rotation (T, 3, 3) and centre (T, 3) m."""
+
+    markers: np.ndarray
+    rotation: np.ndarray
+    centre: np.ndarray
+
+
+def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]) -> AlignedCluster:
+    """Return a cluster in axes that follow its mean shape."""
+    weights = np.broadcast_to(weight, cluster.shape[:2])
+    shape = cluster[0] - weight @ cluster[0] / weight.sum()
+    for _ in range(2):
+        cross, centre, _ = compute_cross_covariance(cluster, shape, weights)
+        rotation = fit_rotations(cross)
+        local = transform_to_body_axes(cluster, centre, rotation)
+        shape = local.mean(0)
+    return AlignedCluster(local, rotation, centre)  # pyright: ignore[reportPossiblyUnboundVariable]  # the loop runs twice
 
 
 def build_cluster_axes(
@@ -131,19 +176,76 @@ def select_regression_cluster(
     return np.array(cluster, int)
 
 
+class ClusterInterpolation:
+    """Estimates a marker between the edges of a gap, in axes of its neighbours.
+
+    These are few of the steadiest neighbours, and all markers where a limb is lost.
+    """
+
+    def __init__(self, take: MarkersInTake) -> None:
+        self.take = take
+        self._axes_of_others: tuple[tuple[int, ...], MovingAxes | None] = ((), None)  # of the latest gap
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        take, path = self.take, self.take.markers[:, gap.marker]
+        axes_by_name: dict[str, MovingAxes | None] = {}
+        for size in CLUSTER_SIZES:
+            cluster = gap.neighbours[:size]
+            if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(gap.neighbours) > CLUSTER_SIZES[0]):
+                change = take.distance_change_m[gap.marker, cluster]
+                axes_by_name[f"{size} neighbours"] = build_cluster_axes(take.markers, cluster, change, gap.frames)
+        if gap.is_limb:
+            axes_by_name["all markers"] = self._get_axes_of_others(gap)
+        return [
+            each for name, axes in axes_by_name.items() if axes for each in interpolate_in_axes(path, axes, gap, take.rate, name)
+        ]
+
+    def _get_axes_of_others(self, gap: Gap) -> MovingAxes | None:
+        """Return axes fixed to all markers that are known throughout a gap; None if they are few."""
+        key = (gap.window.first, gap.window.length, *gap.lost_markers.tolist())
+        if key != self._axes_of_others[0]:
+            around = slice(max(gap.window.first - 1, 0), gap.window.first + gap.window.length + 1)
+            cluster = np.setdiff1d(np.flatnonzero(self.take.is_known[around].all(0)), gap.lost_markers)
+            change = np.median(self.take.distance_change_m[np.ix_(cluster, cluster)], axis=1)
+            change = np.where(np.isfinite(change), change, 1.0)
+            is_enough = len(cluster) > CLUSTER_SIZES[-1]
+            axes = build_cluster_axes(self.take.markers, cluster, change, gap.frames) if is_enough else None
+            self._axes_of_others = key, axes
+        return self._axes_of_others[1]
+
+
+class NeighbourRegression:
+    """Estimates a marker from the deformation of a cluster that is visible throughout the gap, by a regression."""
+
+    def __init__(self, take: MarkersInTake) -> None:
+        self.take = take
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        change = self.take.distance_change_m[gap.marker]
+        steady = gap.neighbours[change[gap.neighbours] < MAX_DISTANCE_CHANGE_M]
+        cluster = select_regression_cluster(self.take.is_known, gap.marker, steady)
+        if len(cluster) < MIN_CLUSTER_MARKERS:
+            return []
+        return estimate_by_regression(self.take.markers, gap, cluster, change[cluster], self.take.rate)
+
+
 def estimate_by_regression(
     markers: Float[np.ndarray, "T M 3"],
-    marker: int,
+    gap: Gap,
     cluster: Int[np.ndarray, " K"],
     change_m: Float[np.ndarray, " K"],
-    window: GapWindow,
     rate: float,
-) -> GapEstimate | None:
-    """Return the estimate of a marker from the deformation of a cluster that is visible throughout the gap; None without one.
+) -> list[GapEstimate]:
+    """Return the estimate of a marker from the deformation of a cluster, none if too few frames show it.
 
-    change_m  variation of the distance of each marker of the cluster to the missing one
+    Args:
+        markers: Metres, NaN if not known.
+        gap: The gap of the marker.
+        cluster: The markers of the cluster.
+        change_m: Variation of the distance of each of these to the missing one.
+        rate: Frame rate in Hz.
     """
-    w, path = window, markers[:, marker]
+    w, path = gap.window, markers[:, gap.marker]
     is_known: np.ndarray = np.all(~np.isnan(markers[:, cluster, 0]), axis=1)
     training = np.flatnonzero(is_known & ~np.isnan(path[:, 0]))
     training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
@@ -153,7 +255,7 @@ def estimate_by_regression(
     row = np.full(len(markers), -1)
     row[frames] = np.arange(len(frames))
     if len(training) < MIN_CLUSTER_FRAMES or (row[np.r_[w.gap_frames, w.context_frames]] < 0).any():
-        return None
+        return []
     aligned = align_cluster(markers[np.ix_(frames, cluster)], compute_marker_weights(change_m))
     local = transform_to_body_axes(path[frames][:, None], aligned.centre, aligned.rotation)[:, 0]
     regression = _Regression(aligned.markers.reshape(len(frames), -1), local, row[training])
@@ -161,25 +263,28 @@ def estimate_by_regression(
     predicted = regression.predict(np.zeros(0, int), np.arange(len(frames)))
     residual[frames] = local - predicted
     maps = _build_residual_maps(residual, w, rate)
-    gap, context = row[w.gap_frames], w.context_frames[maps.used]
-    position = predicted[gap] + maps.gap @ residual[context]
-    position = np.einsum("tab,tb->ta", aligned.rotation[gap], position) + aligned.centre[gap]
+    rows, context = row[w.gap_frames], w.context_frames[maps.used]
+    position = predicted[rows] + maps.gap @ residual[context]
+    position = np.einsum("tab,tb->ta", aligned.rotation[rows], position) + aligned.centre[rows]
+    independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
+    inflation = regression.measure_inflation(rows[w.points], len(training) / independent_count)
     error = np.full((*w.hidden_frames.shape, 3), np.nan)
     for group in np.array_split(np.arange(len(w.starts)), HIDDEN_FOLDS):
-        rows = row[np.concatenate([w.hidden_context_frames[group][:, maps.used], w.hidden_frames[group]], axis=1)]
-        complete, rows = group[(rows >= 0).all(1)], rows[(rows >= 0).all(1)]
+        hidden = row[np.concatenate([w.hidden_context_frames[group][:, maps.used], w.hidden_frames[group]], axis=1)]
+        complete, hidden = group[(hidden >= 0).all(1)], hidden[(hidden >= 0).all(1)]
         is_out = (training >= w.starts[group, None]) & (training < w.starts[group, None] + w.hidden_length)
         held_out = np.flatnonzero(is_out.any(0))
         if not len(complete) or len(held_out) > MAX_HIDDEN_SHARE * len(training):
             continue
-        misfit = local[rows] - regression.predict(held_out, rows)
+        misfit = local[hidden] - regression.predict(held_out, hidden)
         split = len(context)
-        local_error = maps.hidden @ misfit[:, :split] - misfit[:, split:]
-        error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[rows[:, split:]], local_error)
-    novelty = min(1 + 2 * w.length / len(path[~np.isnan(path[:, 0])]), MAX_CLUSTER_INFLATION)
+        local_error = (maps.hidden @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
+        error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[hidden[:, split:]], local_error)
+    novelty = np.sqrt(min(1 + 2 * w.length / (~np.isnan(path[:, 0])).sum(), MAX_NOVELTY))
     decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
-    expected_sd = np.sqrt((regression.cross_validate() * novelty) ** 2 * decay + SAMPLE_NOISE_M**2)
-    return GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)
+    learned_sd = regression.cross_validate() * inflation * novelty * gap.activity**ACTIVITY_POWER
+    expected_sd = np.sqrt(learned_sd**2 * decay + SAMPLE_NOISE_M**2)
+    return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
 
 
 class _ResidualMaps(NamedTuple):
@@ -223,17 +328,59 @@ class _Regression:
 
     def cross_validate(self) -> float:
         """Return the root mean square error in metres per axis of stretches of the take that are predicted from the others."""
-        folds = np.array_split(np.arange(len(self.training_x)), HIDDEN_FOLDS)
-        errors = [self.training_y[fold] - self.training_x[fold] @ self._solve_without(fold) for fold in folds]
+        errors = [self.training_y[fold] - self.training_x[fold] @ self._solve_without(fold) for fold in self._folds()]
         return float(np.sqrt((np.concatenate(errors) ** 2).mean()))
 
+    def measure_inflation(self, rows: Int[np.ndarray, " N"], frames_per_independent: float) -> Float[np.ndarray, " N"]:
+        """Return the error in some rows relative to that of `cross_validate`, at least one.
+
+        It grows where the deformation differs more from what was learned: the variance of the coefficients,
+        x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
+
+        Args:
+            rows: Indices of the rows.
+            frames_per_independent: Number of training frames of which one is independent of the others.
+        """
+        usual = np.concatenate([self._compute_leverages(fold, self.training_x[fold]) for fold in self._folds()]).mean()
+        leverage = self._compute_leverages(np.zeros(0, int), self.x[rows])
+        ratio = (1 + frames_per_independent * leverage) / (1 + frames_per_independent * usual)
+        return np.sqrt(np.maximum(ratio, 1.0))
+
+    def _folds(self) -> list[np.ndarray]:
+        return np.array_split(np.arange(len(self.training_x)), HIDDEN_FOLDS)
+
+    def _compute_leverages(self, held_out: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.einsum("nf,fn->n", x, np.linalg.solve(self._compute_curvature(held_out), x.T))
+
+    def _compute_curvature(self, held_out: np.ndarray) -> np.ndarray:
+        a = self.training_x[held_out]
+        return self.square - a.T @ a + max(len(self.training_x) - len(a), 1) * SHAPE_RIDGE_M**2 * np.eye(self.x.shape[1])
+
     def _solve_without(self, held_out: np.ndarray) -> np.ndarray:
-        a, b = self.training_x[held_out], self.training_y[held_out]
-        ridge = max(len(self.training_x) - len(a), 1) * SHAPE_RIDGE_M**2 * np.eye(self.x.shape[1])
-        return np.linalg.solve(self.square - a.T @ a + ridge, self.moment - a.T @ b)
+        moment = self.moment - self.training_x[held_out].T @ self.training_y[held_out]
+        return np.linalg.solve(self._compute_curvature(held_out), moment)
 
 
 MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated
+
+
+class ChangingClusterInterpolation:
+    """Estimates a marker between the edges of a gap, in axes of neighbours that come and go within it."""
+
+    def __init__(self, take: MarkersInTake) -> None:
+        self.take = take
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        # What it costs that members come and go is not known where no stretch shows it.
+        if not len(gap.window.starts) and len(gap.neighbours) >= MIN_CLUSTER_MARKERS:
+            return []
+        take, change = self.take, self.take.distance_change_m[gap.marker]
+        cluster = select_changing_cluster(take.is_known, change, gap.window, CLUSTER_SIZES[-1])
+        axes = build_changing_axes(take.markers, cluster, gap.window, gap.frames) if cluster else None
+        if not cluster or not axes:
+            return []
+        estimates = interpolate_in_axes(take.markers[:, gap.marker], axes, gap, take.rate, "changing neighbours")
+        return [remove_steps(each, cluster, gap.window) for each in estimates]
 
 
 class ChangingCluster(NamedTuple):

@@ -5,18 +5,15 @@ interpolated from the frames before and after. Which markers are visible may cha
 follows from the deviations of the markers from the shape, and from where the visible ones are in it.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
-from mocapfix.fill.spline_fill import MIN_FILL_SD_M
-from mocapfix.stats.marker_distances import RigidGroup
+from mocapfix.fill.gap_windows import MIN_FILL_SD_M, FillMethod, Gap, GapEstimate, MarkersInTake
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, CommonShape, align_to_shape, fit_common_shape
-from mocapfix.stats.sequences import find_runs, sample_evenly
+from mocapfix.stats.sequences import sample_evenly
 
 MAX_SHAPE_FRAMES = 600  # evenly spread frames in which the shape of a group is measured
 MIN_SHAPE_FRAMES = 10  # frames in which a marker must be visible with three others of the group to have a place in its shape
@@ -30,65 +27,116 @@ MIN_TWIST_FRAMES = 20  # frames that show this error
 class GroupPoses(NamedTuple):
     """Poses of a rigid group: rotation (T, 3, 3), origin (T, 3) m, and whether a frame determines them (T,)."""
 
-    rotation: np.ndarray
-    origin: np.ndarray
-    is_known: np.ndarray
+    rotation: Float[np.ndarray, "T 3 3"]
+    origin: Float[np.ndarray, "T 3"]
+    is_known: Bool[np.ndarray, " T"]
 
 
-def estimate_from_rigid_groups(markers: Float[np.ndarray, "T M 3"], groups: Sequence[RigidGroup]) -> MarkerEstimate:
-    """Return the estimates of the missing samples of all markers in rigid groups.
+class RigidGroupPlacement:
+    """Estimates a marker from the rigid group to which it belongs."""
 
-    markers  in metres, NaN if missing
-    """
-    position, sd = np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan)
-    for group in groups:
-        columns = np.array(group.markers)
-        if np.isnan(markers[:, columns, 0]).any():
-            position[:, columns], sd[:, columns] = fill_rigid_group(markers[:, columns])
-    return build_marker_estimate(position, sd, FillMethod.RIGID_GROUP)
+    def __init__(self, take: MarkersInTake) -> None:
+        self.take, self.shapes = take, dict[int, _GroupShape]()
+        for group in take.rigid_groups:
+            if not take.is_visible[:, group.markers].all():
+                shape = _GroupShape(take.visible_markers[:, group.markers])
+                self.shapes |= dict.fromkeys(group.markers, shape)
+        self.columns = {marker: group.markers for group in take.rigid_groups for marker in group.markers}
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        if gap.marker not in self.shapes:
+            return []
+        shape, member = self.shapes[gap.marker], self.columns[gap.marker].index(gap.marker)
+        w, frames = gap.window, gap.window.gap_frames
+        position, sd = shape.place(member, frames, shape.is_used[frames], np.stack([frames, frames]))
+        if np.isnan(sd).all():
+            return []
+        hidden = w.hidden_frames.ravel()
+        used = shape.is_used[hidden] & np.tile(shape.is_used[frames[w.points]], (len(w.starts), 1))
+        around = np.repeat([w.starts, w.starts + w.hidden_length - 1], len(w.points), axis=1)
+        placed, _ = shape.place(member, hidden, used, around)
+        error = (placed - self.take.visible_markers[hidden, gap.marker]).reshape(*w.hidden_frames.shape, 3)
+        return [GapEstimate(FillMethod.RIGID_GROUP, position, error, sd[w.points])]
 
 
-def prefer_rigid_groups(
-    estimate: MarkerEstimate, group_estimate: MarkerEstimate, is_missing: Bool[np.ndarray, "T M"]
-) -> MarkerEstimate:
-    """Return the estimates with those of rigid groups in the gaps in which they are more precise."""
-    position, sd, method = (values.copy() for values in estimate)
-    for m in np.flatnonzero((is_missing & ~np.isnan(group_estimate.sd)).any(0)).tolist():
-        for first, last in find_runs(is_missing[:, m]):
-            gap = first + np.flatnonzero(~np.isnan(group_estimate.sd[first : last + 1, m]))
-            others_sd = sd[gap, m]
-            if np.nansum(group_estimate.sd[gap, m] ** 2) <= np.where(np.isnan(others_sd), np.inf, others_sd**2).sum():
-                position[gap, m], sd[gap, m] = group_estimate.position[gap, m], group_estimate.sd[gap, m]
-                method[gap, m] = FillMethod.RIGID_GROUP
-    return MarkerEstimate(position, sd, method)
+class _GroupShape:
+    """The shape of a rigid group and its poses. A marker that is seldom visible with others has no place in it."""
 
+    def __init__(self, markers: Float[np.ndarray, "T K 3"]) -> None:
+        self.markers = markers
+        self.shape, self.marker_sd = measure_group_shape(markers)
+        self.is_used = ~np.isnan(markers[..., 0]) & np.isfinite(self.marker_sd)
+        rotation, origin, is_known = align_to_shape(markers, self.is_used, self.shape)
+        patterns, rows = np.unique(self.is_used, axis=0, return_inverse=True)
+        members = np.flatnonzero(np.isfinite(self.marker_sd))
+        is_determined = np.array([np.isfinite(self._compute_pose_sd(each, members)).all() for each in patterns], bool)
+        self.poses = GroupPoses(rotation, origin, is_known & is_determined[rows.ravel()])
+        self._twist_errors: dict[tuple[int, ...], tuple[TwistError, TwistError]] = {}
 
-def fill_rigid_group(markers: Float[np.ndarray, "T K 3"]) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
-    """Return positions and standard deviations per axis of the missing samples of a group's markers, NaN where unknown."""
-    is_visible = ~np.isnan(markers[..., 0])
-    position, sd = np.full(markers.shape, np.nan), np.full(is_visible.shape, np.nan)
-    shape, marker_sd = measure_group_shape(markers)
-    has_place = np.isfinite(marker_sd)
-    used = is_visible & has_place
-    rotation, origin, is_known = align_to_shape(markers, used, shape)
-    needed = has_place & ~is_visible
-    patterns, rows = np.unique(used[needed.any(1)], axis=0, return_inverse=True)
-    pairs: list[tuple[np.ndarray, np.ndarray]] = []
-    for p, pattern in enumerate(patterns):
-        frames, missing = np.flatnonzero(needed.any(1))[rows.ravel() == p], np.flatnonzero(has_place & ~pattern)
-        pose_sd = compute_group_pose_sd(shape.positions, marker_sd, pattern, missing)
-        if (pose_sd <= MAX_POSE_SD_RATIO * marker_sd[has_place].max()).all():
-            placed = np.einsum("tab,kb->tka", rotation[frames], shape.positions[missing]) + origin[frames, None]
-            position[np.ix_(frames, missing)], sd[np.ix_(frames, missing)] = placed, np.hypot(pose_sd, marker_sd[missing])
-        else:
-            is_known[frames] = False
-            pairs += [(frames, np.flatnonzero(pattern))] if pattern.sum() == 2 else []
-    poses = GroupPoses(rotation, origin, is_known)
-    for frames, pair in pairs if is_known.sum() >= MIN_TWIST_FRAMES else ():
-        placed, twist_sd = fill_from_pair(markers[frames], pair, shape, poses, frames)
-        position[frames], sd[frames] = placed, np.sqrt(twist_sd**2 + marker_sd**2 + (marker_sd[pair] ** 2).sum())
-    position[~needed], sd[~needed] = np.nan, np.nan
-    return position, sd
+    def _compute_pose_sd(self, is_used: np.ndarray, members: np.ndarray) -> np.ndarray:
+        """Return the error of a pose at some members; infinite where the used ones are nearly on one line."""
+        pose_sd = compute_group_pose_sd(self.shape.positions, self.marker_sd, is_used, members)
+        return np.where(pose_sd <= MAX_POSE_SD_RATIO * np.nanmax(self.marker_sd, initial=0.0), pose_sd, np.inf)
+
+    def place(
+        self,
+        member: int,
+        frames: Int[np.ndarray, " N"],
+        is_used: Bool[np.ndarray, "N K"],
+        around: Int[np.ndarray, "2 N"],
+    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """Return the positions of a member of the group in some frames and their standard deviations per axis; NaN if unknown.
+
+        Args:
+            member: Index of the member.
+            frames: The frames.
+            is_used: The other members that are used in each of them.
+            around: For each the first and last frame of the gap, in which no pose is used to interpolate the angle about a line.
+        """
+        position, sd = np.full((len(frames), 3), np.nan), np.full(len(frames), np.nan)
+        if np.isnan(self.marker_sd[member]):
+            return position, sd
+        is_used = is_used.copy()
+        is_used[:, member] = False
+        rotation, origin, _ = align_to_shape(self.markers[frames], is_used, self.shape)
+        patterns, rows = np.unique(is_used, axis=0, return_inverse=True)
+        for p, pattern in enumerate(patterns):
+            n = np.flatnonzero(rows.ravel() == p)
+            pose_sd = self._compute_pose_sd(pattern, np.array([member]))[0]
+            if np.isfinite(pose_sd):
+                position[n] = rotation[n] @ self.shape.positions[member] + origin[n]
+                sd[n] = np.hypot(pose_sd, self.marker_sd[member])
+            elif pattern.sum() == 2 and self.poses.is_known.sum() >= MIN_TWIST_FRAMES:
+                pair = np.flatnonzero(pattern)
+                position[n], twist_sd = self._place_by_pair(member, pair, frames[n], around[:, n])
+                sd[n] = np.sqrt(twist_sd**2 + self.marker_sd[member] ** 2 + (self.marker_sd[pair] ** 2).sum())
+        return position, sd
+
+    def _place_by_pair(
+        self, member: int, pair: Int[np.ndarray, "2"], frames: Int[np.ndarray, " N"], around: Int[np.ndarray, "2 N"]
+    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """Return the positions of a member in frames that show a pair, and the error of the angle about it per axis.
+
+        The angle about the line through the pair is interpolated between the frames whose poses are known.
+        """
+        known, shape = np.flatnonzero(self.poses.is_known), self.shape.positions
+        first = known[np.maximum(np.searchsorted(known, around[0]) - 1, 0)]
+        last = known[np.minimum(np.searchsorted(known, around[1], side="right"), len(known) - 1)]
+        share = np.clip((frames - first) / np.maximum(last - first, 1), 0, 1)
+        line = shape[pair[1]] - shape[pair[0]]
+        markers = self.markers[frames]
+        seen = markers[:, pair[1]] - markers[:, pair[0]]
+        rotation = turn_about_line(self.poses.rotation[first], self.poses.rotation[last], share, line, seen)
+        arm, direction = shape[member] - shape[pair].mean(0), line / np.linalg.norm(line)
+        radius = np.linalg.norm(arm - arm @ direction * direction)
+        is_inside = (frames > first) & (frames < last)
+        between = 2 * (frames - first) * (last - frames) / np.maximum(last - first, 1)
+        reach = np.where(is_inside, between, np.maximum(first - frames, frames - last))
+        if (key := tuple(pair.tolist())) not in self._twist_errors:
+            errors = [measure_twist_error(self.poses, line, is_one_sided=each) for each in (False, True)]
+            self._twist_errors[key] = errors[0], errors[1]
+        twist_sd = np.where(is_inside, *(np.interp(reach, *error) for error in self._twist_errors[key]))
+        return markers[:, pair].mean(1) + rotation @ arm, twist_sd * radius / np.sqrt(3)
 
 
 def measure_group_shape(markers: Float[np.ndarray, "T K 3"]) -> tuple[CommonShape, Float[np.ndarray, " K"]]:
@@ -138,41 +186,6 @@ def _build_pose_design(arm: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 6"]:
     return np.hstack([np.eye(3), np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])])
 
 
-def fill_from_pair(
-    markers: Float[np.ndarray, "N K 3"],
-    pair: Int[np.ndarray, "2"],
-    shape: CommonShape,
-    poses: GroupPoses,
-    frames: Int[np.ndarray, " N"],
-) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, "N K"]]:
-    """Return positions of a group's markers in N frames that show a pair of them, and the error of the angle about it per axis.
-
-    The angle about the line through the pair is interpolated between the frames whose poses are known.
-
-    markers  in the N frames, in metres
-    poses    of all frames of the take
-    """
-    known = np.flatnonzero(poses.is_known)
-    after = np.clip(np.searchsorted(known, frames), 1, len(known) - 1)
-    first, last = known[after - 1], known[after]
-    share = np.clip((frames - first) / (last - first), 0, 1)
-    line = shape.positions[pair[1]] - shape.positions[pair[0]]
-    seen = markers[:, pair[1]] - markers[:, pair[0]]
-    rotation = turn_about_line(poses.rotation[first], poses.rotation[last], share, line, seen)
-    arms = shape.positions - shape.positions[pair].mean(0)
-    position = markers[:, pair].mean(1)[:, None] + np.einsum("tab,kb->tka", rotation, arms)
-    direction = line / np.linalg.norm(line)
-    radius = np.linalg.norm(arms - np.outer(arms @ direction, direction), axis=1)
-    is_inside = (share > 0) & (share < 1)
-    reach = np.where(
-        is_inside, 2 * (frames - first) * (last - frames) / (last - first), np.maximum(first - frames, frames - last)
-    )
-    twist_sd = np.where(
-        is_inside, *(np.interp(reach, *measure_twist_error(poses, line, is_one_sided=side)) for side in (False, True))
-    )
-    return position, np.outer(twist_sd, radius) / np.sqrt(3)
-
-
 def turn_about_line(
     first: Float[np.ndarray, "N 3 3"],
     last: Float[np.ndarray, "N 3 3"],
@@ -192,13 +205,15 @@ def turn_about_line(
     return Rotation.from_rotvec(shortest).as_matrix() @ turned
 
 
-def measure_twist_error(
-    poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_one_sided: bool
-) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"]]:
-    """Return numbers of frames and the error in radians of an angle that is interpolated as far from the nearest known pose.
+class TwistError(NamedTuple):
+    """Numbers of frames to the nearest known pose, and the error (rad) of an angle that is interpolated so far from it."""
 
-    is_one_sided  whether only an earlier pose is known
-    """
+    lags: Float[np.ndarray, " L"]
+    error_rad: Float[np.ndarray, " L"]
+
+
+def measure_twist_error(poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_one_sided: bool) -> TwistError:
+    """Return the error of an interpolated angle about a line; where `is_one_sided`, only an earlier pose is known."""
     lags, errors = [0.0], [0.0]
     for lag in 2 ** np.arange(MAX_TWIST_LAGS):
         frames = np.arange(lag, len(poses.is_known) - lag)
@@ -213,6 +228,6 @@ def measure_twist_error(
         lags.append(float(lag))
         errors.append(float(np.sqrt((angle**2).mean())))
     if len(lags) == 1:
-        return np.array([0.0, 1.0]), np.array([0.0, np.pi])
+        return TwistError(np.array([0.0, 1.0]), np.array([0.0, np.pi]))
     reach = 2 * len(poses.is_known) / lags[-1]  # beyond what was measured the error grows with the time
-    return np.array([*lags, lags[-1] * reach]), np.minimum([*errors, errors[-1] * reach], np.pi)
+    return TwistError(np.array([*lags, lags[-1] * reach]), np.minimum([*errors, errors[-1] * reach], np.pi))

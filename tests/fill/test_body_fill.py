@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix.fill import gap_filling
+from mocapfix.fill.body_fill import BODY_ERROR_RATIO, BodyPlacement
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.synthetic import compose_take
+from tests.fill.gap_examples import build_gap, build_take
 
 RATE = 60.0
 
@@ -22,24 +25,24 @@ def scene():
     return truth.subject, motion, kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1], rotation
 
 
-def build_gap_mask(scene, marker, first, last):
-    wanted = np.zeros(scene[2].shape[:2], bool)
-    wanted[first : last + 1, marker] = True
-    return wanted
+def fill(scene, markers, marker, first, last, motion=None):
+    """Return the estimate of a marker that is lost over first..last, and its standard deviation at the points of the gap."""
+    subject, known, on_body, _ = scene
+    damaged = markers.copy()
+    damaged[first : last + 1, marker] = np.nan
+    joints = kinematics.compute_joint_and_marker_positions(subject, known)[0]
+    columns = np.arange(len(subject.labels))
+    body = BodyFit(subject, subject, columns, Take(damaged, subject.labels, RATE), motion or known, joints, on_body, None)
+    take = build_take(damaged, rate=RATE, body=body)
+    [estimate] = BodyPlacement(take)(build_gap(take, marker, first, last))
+    return estimate
 
 
-def fill(scene, markers, wanted, motion=None):
-    subject, known, _, _ = scene
-    return gap_filling.fill_from_body(np.where(wanted[..., None], np.nan, markers), wanted, subject, motion or known, RATE)
-
-
-def test_marker_at_its_offset_is_exact(scene):
-    wanted = build_gap_mask(scene, 5, 100, 200) | build_gap_mask(scene, 30, 0, 20) | build_gap_mask(scene, 12, 350, 359)
-    place, deviation = fill(scene, scene[2], wanted)
-    np.testing.assert_allclose(place[wanted], scene[2][wanted], atol=1e-9)
-    assert np.isnan(place[~wanted]).all()
-    assert np.isnan(deviation[~wanted]).all()
-    assert (deviation[wanted] > 0).all()
+@pytest.mark.parametrize(("marker", "first", "last"), [(5, 100, 200), (30, 0, 20), (12, 350, 359)])
+def test_marker_at_its_offset_is_exact(scene, marker, first, last):
+    estimate = fill(scene, scene[2], marker, first, last)
+    np.testing.assert_allclose(estimate.position, scene[2][first : last + 1, marker], atol=1e-9)
+    assert (estimate.expected_sd > 0).all()
 
 
 def test_residual_is_interpolated_in_segment_axes(scene):
@@ -48,47 +51,57 @@ def test_residual_is_interpolated_in_segment_axes(scene):
     off = np.einsum("tab,b->ta", rotation[:, subject.joints[k]], [0.015, -0.01, 0.005])
     markers = on_body.copy()
     markers[:, k] += off
-    wanted = build_gap_mask(scene, k, 150, 155)  # 0.1 s
-    place, _ = fill(scene, markers, wanted)
-    np.testing.assert_allclose(place[wanted], markers[wanted], atol=0.0015)  # the body alone is 19 mm off
-    wanted = build_gap_mask(scene, k, 100, 300)
-    place, _ = fill(scene, markers, wanted)
-    beyond = np.linalg.norm(place[:, k] - on_body[:, k], axis=-1)
-    assert beyond[100] > 0.015
-    assert beyond[200] < 0.002  # far from measured samples, the fill is the marker on the body
+    position = fill(scene, markers, k, 150, 155).position  # 0.1 s
+    np.testing.assert_allclose(position, markers[150:156, k], atol=0.0015)  # the body alone is 19 mm off
+    beyond = np.linalg.norm(fill(scene, markers, k, 100, 300).position - on_body[100:301, k], axis=-1)
+    assert beyond[0] > 0.015
+    assert beyond[100] < 0.002  # far from measured samples, the fill is the marker on the body
 
 
 def test_sd_grows_with_the_distance_from_the_edges(scene):
     on_body = scene[2]
     skin = gaussian_filter1d(np.random.default_rng(0).normal(0, 1, on_body.shape), 0.15 * RATE, axis=0)
-    markers = on_body + 0.004 * skin / skin.std()
-    wanted = build_gap_mask(scene, 7, 100, 250)
-    deviation = fill(scene, markers, wanted)[1][:, 7]
-    assert deviation[100] < deviation[110] < deviation[175]
-    assert deviation[250] < deviation[240] < deviation[175]
-    assert 0.002 < deviation[175] < 0.01  # of the size of the residual itself
+    estimate = fill(scene, on_body + 0.004 * skin / skin.std(), 7, 100, 250)
+    assert (np.diff(estimate.expected_sd[:3]) > 0).all()
+    assert (np.diff(estimate.expected_sd[-3:]) < 0).all()
+    assert 0.002 < estimate.expected_sd[3] < 0.02  # of the size of the residual itself
+    assert 0.5 < np.sqrt((estimate.error[:, 3] ** 2).mean()) / (BODY_ERROR_RATIO * 0.004) < 2
 
 
-def test_uncertain_pose_increases_the_sd(scene):
-    _, motion, on_body, _ = scene
-    wanted = build_gap_mask(scene, 7, 100, 250)
-    sd_certain = fill(scene, on_body, wanted)[1][:, 7]
-    marker_sd = motion.marker_sd.copy()
-    marker_sd[100:251] = 0.05
-    sd_uncertain = fill(scene, on_body, wanted, replace(motion, marker_sd=marker_sd))[1][:, 7]
-    assert sd_certain[175] < 0.01
-    assert sd_uncertain[175] == pytest.approx(0.05, rel=0.1)
-    assert sd_uncertain[100] < 0.3 * sd_uncertain[175]  # at the gap's edge the residual holds the pose's error, too
+def move_pose(scene, marker, first, last, offset):
+    """Return the motion of a body that is away by `offset` (3,) m while a marker is lost, and says so."""
+    motion = scene[1]
+    marker_sd, root_position = motion.marker_sd.copy(), motion.root_position.copy()
+    marker_sd[first : last + 1] = 0.05
+    root_position[first : last + 1] += offset
+    return replace(motion, marker_sd=marker_sd, root_position=root_position)
+
+
+def test_uncertain_pose_increases_the_sd_and_the_errors(scene):
+    markers = scene[2] + np.random.default_rng(0).normal(scale=0.001, size=scene[2].shape)
+    certain = fill(scene, markers, 7, 100, 250)
+    uncertain = fill(scene, markers, 7, 100, 250, move_pose(scene, 7, 100, 250, np.zeros(3)))
+    assert certain.expected_sd[3] < 0.01
+    assert uncertain.expected_sd[3] == pytest.approx(BODY_ERROR_RATIO * 0.05, rel=0.1)
+    assert uncertain.expected_sd[0] < 0.3 * uncertain.expected_sd[3]  # the step of the pose is measured at the edges
+    assert np.sqrt((uncertain.error[:, 3] ** 2).mean()) == pytest.approx(BODY_ERROR_RATIO * 0.05, rel=0.1)
+    assert uncertain.evidence < 0.1 < certain.evidence
+
+
+def test_step_of_the_pose_is_removed_at_the_edges(scene):
+    """A body that jumps by 30 mm where the marker is lost."""
+    motion = move_pose(scene, 7, 100, 250, np.array([0.03, 0.0, 0.0]))
+    error = np.linalg.norm(fill(scene, scene[2], 7, 100, 250, motion).position - scene[2][100:251, 7], axis=1)
+    assert error[[0, -1]].max() < 0.004
+    assert error[75] > 0.02  # far from the edges nothing is known of it
 
 
 def test_invisible_marker_is_placed_at_its_offset(scene):
-    wanted = build_gap_mask(scene, 9, 0, len(scene[2]) - 1)
-    place, deviation = fill(scene, scene[2], wanted)
-    np.testing.assert_allclose(place[:, 9], scene[2][:, 9], atol=1e-9)
-    assert (deviation[:, 9] >= 0.004).all()
+    estimate = fill(scene, scene[2], 9, 0, len(scene[2]) - 1)
+    np.testing.assert_allclose(estimate.position, scene[2][:, 9], atol=1e-9)
+    assert (estimate.expected_sd >= 0.004).all()
 
 
-def test_nothing_wanted_fills_nothing(scene):
-    place, deviation = fill(scene, scene[2], build_gap_mask(scene, 0, 1, 0))
-    assert np.isnan(place).all()
-    assert np.isnan(deviation).all()
+def test_marker_that_is_not_on_the_body_has_no_estimate():
+    take = build_take(np.random.default_rng(0).normal(size=(50, 3, 3)))
+    assert BodyPlacement(take)(build_gap(take, 0, 10, 20)) == []

@@ -4,15 +4,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.edge_interpolation import RESTING_SPEED_M_S, build_edge_maps, compare_edge_motion, estimate_from_edges
-from mocapfix.fill.fill_methods import MovingAxes
-from mocapfix.fill.gap_estimates import choose_hidden_stretches
+from mocapfix.fill.edge_interpolation import (
+    WorldInterpolation,
+    average_neighbour_errors,
+    build_edge_maps,
+    build_hermite_map,
+    fill_with_splines,
+    find_complete_stretches,
+    interpolate_in_axes,
+    measure_neighbour_errors,
+)
+from mocapfix.fill.gap_estimates import measure_velocity_variation
+from mocapfix.fill.gap_windows import FillMethod, MovingAxes, choose_hidden_stretches
+from tests.fill.gap_examples import RATE, build_gap, build_take
 
-RATE = 100.0
-
-
-def build_window(visible, first, last):
-    return choose_hidden_stretches(visible, first, last, RATE)
+SPLINE_RATE = 120.0
+GAP = slice(200, 260)
 
 
 @given(length=st.integers(1, 60), before=st.integers(0, 6), after=st.integers(0, 6))
@@ -39,13 +46,14 @@ def test_marker_on_a_rigid_body_is_exact_in_its_axes():
     rotation = Rotation.from_rotvec(np.stack([np.sin(3 * t), 2 * t, 0 * t], 1)).as_matrix()
     axes = MovingAxes(rotation, np.stack([t, np.cos(t), 0 * t], 1))
     truth = rotation @ np.array([0.1, 0.2, 0.3]) + axes.origin
-    path, visible = truth.copy(), np.ones(400, bool)
-    path[150:220], visible[150:220] = np.nan, False
-    window = build_window(visible, 150, 219)
-    for estimate in estimate_from_edges(path, axes, window, RATE, 1.0):
+    path = truth.copy()
+    path[150:220] = np.nan
+    take = build_take(path[:, None])
+    gap = build_gap(take, 0, 150, 219)
+    for estimate in interpolate_in_axes(path, axes, gap, RATE, "a body"):
         np.testing.assert_allclose(estimate.position, truth[150:220], atol=1e-9)
         np.testing.assert_allclose(estimate.error, 0, atol=1e-9)
-    world = estimate_from_edges(path, None, window, RATE, 1.0)
+    world = WorldInterpolation(take)(gap)
     assert np.abs(world[0].position - truth[150:220]).max() > 0.05
     assert np.abs(world[0].error).max() > 0.05
 
@@ -58,27 +66,148 @@ def test_hidden_errors_are_those_of_the_gap(method):
     visible = np.ones(3000, bool)
     visible[1500:1540] = False
     path = np.where(visible[:, None], truth, np.nan)
-    estimate = estimate_from_edges(path, None, build_window(visible, 1500, 1539), RATE, 3.0)[method]
+    take = build_take(path[:, None])
+    estimate = WorldInterpolation(take)(build_gap(take, 0, 1500, 1539, speed_m_s=3.0))[method]
+    assert estimate.method == (FillMethod.LINE, FillMethod.LINE, FillMethod.SPLINE)[method]
     actual = np.sqrt(((estimate.position - truth[1500:1540]) ** 2).mean())
     assert 0.3 < actual / np.sqrt((estimate.error**2).mean()) < 3
 
 
-def test_stretches_at_rest_are_similar_to_a_gap_at_rest():
-    t = np.arange(2000) / RATE
-    path = np.stack([np.where(t < 10, 0.0, np.sin(4 * (t - 10))), 0 * t, 0 * t], 1)
-    visible = np.ones(2000, bool)
-    visible[400:450] = False
-    window = build_window(visible, 400, 449)
-    speed, similarity = compare_edge_motion(np.where(visible[:, None], path, np.nan), window, RATE)
-    assert speed == pytest.approx(RESTING_SPEED_M_S)
-    is_resting = window.starts + 60 < 1000
-    assert (similarity[is_resting] == 1).all()
-    assert (similarity[window.starts > 1000] < 1e-3).all()
+def build_markers(smooth: float) -> np.ndarray:
+    """Return five markers on one path, the first lost for a while: a parabola, and noise from one frame to the next."""
+    t = np.arange(400) / RATE
+    path = np.stack([2 * (t - 2) ** 2, 0 * t, 0 * t], 1)
+    noise = np.random.default_rng(0).normal(0, 1 - smooth, (400, 3))
+    markers = path[:, None] * smooth + noise[:, None] + np.arange(5)[:, None]
+    markers[GAP, 0] = np.nan
+    return markers
 
 
-def test_edges_tell_less_of_a_longer_gap():
-    visible = np.ones(100, bool)
-    visible[40:45] = False
-    motion = compare_edge_motion(np.zeros((100, 3)), build_window(visible, 40, 44), RATE)
-    speeds = [motion.estimate_speed_in_gap(2.0, seconds) for seconds in (0.01, 1.0, 20.0)]
-    assert RESTING_SPEED_M_S < speeds[0] < speeds[1] < speeds[2] <= 2.0
+def measure(markers: np.ndarray):
+    window = choose_hidden_stretches(~np.isnan(markers[:, 0, 0]), GAP.start, GAP.stop - 1, RATE)
+    return window, measure_neighbour_errors(markers, window, RATE, measure_velocity_variation(markers, RATE))
+
+
+def test_velocities_at_the_edges_help_where_they_help_the_neighbours():
+    _, smooth = measure(build_markers(1.0))
+    straight, _, cubic = smooth[:, 1:].mean(1)
+    assert cubic < straight - 1
+    _, rough = measure(build_markers(0.0))
+    straight, _, cubic = rough[:, 1:].mean(1)
+    assert cubic > straight + 1
+
+
+def test_lost_markers_show_nothing():
+    _, errors = measure(build_markers(1.0))
+    assert average_neighbour_errors(errors, np.array([0])) is None
+    ratios = average_neighbour_errors(errors, np.array([0, 1, 2]))
+    assert ratios is not None
+    assert ratios[1] == 2
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])
+def test_expected_errors_follow_those_of_the_neighbours(ratio):
+    take = build_take(build_markers(1.0))
+    gap = build_gap(take, 0, GAP.start, GAP.stop - 1)
+    interpolate = WorldInterpolation(take)
+    usual, shown = interpolate(gap), interpolate(gap._replace(method_ratios=(np.log([ratio, 1.0, 1.0]), 1000)))
+    np.testing.assert_allclose(np.mean(shown[0].expected_sd / usual[0].expected_sd), ratio**0.6, rtol=0.02)
+    assert all((s.position == u.position).all() for s, u in zip(shown, usual, strict=True))
+
+
+def remove_samples(markers, first, last):
+    damaged = markers.copy()
+    damaged[first : last + 1, 0] = np.nan
+    return damaged
+
+
+def build_swing(frames=600, noise=0.0):
+    t = np.arange(frames) / SPLINE_RATE
+    path = np.stack([0.3 * np.sin(5 * t), 1 + 0.1 * np.cos(7 * t), 0.5 * t], -1)[:, None]
+    return path + np.random.default_rng(0).normal(scale=noise, size=path.shape)
+
+
+@given(gap=st.integers(1, 60), edge_count=st.integers(3, 9), seed=st.integers(0, 99))
+def test_parabola_is_exact(gap, edge_count, seed):
+    t = np.arange(gap + 2 * edge_count) / 50
+    path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
+    beside = np.r_[np.arange(edge_count)[::-1], edge_count + gap : len(t)]
+    np.testing.assert_allclose(
+        build_hermite_map(gap, np.arange(edge_count), np.arange(edge_count)) @ path[:, beside].T,
+        path[:, edge_count : edge_count + gap].T,
+        atol=1e-9,
+    )
+
+
+@given(first=st.integers(20, 400), seconds=st.floats(0.01, 0.25))
+def test_swing_is_filled_within_its_sd(first, seconds):
+    last = first + round(seconds * SPLINE_RATE)
+    truth = build_swing(noise=0.0003)
+    filled, deviation = fill_with_splines(remove_samples(truth, first, last), SPLINE_RATE, 0.5)
+    gap = slice(first, last + 1)
+    error = np.abs(filled - truth)[gap, 0]
+    assert (error < 5 * deviation[gap]).all()
+    assert np.isnan(filled[:first, 0]).all()
+    assert np.isnan(filled[last + 1 :, 0]).all()
+
+
+def test_sd_grows_with_gap_duration():
+    sds = [
+        fill_with_splines(remove_samples(build_swing(), 200, 200 + n), SPLINE_RATE, 0.5)[1][200 + n // 2, 0]
+        for n in (11, 23, 35, 47)
+    ]
+    assert sds == sorted(sds)
+    assert sds[-1] > 4 * sds[0]
+
+
+def test_random_missing_samples_are_tolerated():
+    truth = build_swing(noise=0.0003)
+    damaged = truth.copy()
+    damaged[np.random.default_rng(1).random(600) < 0.1, 0] = np.nan
+    filled, deviation = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    done = ~np.isnan(deviation)
+    assert done.sum() > 0.9 * np.isnan(damaged[..., 0]).sum()
+    assert np.abs(filled - truth)[done].max() < 0.002
+
+
+def test_one_outlier_at_the_edge_has_little_influence():
+    truth = build_swing()
+    damaged = remove_samples(truth, 200, 229)
+    damaged[199, 0, 1] += 0.01
+    filled, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    assert np.abs(filled - truth)[200:230, 0].max() < 0.035  # 46 with the velocity of the last two samples alone
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (2, 10, "too near the start")]
+)
+def test_unsuitable_gaps_are_not_filled(first, last, why):
+    filled, deviation = fill_with_splines(remove_samples(build_swing(), first, last), SPLINE_RATE, 0.5)
+    assert np.isnan(filled).all(), why
+    assert np.isnan(deviation).all()
+
+
+def test_marker_with_few_complete_stretches_is_not_filled():
+    assert np.isnan(fill_with_splines(remove_samples(build_swing(40), 12, 28), SPLINE_RATE, 0.5)[0]).all()
+
+
+def test_gaps_of_one_pattern_are_filled_like_single_gaps():
+    """A gap is filled from the samples beside it, also if other gaps have the same pattern."""
+    truth = build_swing(noise=0.0003)
+    damaged = truth.copy()
+    firsts = [100, 200, 300, 301, 420]
+    damaged[firsts, 0] = np.nan
+    filled, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    for first, last in ((100, 100), (200, 200), (300, 301), (420, 420)):
+        before, after = np.arange(7), np.arange(7)
+        across = build_hermite_map(last - first + 1, before, after)
+        beside = np.r_[first - 1 - before, last + 1 + after]
+        np.testing.assert_allclose(filled[first : last + 1, 0], across @ truth[beside, 0], atol=1e-12)
+
+
+@given(seed=st.integers(0, 99), step=st.integers(1, 5))
+def test_complete_stretches_show_all_frames(seed, step):
+    rng = np.random.default_rng(seed)
+    seen, used = rng.random(80) < 0.8, np.array([-3, -1, 0, 2])
+    expected = [s for s in range(3, 78, step) if seen[s + used].all()]
+    np.testing.assert_array_equal(find_complete_stretches(seen, used, step), expected)

@@ -1,16 +1,32 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.gap_estimates import estimate_without_body, iterate_gaps
+from mocapfix.fill import gap_estimates
+from mocapfix.fill.gap_estimates import (
+    MAX_SPEED_RATIO,
+    MarkerFill,
+    NeighbourActivity,
+    build_expected_correlation,
+    combine_gap_estimates,
+    compute_error_covariances,
+    compute_weights,
+    estimate_missing_samples,
+    measure_speed_limit,
+    measure_velocity_variation,
+    shrink_covariances,
+)
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTake, choose_hidden_stretches
 from mocapfix.io import capture
 from mocapfix.model.take import Take
 from tests.captures import CAPTURES, needs_captures
+from tests.fill.gap_examples import RATE
 
 CAPTURE = CAPTURES / "cmu" / "06_01.c3d"
-RATE = 100.0
 
 
 def prop(frames=400):
@@ -22,7 +38,7 @@ def prop(frames=400):
 
 
 def estimate_take(take, is_inlier):
-    return estimate_without_body(take.markers, is_inlier, take.rate)
+    return estimate_missing_samples(np.where(is_inlier[..., None], take.markers, np.nan), take.rate)
 
 
 @given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
@@ -70,23 +86,10 @@ def test_marker_seen_only_at_rest_follows_its_neighbours():
     markers = np.einsum("tab,mb->tma", turn, places) + np.stack([angle, 0 * t, 0 * t], 1)[:, None] + noise
     damaged = markers.copy()
     damaged[20:-20, 0] = np.nan
-    filled, deviation, _ = estimate_without_body(damaged, ~np.isnan(damaged[..., 0]), RATE)
+    filled, deviation, _ = estimate_missing_samples(damaged, RATE)
     error = np.linalg.norm(filled - markers, axis=-1)[20:-20, 0]
     assert error.max() < 0.02
     assert deviation[20:-20, 0].max() < 0.25
-
-
-def test_marker_that_is_seldom_visible_does_not_hide_the_others_of_its_limb():
-    is_visible = np.zeros((100, 3), bool)
-    is_visible[:50, :2] = True
-    is_visible[:5, 2] = True
-    is_missing = ~is_visible
-    gaps = [lost.tolist() for _, _, lost in iterate_gaps(is_missing[:, :2], is_visible[:, :2])]
-    assert gaps == [[0, 1]]
-    is_missing[50:], is_missing[60:] = True, False
-    is_missing[:50] = False
-    gaps = [lost.tolist() for _, _, lost in iterate_gaps(is_missing, is_visible)]
-    assert gaps == [[0, 1], [2]]
 
 
 @pytest.mark.parametrize("markers", [1, 2, 3])
@@ -138,3 +141,184 @@ def test_real_hand_gap_is_filled_better_than_linearly():
     error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
     assert error.mean() < 0.3 * np.linalg.norm(line - truth.markers[gap, hand], axis=1).mean()
     assert (error < 3 * np.sqrt(3) * deviation[gap, hand]).mean() > 0.9
+
+
+class Oracle:
+    """An estimator of a marker that moves on a known path; in gaps it is away by `offset_m`, and says that it is never."""
+
+    def __init__(self, path: np.ndarray, offset_m: float) -> None:
+        self.path, self.offset_m = path, offset_m
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        w = gap.window
+        error = np.full((*w.hidden_frames.shape, 3), self.offset_m)
+        return [GapEstimate(FillMethod.BODY, self.path[w.gap_frames] + self.offset_m, error, np.full(len(w.points), 0.001))]
+
+
+def register(monkeypatch, build: Callable[[MarkersInTake], Oracle]) -> None:
+    monkeypatch.setattr(gap_estimates, "ESTIMATORS", (*gap_estimates.ESTIMATORS, build))
+
+
+def wander(frames=600):
+    """Return the path (T, 1, 3) of a single marker that nothing predicts."""
+    return np.cumsum(np.random.default_rng(0).normal(scale=0.01, size=(frames, 1, 3)), axis=0)
+
+
+@pytest.mark.parametrize(("offset_m", "is_used"), [(0.0, True), (1.0, False)])
+def test_an_estimator_is_added_by_one_registration_and_weighted_by_its_errors(monkeypatch, offset_m, is_used):
+    truth = wander()
+    damaged = truth.copy()
+    damaged[300:360] = np.nan
+    register(monkeypatch, lambda take: Oracle(truth[:, 0], offset_m))
+    filled = estimate_missing_samples(damaged, RATE)
+    assert (np.linalg.norm(filled.position - truth, axis=-1)[300:360].max() < 0.005) == is_used
+    assert (filled.method[330, 0] == FillMethod.BODY) == is_used
+
+
+def test_requested_samples_have_the_estimate_of_one_method_or_none():
+    """A spline through a gap of a parabola is exact, and a body that is not there gives nothing."""
+    times = np.linspace(0, 1, 60)
+    path = np.stack([times, times**2, 1 - times], axis=1)
+    markers = np.stack([path, path + [0, 0, 1], path + [0, 1, 0]], axis=1)
+    truth = markers.copy()
+    markers[20:30] = np.nan
+    usual = estimate_missing_samples(markers, 60.0)
+    requests = [MarkerFill(0, 22, 27, FillMethod.SPLINE), MarkerFill(2, 20, 29, FillMethod.BODY)]
+    changed = estimate_missing_samples(markers, 60.0, requests=requests)
+    np.testing.assert_allclose(changed.position[22:28, 0], truth[22:28, 0], atol=1e-9)
+    assert (changed.method[22:28, 0] == FillMethod.SPLINE).all()
+    assert not np.isnan(changed.sd[20:30, 0]).any()
+    assert np.isnan(changed.sd[20:30, 2]).all()
+    np.testing.assert_allclose(changed.sd[20:30, 1], usual.sd[20:30, 1])
+
+
+def test_speed_limit_follows_the_visible_motion():
+    t = np.arange(200) / RATE
+    path = np.stack([5 * t, 0 * t, 0 * t], 1)  # 5 metres a second
+    np.testing.assert_allclose(measure_speed_limit(path[:, None], RATE), 5 * MAX_SPEED_RATIO)
+    assert measure_speed_limit(np.full((5, 2, 3), np.nan), RATE) == np.inf
+    assert measure_speed_limit(np.zeros((5, 0, 3)), RATE) == np.inf
+
+
+def test_constant_velocity_does_not_vary_and_noise_counts_little():
+    t = np.arange(400) / RATE
+    rng = np.random.default_rng(0)
+    noise = rng.normal(scale=0.0003, size=(400, 3))
+    markers = np.stack([np.stack([t, 0 * t, 0 * t], 1) + noise, np.stack([np.sin(6 * t), 0 * t, 0 * t], 1)], 1)
+    variation = measure_velocity_variation(np.concatenate([markers, np.full((400, 1, 3), np.nan)], 1), RATE)
+    assert variation[0] < 0.01
+    np.testing.assert_allclose(variation[1], 6 / np.sqrt(2), rtol=0.1)
+    np.testing.assert_allclose(variation[2], np.sqrt((variation[:2] ** 2).mean()))
+
+
+def test_neighbours_show_that_a_marker_is_visible_at_rest_only():
+    t = np.arange(600) / RATE
+    path = np.where((t > 2) & (t < 4), np.sin(6 * (t - 2)), 0.0)
+    markers = np.stack([path, 0 * t, 0 * t], 1)[:, None] + np.arange(4)[:, None]
+    markers[190:410, 0] = np.nan
+    window = choose_hidden_stretches(~np.isnan(markers[:, 0, 0]), 190, 409, RATE)
+    activity = NeighbourActivity(markers, RATE)
+    assert activity.compare(0, window, np.array([1, 2, 3])) > 5
+    resting = choose_hidden_stretches(np.ones(600, bool), 50, 99, RATE)
+    assert activity.compare(1, resting, np.array([2, 3])) == 1
+    assert activity.compare(0, window, np.array([], int)) == 1
+
+
+def build_window(frames=2000):
+    visible = np.ones(frames, bool)
+    visible[500:520] = False
+    return choose_hidden_stretches(visible, 500, 519, RATE)
+
+
+def build_estimate(window, sd, *, expected_sd=0.01, method=FillMethod.SPLINE, seed=0, offset=0.0):
+    error = np.random.default_rng(seed).normal(scale=sd, size=(*window.hidden_frames.shape, 3))
+    return GapEstimate(method, np.full((window.length, 3), offset), error, np.full(len(window.points), expected_sd))
+
+
+def test_estimate_with_small_hidden_errors_is_used():
+    window = build_window()
+    good = build_estimate(window, 0.001, method=FillMethod.CLUSTER)
+    bad = build_estimate(window, 0.1, seed=1, offset=1.0)
+    position, sd, method = combine_gap_estimates([bad, good], window, np.ones(len(window.starts)))
+    assert np.abs(position).max() < 0.02
+    assert (method == FillMethod.CLUSTER).all()
+    assert 0.0007 < sd.mean() < 0.003
+
+
+def test_without_hidden_stretches_the_expected_error_counts():
+    visible = np.ones(50, bool)
+    visible[2:48] = False
+    window = choose_hidden_stretches(visible, 2, 47, RATE)
+    unknown = np.full((*window.hidden_frames.shape, 3), np.nan)
+    near = GapEstimate(FillMethod.SPLINE, np.zeros((46, 3)), unknown, np.full(len(window.points), 0.01))
+    far = GapEstimate(FillMethod.CLUSTER, np.ones((46, 3)), unknown, np.full(len(window.points), 0.1))
+    position, sd, _ = combine_gap_estimates([near, far], window, np.ones(len(window.starts)))
+    assert np.abs(position).max() < 0.01
+    np.testing.assert_allclose(sd, 0.01, rtol=0.01)
+
+
+def test_dissimilar_stretches_do_not_count():
+    window = build_window()
+    count = len(window.starts)
+    estimate = build_estimate(window, 0.001, expected_sd=0.05)
+    similar, dissimilar = (combine_gap_estimates([estimate], window, np.full(count, each)).sd.mean() for each in (1.0, 1e-9))
+    assert similar < 0.003
+    np.testing.assert_allclose(dissimilar, 0.05, rtol=0.01)
+
+
+@given(size=st.integers(1, 6), seed=st.integers(0, 999))
+def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
+    root = np.random.default_rng(seed).normal(size=(size, size + 2))
+    covariance = root @ root.T + 1e-6 * np.eye(size)
+    weights, variance = compute_weights(covariance)
+    assert (weights >= 0).all()
+    np.testing.assert_allclose(weights.sum(), 1)
+    assert variance <= np.diag(covariance).min() * (1 + 1e-9)
+
+
+def test_best_estimate_is_kept_where_measured_correlations_contradict_each_other():
+    sd = np.array([1.0, 2.0, 3.0])
+    correlation = np.array([[1.0, 0.0, 0.8], [0.0, 1.0, 0.9], [0.8, 0.9, 1.0]])  # not positive definite
+    weights, variance = compute_weights(correlation * sd[:, None] * sd)
+    np.testing.assert_array_equal(weights, [1, 0, 0])
+    assert variance == 1.0
+
+
+def test_two_independent_estimates_are_weighted_by_precision():
+    weights, variance = compute_weights(np.diag([1.0, 4.0]))
+    np.testing.assert_allclose(weights, [0.8, 0.2])
+    np.testing.assert_allclose(variance, 0.8)
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
+def test_variances_are_shrunk_by_their_logarithms(trust):
+    shrunk = shrink_covariances(np.array([[[1e-4]]]), np.array([[0.1]]), np.eye(1), np.array([trust]))
+    np.testing.assert_allclose(np.sqrt(shrunk[0, 0, 0]), 0.01**trust * 0.1 ** (1 - trust), rtol=1e-3)
+
+
+def test_covariances_are_those_of_the_errors():
+    shared, own = np.random.default_rng(0).normal(size=(2, 4000, 3, 3))
+    covariance = compute_error_covariances(np.stack([shared, shared + own]), np.ones(4000))
+    np.testing.assert_allclose(covariance.mean(0), [[1, 1], [1, 2]], atol=0.05)
+    unknown = compute_error_covariances(np.full((1, 4, 3, 3), np.nan), np.ones(4))
+    assert np.isnan(unknown).all()
+
+
+def test_estimates_in_the_same_axes_have_similar_errors():
+    expected = build_expected_correlation(["a", "a", "b", None, None])
+    assert expected[0, 1] == expected[1, 0] > expected[0, 2]
+    assert expected[3, 4] == expected[0, 2]
+
+
+def test_estimate_that_lacks_frames_counts_in_the_others():
+    window = build_window()
+    good, bad = build_estimate(window, 0.001, method=FillMethod.CLUSTER), build_estimate(window, 0.1, seed=1, offset=1.0)
+    good.position[5:10] = np.nan
+    position, sd, method = combine_gap_estimates([good, bad], window, np.ones(len(window.starts)))
+    is_lacking = np.isin(np.arange(window.length), np.arange(5, 10))
+    assert (method == np.where(is_lacking, FillMethod.SPLINE, FillMethod.CLUSTER)).all()
+    assert np.abs(position[~is_lacking]).max() < 0.02
+    np.testing.assert_allclose(position[is_lacking], 1.0)
+    assert sd[~is_lacking].max() < 0.01 < sd[is_lacking].min()
+    alone = combine_gap_estimates([good], window, np.ones(len(window.starts)))
+    assert (np.isnan(alone.sd) == is_lacking).all()

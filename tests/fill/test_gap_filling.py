@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
-from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
@@ -171,44 +170,6 @@ def test_marker_set_may_have_markers_that_the_take_lacks(cleaned):
     assert left == ()
     assert after.markers.shape == markers.shape
     np.testing.assert_allclose(after.markers[40:50, 3], truth.marker_positions[40:50, 4], atol=0.01)
-
-
-def test_gaps_below_a_standard_deviation_are_below_throughout():
-    sd = np.array([[1.0, 1.0], [1.0, 1.0], [9.0, 9.0], [1.0, 3.0], [1.0, 1.0]])
-    is_missing = np.array([[True, False], [True, True], [False, False], [True, True], [True, True]])
-    expected = np.array([[True, False], [True, True], [False, False], [True, False], [True, False]])
-    np.testing.assert_array_equal(gap_filling.find_gaps_below(sd, is_missing, 2.0), expected)
-
-
-def with_gap(markers, sd_m):
-    """Return markers with a gap of the first, and an estimate of it that is 10 mm off on one axis."""
-    gap = slice(150, 220)
-    damaged, position, sd = markers.copy(), np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan)
-    damaged[gap, 0], position[gap, 0], sd[gap, 0] = np.nan, markers[gap, 0] + [0.01, 0.0, 0.0], sd_m
-    return damaged, build_marker_estimate(position, sd, FillMethod.BODY), gap
-
-
-def test_uncertain_gap_gets_the_estimate_of_its_rigid_neighbours(rod):
-    truth = rod[:, :5]
-    damaged, body, gap = with_gap(truth, 0.01)
-    joined = gap_filling.join_gap_estimates(body, damaged, RATE)
-    assert np.abs(joined.position - truth)[gap, 0].max() < 0.0015
-    assert joined.sd[gap, 0].max() < 0.004
-    assert (joined.method[gap, 0] == FillMethod.CLUSTER).all()
-    np.testing.assert_array_equal(np.isnan(joined.sd), ~np.isnan(damaged[..., 0]))
-
-
-def test_settled_gap_keeps_its_estimate(rod):
-    damaged, body, _ = with_gap(rod[:, :5], gap_filling.MAX_SETTLED_GAP_SD_M)
-    assert gap_filling.join_gap_estimates(body, damaged, RATE) is body
-
-
-def test_uncertain_estimate_of_a_gap_is_not_used_beside_another():
-    jumps = np.random.default_rng(0).normal(scale=0.3, size=(400, 6, 3))  # nothing predicts a marker
-    damaged, body, gap = with_gap(jumps, 0.02)
-    joined = gap_filling.join_gap_estimates(body, damaged, RATE)
-    np.testing.assert_allclose(joined.position[gap, 0], body.position[gap, 0])
-    np.testing.assert_allclose(joined.sd[gap, 0], 0.02)
 
 
 # before a marker is first measured and after it is last measured

@@ -1,20 +1,28 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M
-from mocapfix.fill.gap_estimates import choose_hidden_stretches
+from mocapfix.fill.edge_interpolation import interpolate_in_axes
+from mocapfix.fill.gap_estimates import estimate_missing_samples
+from mocapfix.fill.gap_windows import choose_hidden_stretches
 from mocapfix.fill.neighbour_clusters import (
+    ChangingCluster,
+    ClusterInterpolation,
+    NeighbourRegression,
+    build_changing_axes,
     build_cluster_axes,
-    estimate_by_regression,
+    compute_column_percentiles,
     measure_distance_changes,
+    remove_steps,
+    select_changing_cluster,
     select_configurations,
     select_regression_cluster,
 )
-
-RATE = 100.0
+from tests.fill.gap_examples import RATE, build_gap, build_take
 
 
 def tumbling(seed=0, frames=400, size=5):
@@ -35,11 +43,9 @@ def without(markers, m, first, last):
 def regress(damaged, m):
     """Return the regression's estimate of the only gap of marker `m`, or None."""
     missing = np.flatnonzero(np.isnan(damaged[:, m, 0]))
-    change = measure_distance_changes(damaged)[m]
-    order = [k for k in np.argsort(change, kind="stable") if change[k] < MAX_DISTANCE_CHANGE_M]
-    cluster = select_regression_cluster(~np.isnan(damaged[..., 0]), m, np.array(order, int))
-    window = choose_hidden_stretches(~np.isnan(damaged[:, m, 0]), int(missing[0]), int(missing[-1]), RATE)
-    return estimate_by_regression(damaged, m, cluster, change[cluster], window, RATE) if len(cluster) >= 3 else None
+    take = build_take(damaged)
+    found = NeighbourRegression(take)(build_gap(take, m, int(missing[0]), int(missing[-1])))
+    return found[0] if found else None
 
 
 @given(seed=st.integers(0, 99), first=st.integers(0, 250), length=st.integers(1, 149))
@@ -59,10 +65,8 @@ def test_hinge_motion_is_learned():
     swing = 2.0 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1])
     truth[:, 4] += swing
     truth[:, 5] += 0.8 * swing
-    damaged = without(truth, 5, 120, 219)
-    change = np.full(5, 0.01)
-    window = choose_hidden_stretches(~np.isnan(damaged[:, 5, 0]), 120, 219, RATE)
-    estimate = estimate_by_regression(damaged, 5, np.arange(5), change, window, RATE)
+    take = replace(build_take(without(truth, 5, 120, 219)), distance_change_m=np.full((6, 6), 0.01))
+    [estimate] = NeighbourRegression(take)(build_gap(take, 5, 120, 219))
     assert estimate is not None
     error = np.sqrt(((estimate.position - truth[120:220, 5]) ** 2).mean())
     assert error < 0.3 * np.sqrt((0.8 * swing[120:220] ** 2).mean())
@@ -133,3 +137,117 @@ def test_nearest_markers_count_as_the_steadiest_of_one_that_is_hardly_visible():
     assert np.isinf(change[1:, 0]).all()
     markers[:, 0] = np.nan
     assert np.isinf(measure_distance_changes(markers)[0]).all()
+
+
+@given(seed=st.integers(0, 99), share=st.floats(0, 1))
+def test_column_percentiles_equal_numpy(seed, share):
+    rng = np.random.default_rng(seed)
+    numbers = rng.normal(size=(20, 4))
+    numbers[rng.random((20, 4)) < 0.3] = np.nan
+    numbers[1:, 3] = np.nan  # too few
+    expected = [np.nanpercentile(column, 100 * share) for column in numbers.T[:3]]
+    found = compute_column_percentiles(np.sort(numbers, axis=0), share)
+    np.testing.assert_allclose(found, [*expected, np.inf], atol=1e-12)
+
+
+def test_a_deformation_that_was_not_learned_is_less_certain():
+    """A marker that moves with another one, which moves ten times as far in the gap as where the marker is visible."""
+    sds: list[float] = []
+    for size in (1.0, 10.0):
+        truth = tumbling(size=6)
+        swing = 0.2 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1])
+        swing[120:220] *= size
+        truth[:, 4] += swing
+        truth[:, 5] += 0.8 * swing + np.random.default_rng(0).normal(scale=0.001, size=swing.shape)
+        take = replace(build_take(without(truth, 5, 120, 219)), distance_change_m=np.full((6, 6), 0.01))
+        [estimate] = NeighbourRegression(take)(build_gap(take, 5, 120, 219))
+        sds.append(float(estimate.expected_sd.max()))
+    assert sds[1] > 1.5 * sds[0]
+
+
+def test_markers_of_a_lost_limb_are_interpolated_in_axes_of_all_others():
+    take = build_take(without(tumbling(size=12), 5, 120, 219))
+    gap = build_gap(take, 5, 120, 219)
+    estimate = ClusterInterpolation(take)
+    names = [{each.axes for each in estimate(gap._replace(is_limb=is_limb))} for is_limb in (False, True)]
+    assert names[1] - names[0] == {"all markers"}
+    assert all(np.abs(each.error).max() < 1e-6 for each in estimate(gap))  # on one rigid body
+
+
+FIRST, LENGTH = 150, 100
+GAP = slice(FIRST, FIRST + LENGTH)
+CHANGE_M = np.array([0.001, 0.001, 0.001, 0.001, 0.001, 0.001, np.inf])
+
+
+def hide(truth: np.ndarray, first_change: int, last_change: int) -> np.ndarray:
+    """Hide marker 6 in the gap; markers 0 to 2 from one frame of the gap, 3 to 5 until another one."""
+    damaged = truth.copy()
+    damaged[GAP, 6] = np.nan
+    damaged[FIRST + last_change : FIRST + LENGTH, :3] = np.nan
+    damaged[FIRST : FIRST + first_change, 3:6] = np.nan
+    return damaged
+
+
+def estimate(damaged: np.ndarray, *, is_smooth: bool = True) -> list[np.ndarray]:
+    """Return the positions in the gap by all methods of interpolation, and the errors in hidden stretches."""
+    is_known = ~np.isnan(damaged[..., 0])
+    window = choose_hidden_stretches(is_known[:, 6], FIRST, FIRST + LENGTH - 1, RATE)
+    cluster = select_changing_cluster(is_known, CHANGE_M, window, 8)
+    assert cluster is not None
+    axes = build_changing_axes(damaged, cluster, window, np.arange(len(damaged)))
+    assert axes is not None
+    gap = build_gap(build_take(damaged), 6, FIRST, FIRST + LENGTH - 1)
+    found = interpolate_in_axes(damaged[:, 6], axes, gap, RATE, "changing")
+    return [(remove_steps(each, cluster, window) if is_smooth else each).position for each in found]
+
+
+@given(seed=st.integers(0, 99), first=st.integers(1, 60), overlap=st.integers(0, 39))
+def test_rigid_cluster_places_its_marker_although_no_member_is_visible_throughout(seed, first, overlap):
+    truth = tumbling(seed, size=7)
+    for position in estimate(hide(truth, first, first + overlap)):
+        # Steps are told from motion by the neighbouring frames, whose velocities differ by the acceleration.
+        assert np.abs(position - truth[GAP, 6]).max() < 0.003
+
+
+def test_estimate_has_no_steps_where_the_members_change():
+    truth = tumbling(3, size=7)
+    truth[:, 3:6] += np.linspace(0.0, 0.02, len(truth))[:, None, None]  # half of the cluster slides along
+    damaged = hide(truth, 50, 50)
+    plain, smooth = (np.diff(estimate(damaged, is_smooth=each)[0], 2, axis=0) for each in (False, True))
+    natural = np.abs(np.diff(truth[GAP, 6], 2, axis=0)).max()
+    assert np.abs(plain).max() > 5 * natural
+    assert np.abs(smooth).max() < 2 * natural
+
+
+def test_no_changing_cluster_where_members_stay_or_too_few_are_visible():
+    truth = tumbling(size=7)
+    window = choose_hidden_stretches(np.arange(len(truth)) >= FIRST + LENGTH, FIRST, FIRST + LENGTH - 1, RATE)
+    for damaged in (hide(truth, 0, LENGTH), hide(truth, 60, 40)):
+        assert select_changing_cluster(~np.isnan(damaged[..., 0]), CHANGE_M, window, 8) is None
+
+
+@pytest.mark.parametrize("has_first_edge", [True, False])
+def test_edges_of_the_gap_stay_where_they_are(has_first_edge):
+    truth = tumbling(1, size=7)
+    damaged = hide(truth, 30, 60)
+    is_known = ~np.isnan(damaged[..., 0])
+    is_known[:FIRST, 6] &= has_first_edge
+    window = choose_hidden_stretches(is_known[:, 6], FIRST, FIRST + LENGTH - 1, RATE)
+    cluster = ChangingCluster(np.arange(6), is_known[GAP, :6])
+    axes = build_changing_axes(damaged, cluster, window, np.arange(len(damaged)))
+    assert axes is not None
+    path = np.where(is_known[:, 6, None], damaged[:, 6], np.nan)
+    gap = build_gap(build_take(damaged), 6, FIRST, FIRST + LENGTH - 1)._replace(window=window)
+    for each in interpolate_in_axes(path, axes, gap, RATE, "changing"):
+        moved = remove_steps(each, cluster, window).position - each.position
+        np.testing.assert_allclose(moved[-1], 0.0, atol=2e-4)
+        if has_first_edge:
+            np.testing.assert_allclose(moved[0], 0.0, atol=2e-4)
+
+
+def test_fill_uses_a_changing_cluster_where_no_other_is_as_near():
+    """Six markers on a box, and four that move independently of it and are visible throughout."""
+    truth = np.concatenate([tumbling(2, size=7), 3 * tumbling(5, size=4)], axis=1)
+    damaged = hide(truth, 40, 60)
+    estimated = estimate_missing_samples(damaged, RATE)
+    assert np.linalg.norm(estimated.position[GAP, 6] - truth[GAP, 6], axis=1).max() < 0.01

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
-from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, fill_rigid_group, prefer_rigid_groups
-from mocapfix.stats.marker_distances import find_rigid_groups
+from mocapfix.fill.gap_estimates import estimate_missing_samples
+from mocapfix.fill.gap_windows import FillMethod
+from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
+from mocapfix.stats.marker_distances import RigidGroup, find_rigid_groups
+from mocapfix.stats.sequences import find_runs
+from tests.fill.gap_examples import build_gap, build_take
 
 FRAMES, NOISE_M = 300, 0.0005
 SHAPE = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.1, 0.1, 0.25], [0.25, 0.2, 0.1]])
@@ -25,6 +28,20 @@ def prop() -> np.ndarray:
 @pytest.fixture
 def measured(prop) -> np.ndarray:
     return prop + np.random.default_rng(0).normal(0, NOISE_M, prop.shape)
+
+
+def fill_rigid_group(markers):
+    """Return positions and standard deviations per axis of the missing samples of a group, NaN where unknown."""
+    take = build_take(markers, rigid_groups=[RigidGroup(tuple(range(markers.shape[1])), 0.001, np.nan)])
+    place = RigidGroupPlacement(take)
+    position, sd = np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan)
+    for marker in range(markers.shape[1]):
+        for first, last in find_runs(np.isnan(markers[:, marker, 0])):
+            for estimate in place(build_gap(take, marker, first, last)):
+                gap, offsets = slice(first, last + 1), np.arange(last - first + 1)
+                points = np.linspace(0, last - first, len(estimate.expected_sd))
+                position[gap, marker], sd[gap, marker] = estimate.position, np.interp(offsets, points, estimate.expected_sd)
+    return position, sd
 
 
 def test_a_marker_is_filled_to_the_noise_whichever_others_are_visible(prop, measured):
@@ -71,16 +88,28 @@ def test_markers_on_one_line_give_no_pose():
     assert not (sd[100:150, 4] < 0.005).any()
 
 
-def test_the_more_precise_estimate_of_a_gap_is_kept(measured):
+def test_errors_are_measured_with_the_markers_that_the_gap_shows(measured):
+    """Two markers of a group that is not quite rigid: hidden stretches show what they cost."""
     lost = measured.copy()
-    lost[20:40, 0], lost[60:80, 0] = np.nan, np.nan
+    lost[100:110, 2:] = np.nan
+    take = build_take(lost, rigid_groups=[RigidGroup((0, 1, 2, 3, 4), 0.001, np.nan)])
+    [by_two] = RigidGroupPlacement(take)(build_gap(take, 2, 100, 109))
+    damaged = measured.copy()
+    damaged[100:110, 2] = np.nan
+    take = build_take(damaged, rigid_groups=take.rigid_groups)
+    [by_four] = RigidGroupPlacement(take)(build_gap(take, 2, 100, 109))
+    two, four = (float(np.sqrt(np.nanmean(each.error**2))) for each in (by_two, by_four))
+    assert 0.5 * NOISE_M < four < 2 * NOISE_M
+    assert two > 1.2 * four
+
+
+def test_a_group_fills_the_frames_that_show_it(measured):
+    lost = measured.copy()
+    lost[20:40, 0], lost[30:33, 1:] = np.nan, np.nan
     groups = find_rigid_groups(np.concatenate([lost, np.zeros((FRAMES, 1, 3))], axis=1))
     assert [group.markers for group in groups] == [(0, 1, 2, 3, 4)]
-    is_missing = np.isnan(lost[..., 0])
-    other_sd = np.where(is_missing, 0.1, np.nan)
-    other_sd[60:80] = 1e-5
-    other = build_marker_estimate(np.zeros(lost.shape), other_sd, FillMethod.SPLINE)
-    combined = prefer_rigid_groups(other, estimate_from_rigid_groups(lost, groups), is_missing)
-    assert (combined.method[20:40, 0] == FillMethod.RIGID_GROUP).all()
-    assert (combined.method[60:80, 0] == FillMethod.SPLINE).all()
-    assert np.linalg.norm(combined.position[20:40, 0] - measured[20:40, 0], axis=-1).max() < 0.005
+    filled = estimate_missing_samples(lost, 50.0, rigid_groups=groups)
+    shown = np.r_[20:30, 33:40]
+    assert (filled.method[shown, 0] == FillMethod.RIGID_GROUP).mean() > 0.5
+    assert np.linalg.norm(filled.position[shown, 0] - measured[shown, 0], axis=-1).max() < 0.005
+    assert not np.isnan(filled.sd[20:40, 0]).any()

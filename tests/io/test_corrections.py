@@ -8,14 +8,7 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.errors import SceneError
-from mocapfix.fill.fill_methods import (
-    EMPTY_REASON,
-    FillMethod,
-    FillRequest,
-    build_marker_estimate,
-    explain_requested_fills,
-    use_requested_methods,
-)
+from mocapfix.fill.gap_filling import EMPTY_REASON, FillRequest, explain_requested_fills
 from mocapfix.io.changes_file import (
     CorrectionKind,
     CorrectionModel,
@@ -99,21 +92,11 @@ def test_corrected_labels_are_not_corrected_again():
     assert is_accepted(Fault("spike", 1, 12, 14, 0.1, ""))
 
 
-def test_requested_fills_take_the_place_of_the_combination():
-    """A spline through a gap of a parabola is exact, an empty gap stays empty, and a body that is not there gives nothing."""
-    times = np.linspace(0, 1, 60)
-    path = np.stack([times, times**2, 1 - times], axis=1)
-    markers = np.stack([path, path + [0, 0, 1], path + [0, 1, 0]], axis=1)
-    markers[20:30] = np.nan
-    shape = markers.shape[:2]
-    estimate = build_marker_estimate(np.full(markers.shape, 9.0), np.full(shape, 0.01), FillMethod.CLUSTER)
+def test_a_request_that_cannot_be_met_is_the_reason():
     requests = [FillRequest(0, 22, 27, "spline"), FillRequest(1, 20, 29, "empty"), FillRequest(2, 20, 29, "body")]
-    changed = use_requested_methods(estimate, requests, markers, None, 60.0)
-    np.testing.assert_allclose(changed.position[22:28, 0], path[22:28], atol=1e-9)
-    assert (changed.method[22:28, 0] == FillMethod.SPLINE).all()
-    assert (changed.position[20:22, 0] == 9.0).all()
-    assert np.isnan(changed.sd[20:30, 1:]).all()
-    reasons = explain_requested_fills(np.full(shape, "", object), requests, np.isnan(changed.sd))
+    is_without_estimate = np.zeros((60, 3), bool)
+    is_without_estimate[20:30, 1:] = True
+    reasons = explain_requested_fills(np.full((60, 3), "", object), requests, is_without_estimate)
     assert set(reasons[20:30, 1]) == {EMPTY_REASON}
     assert all("body" in reason for reason in reasons[20:30, 2])
     assert not reasons[:, 0].any()

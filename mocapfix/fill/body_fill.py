@@ -1,0 +1,161 @@
+"""Estimates from the solved body: a lost marker has its place on its joint, plus the residual that is known beside the gap.
+
+The residual consists of the marker's motion relative to its joint and of the error of the pose. In a gap the pose was solved
+without the marker, in the hidden stretches with it. So where the marker is lost its place on the body makes a step, which is
+measured and added to the residual at the edges; and the errors in the hidden stretches are increased by the variance that the
+pose has in the gap beyond that with the marker.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTake, MovingAxes
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.take import SAMPLE_NOISE_M
+from mocapfix.solve import kinematics
+from mocapfix.stats.gaussian_process import compute_residual_correlation, estimate_roughness
+
+BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
+MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
+MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
+STEP_NOISE_M = 0.001  # standard deviation per axis of the measured step at an edge
+BODY_ERROR_RATIO = 1.5
+"""Ratio of the errors in gaps to what the residual and the pose predict: a body does not fit as well as its markers say."""
+MAX_EDGE_RESIDUAL_M = 0.05
+"""Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
+MAX_EDGE_RESIDUAL_RATIO = 4.0  # the same relative to the marker's median residual
+
+
+class MarkerOnBody(NamedTuple):
+    """A marker on the body.
+
+    Attributes:
+        axes: Those of its joint, with its place on the body as their origin.
+        residual: Metres: the measured marker in these axes, NaN where it is not visible or an outlier.
+        power: Square metres per axis: mean square of the residual, with what the pose varies besides.
+        roughness: Part of it that is rough, 0 to 1.
+        pose_excess: Square metres per axis: variance of the place on the body beyond that where the marker is visible.
+    """
+
+    axes: MovingAxes
+    residual: Float[np.ndarray, "T 3"]
+    power: float
+    roughness: float
+    pose_excess: Float[np.ndarray, " T"]
+
+
+class BodyPlacement:
+    """Estimates a marker from its place on the body."""
+
+    def __init__(self, take: MarkersInTake) -> None:
+        self.rate, self.markers = take.rate, dict[int, MarkerOnBody]()
+        if take.body is None:
+            return
+        positions, rotations = kinematics.compute_world_poses(take.body.extended_subject.skeleton, take.body.motion)
+        for row, marker in enumerate(take.body.marker_columns.tolist()):
+            if marker >= 0 and not take.is_visible[:, marker].all():
+                joint = take.body.extended_subject.joints[row]
+                path = take.visible_markers[:, marker]
+                self.markers[marker] = place_marker(take.body, row, positions[:, joint], rotations[:, joint], path, take.rate)
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        if gap.marker not in self.markers:
+            return []
+        on_body, rate = self.markers[gap.marker], self.rate
+        axes, residual = on_body.axes, on_body.residual
+        w = gap.window.keep_known_context(~np.isnan(residual[:, 0]))
+        excess, inside = on_body.pose_excess[w.gap_frames], np.arange(w.length)
+        edges = np.concatenate([np.zeros(len(w.before), int), np.full(len(w.after), w.length - 1)])
+        beside = np.concatenate([w.before, w.after])
+        gap_map, gap_variance = _map_residual(on_body, beside, excess[edges], inside, excess, rate)
+        hidden_beside, none = np.concatenate([w.before, w.hidden_after]), np.zeros(len(w.hidden_points))
+        hidden_map, hidden_variance = _map_residual(on_body, hidden_beside, 0.0 * edges, w.hidden_points, none, rate)
+        known_share = excess[edges] / (excess[edges] + STEP_NOISE_M**2)
+        steps = _measure_steps(axes, w.first, w.length)[np.where(edges > 0, 1, 0)]
+        context = residual[w.context_frames] - known_share[:, None] * steps
+        position = axes.transform_to_world(gap_map @ context, w.gap_frames)
+        error = hidden_map @ residual[w.hidden_context_frames] - residual[w.hidden_frames]
+        shown = _average_squares(error)
+        added = np.maximum(gap_variance[w.points] - hidden_variance, 0.0)
+        error = axes.rotate_to_world(error, w.hidden_frames) * (BODY_ERROR_RATIO * np.sqrt(1 + added / shown))[:, None]
+        expected_sd = BODY_ERROR_RATIO * np.sqrt(np.maximum(gap_variance[w.points], MIN_BODY_FILL_SD_M**2))
+        evidence = float((shown / (shown + added)).mean())
+        return [GapEstimate(FillMethod.BODY, position, error, expected_sd, evidence=evidence)]
+
+
+def place_marker(
+    body: BodyFit,
+    row: int,
+    joint_positions: Float[np.ndarray, "T 3"],
+    joint_rotations: Float[np.ndarray, "T 3 3"],
+    path: Float[np.ndarray, "T 3"],
+    rate: float,
+) -> MarkerOnBody:
+    """Return a marker on the body.
+
+    Args:
+        body: The solved body.
+        row: Index of the marker in its extended subject.
+        joint_positions: Metres, of the marker's joint.
+        joint_rotations: Its axes in the world.
+        path: Metres: the measured marker, NaN if not visible or an outlier.
+        rate: Frame rate in Hz.
+    """
+    axes = MovingAxes(joint_rotations, joint_positions + joint_rotations @ body.extended_subject.marker_offsets[row])
+    residual, variance = axes.transform_from_world(path), body.motion.marker_sd[:, row] ** 2
+    distance = np.linalg.norm(residual, axis=1)
+    if not np.isnan(distance).all():
+        residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * float(np.nanmedian(distance)))] = np.nan
+    known = residual[~np.isnan(residual[:, 0])]
+    power = max(float((known**2).mean()), MIN_BODY_RESIDUAL_M**2) if len(known) else MIN_BODY_RESIDUAL_M**2
+    roughness = estimate_roughness(residual, rate, BODY_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
+    shown_variance = float(np.median(variance[~np.isnan(residual[:, 0])])) if len(known) else 0.0
+    return MarkerOnBody(axes, residual, power + shown_variance, roughness, np.maximum(variance - shown_variance, 0.0))
+
+
+def _map_residual(
+    on_body: MarkerOnBody,
+    known: Int[np.ndarray, " C"],
+    known_excess: Float[np.ndarray, " C"],
+    wanted: Int[np.ndarray, " n"],
+    wanted_excess: Float[np.ndarray, " n"],
+    rate: float,
+) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
+    """Return the map from the residual at known offsets (frames) to that at wanted ones, and its variance per axis there.
+
+    The variance of the pose, `known_excess` and `wanted_excess`, is that of a smooth process.
+    """
+
+    def compute_covariance(a: np.ndarray, excess_a: np.ndarray, b: np.ndarray, excess_b: np.ndarray) -> np.ndarray:
+        lag_s = (a[:, None] - b) / rate
+        own = on_body.power * compute_residual_correlation(lag_s, BODY_RESIDUAL_FADE_S, on_body.roughness)
+        return own + np.sqrt(excess_a[:, None] * excess_b) * compute_residual_correlation(lag_s, BODY_RESIDUAL_FADE_S, 0.0)
+
+    noise = SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0)
+    among = compute_covariance(known, known_excess, known, known_excess) + np.diag(noise)
+    across = compute_covariance(wanted, wanted_excess, known, known_excess)
+    weights = np.linalg.solve(among, across.T).T
+    return weights, np.maximum(on_body.power + wanted_excess - (weights * across).sum(1), 0.0)
+
+
+def _measure_steps(axes: MovingAxes, first: int, length: int) -> Float[np.ndarray, "2 3"]:
+    """Return how far the place on the body steps in the first frame of a gap, and backwards in its last one, in its axes.
+
+    A step is what it moves beyond its motion in the frames before and after.
+    """
+    steps, last = np.zeros((2, 3)), first + length - 1
+    for side, (edge, direction) in enumerate(((first - 1, 1), (last + 1, -1))):
+        frames = edge + direction * np.arange(-1, 3)
+        if length > 1 and frames.min() >= 0 and frames.max() < len(axes.origin):
+            motion = np.diff(axes.origin[frames], axis=0)
+            steps[side] = axes.rotation_world_axes[edge].T @ (motion[1] - (motion[0] + motion[2]) / 2)
+    return steps
+
+
+def _average_squares(error: Float[np.ndarray, "K S 3"]) -> Float[np.ndarray, " S"]:
+    """Return the mean square of the known errors per axis at each point, at least that of the smallest deviation."""
+    count = (~np.isnan(error)).sum((0, 2))
+    square = np.divide(np.nansum(error**2, axis=(0, 2)), count, out=np.zeros(error.shape[1]), where=count > 0)
+    return np.maximum(square, MIN_BODY_FILL_SD_M**2)
