@@ -15,8 +15,7 @@ from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
-from mocapfix.fill.apply_decisions import apply_decisions
-from mocapfix.fill.computed_points import update_computed_points
+from mocapfix.fill.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections

@@ -4,5 +4,5 @@
 - `gap_estimates`: which estimators a gap has, and the weight of each
 - `gap_windows`: a gap, the stretches that imitate it, and estimates of it, as all estimators take and return them
 - `edge_interpolation`, `neighbour_clusters`, `body_fill`, `rigid_group_fill`, `marker_processes`: the estimators
-- `apply_decisions`: which changes are applied; `computed_points`: points that a program computed from markers
+- `apply_decisions`: which changes are applied, and the update of points that a program computed from markers
 """

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.fill.computed_points import update_computed_points
+from mocapfix.fill.apply_decisions import update_computed_points
 from mocapfix.io import capture
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
