@@ -12,7 +12,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -316,7 +315,7 @@ _held: list[np.ndarray] = []
 FAULTS = {"hang": hang, "grow": grow, "crash": crash}
 
 
-SAMPLE_INTERVAL_S = 2.0
+SAMPLE_INTERVAL_S = 0.5
 SINGLE_RUN_CODE = """
 import sys, time
 from pathlib import Path
@@ -341,7 +340,7 @@ class BatchSpeed:
     one_cpu: float  # one_cpu, batch_cpu: processor time of all processes
     batch_seconds: float
     batch_cpu: float
-    worker_memory_mb: float  # greatest memory of a worker with its fork server and child; shared pages count once
+    worker_memory_mb: float  # greatest memory of a worker with its child; shared pages count once
     child_peak_mb: float
     differing: int  # takes whose outputs are not those of the one process
 
@@ -379,28 +378,27 @@ def measure_batch_speed(
 
 
 def run_with_usage(command: list[str]) -> tuple[float, float, float]:
-    """Run a command; return its seconds, processor time with that of its children, and the greatest memory of a worker in MB."""
-    before, start = psutil.Process().cpu_times(), time.monotonic()
+    """Run a command; return its seconds, processor time of all its processes, and the greatest memory of a worker in MB.
+
+    The time is that of the last sample of each process: the children of workers end by themselves, and no one waits for them.
+    """
+    start = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    used_s: dict[int, float] = {}
     peak_mb = 0.0
-    finished = threading.Event()
-
-    def sample_memory() -> None:
-        nonlocal peak_mb
-        while not finished.wait(SAMPLE_INTERVAL_S):
-            peak_mb = max(peak_mb, measure_worker_memory_mb(process.pid))
-
-    sampler = threading.Thread(target=sample_memory)
-    sampler.start()
-    process.wait()
-    seconds = time.monotonic() - start
-    finished.set()
-    sampler.join()
-    after = psutil.Process().cpu_times()
-    used = (after.children_user - before.children_user) + (after.children_system - before.children_system)
+    while process.poll() is None:
+        peak_mb = max(peak_mb, measure_worker_memory_mb(process.pid))
+        with suppress(psutil.Error):
+            root = psutil.Process(process.pid)
+            for each in [root, *root.children(recursive=True)]:
+                with suppress(psutil.Error):
+                    times = each.cpu_times()
+                    used_s[each.pid] = times.user + times.system
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(SAMPLE_INTERVAL_S)
     if process.returncode:
         raise RuntimeError(f"{command[-3:]} ended with status {process.returncode}")
-    return seconds, used, peak_mb
+    return time.monotonic() - start, sum(used_s.values()), peak_mb
 
 
 def measure_worker_memory_mb(process: int) -> float:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
@@ -11,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.kernels import hybrik
 from tests.kernels import random_terms
 
+torch = pytest.importorskip("torch")
 seeds = st.integers(0, 2**32 - 1)
 AXES = [(1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.3), (1.0, 2.0, -3.0), (0.8, 0.6, 0.0)]
 

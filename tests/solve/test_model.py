@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
-from mocapfix.lab.motion_training import draw_initial_network, extract_motion_weights
 from mocapfix.solve import motion_prior
 from mocapfix.solve.motion_prior import INNER_COUNT, TOKEN_COUNT, build_motion_tree, count_features, count_outputs
 
+torch = pytest.importorskip("torch")
+motion_training = pytest.importorskip("mocapfix.lab.motion_training")
 JOINTS = build_motion_tree().joints
 RATE_HZ = 60.0
 
 
 def draw_network(seed=0):
     features = torch.from_numpy(np.random.default_rng(seed).normal(size=(4, TOKEN_COUNT, count_features())).astype(np.float32))
-    return draw_initial_network(16, 2, seed, features), features
+    return motion_training.draw_initial_network(16, 2, seed, features), features
 
 
 def draw_motion(frame_count=200):
@@ -35,7 +35,7 @@ def hide(first, last, joints: list[int] | slice = slice(None), frame_count=200):
 
 @pytest.fixture
 def prior():
-    return extract_motion_weights(draw_network()[0])
+    return motion_training.extract_motion_weights(draw_network()[0])
 
 
 @pytest.fixture
