@@ -12,7 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
-from mocapfix.characters.alignment import Rig, load_rig, write_rig_bvh
+from mocapfix.characters.alignment import write_rig_bvh
+from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io.asf_amc import write_asf_amc

@@ -16,20 +16,17 @@ be omitted. A is the inverse of the rotation of a joint's axes from the skeleton
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from pydantic import Field, PositiveFloat
 
-from mocapfix.errors import SceneError, WriteError
+from mocapfix.characters.character_yaml import Rig
+from mocapfix.errors import WriteError
 from mocapfix.io.bvh import write_bvh
-from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
-from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.io.shipped import read_shipped_yaml
 from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, compute_local_rotations, find_ancestor, list_path, load_cmu31_body
-from mocapfix.options import RIG_NAMES
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, scale_rotations
 
@@ -221,80 +218,13 @@ def _build_aligned_skeleton(
 MAX_JOINT_ERROR_M = 1e-4  # distance of a rig's joint from that of the skeleton
 
 
-class RigJoint(StrictModel):
-    """One joint of a rig."""
-
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")  # as the program expects it
-    parent: str | None  # name of the rig's joint above it; None for the root, which comes first
-    joint: str = ""  # the skeleton's joint at the same position; by default the one of the same name
-    axes: str = ""  # the skeleton's joint with the same rotation; by default `joint`
-    # for the last bone of a chain, the skeleton's joint whose end site (or position, if it has none) ends the bone; by default
-    # `axes`
-    end: str = ""
-
-    def model_post_init(self, _: object) -> None:
-        """Fill in the defaults."""
-        joint = self.joint or self.name
-        axes = self.axes or joint
-        for key, value in (("joint", joint), ("axes", axes), ("end", self.end or axes)):
-            object.__setattr__(self, key, value)
-
-
-class Rig(StrictModel):
-    """The skeleton that a program expects."""
-
-    name: str = ""  # name of the file, as in --bvh-for
-    program: str  # name of the program
-    unit_m: PositiveFloat  # length of a unit of the written file in metres
-    # order of a joint's rotation channels, the outermost first: "ZYX" is R = Rz Ry Rx
-    rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]
-    rest: Literal["t-pose", "arms-down", "skeleton"]  # pose in which all rotations are zero; "skeleton" for its own rest pose
-    first_frame: Literal["t-pose", "motion"]  # whether a T-pose that faces +Z and stands on the floor precedes the motion
-    note: str  # what users of the file need to know, for the report
-    joints: tuple[RigJoint, ...] = Field(min_length=1)  # parents before children
-
-    @property
-    def parents(self) -> list[int]:
-        """Index of each joint's parent, -1 for the root."""
-        names = [joint.name for joint in self.joints]
-        return [names.index(joint.parent) if joint.parent else -1 for joint in self.joints]
-
-    def find_joints(self, skeleton: Skeleton, names: list[str]) -> Int[np.ndarray, " R"]:
-        """Return the indices of joints of the skeleton. Raises WriteError if it lacks one."""
-        if missing := [name for name in names if name not in skeleton.names]:
-            raise WriteError(f"A BVH for {self.program} cannot be written: the skeleton has no joint {missing[0]}.")
-        return np.array([skeleton.find_joint(name) for name in names])
-
-
-def load_rig(name: str | Path) -> Rig:
-    """Load a shipped rig by name, or one from a YAML file.
-
-    Raises:
-        SceneError: If there is no rig of the name, or if the file is not valid, with the key that is wrong.
-    """
-    shipped_folder = find_shipped_folder("scenes") / "rigs"
-    path = Path(name) if str(name).endswith((".yaml", ".yml")) else shipped_folder / f"{name}.yaml"
-    if path.parent == shipped_folder and path.stem not in RIG_NAMES:
-        raise SceneError(f"There is no rig {str(name)!r}; choose one of {', '.join(RIG_NAMES)}, or give a .yaml file.")
-    rig = read_yaml_model(Rig, path)
-    known: set[str | None] = set()
-    for joint in rig.joints:
-        is_ordered = joint.parent in known if known else joint.parent is None
-        if joint.name in known or not is_ordered:
-            raise SceneError(
-                f"{path}: joints: {joint.name}: must be listed once, after its parent; only the first joint is a root."
-            )
-        known.add(joint.name)
-    return rig.model_copy(update={"name": path.stem})
-
-
 def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Motion]:
     """Return the rig's skeleton with the bone lengths of a skeleton, and the motion on it, after a T-pose if the rig wants one.
 
     Raises:
         WriteError: If the skeleton lacks a joint, or if a joint rotates that the rig omits.
     """
-    joints = rig.find_joints(skeleton, [joint.joint for joint in rig.joints])
+    joints = _find_joints(rig, skeleton, [joint.joint for joint in rig.joints])
     alignment = _align_rig(rig, skeleton, joints)
     positions, rotations = compute_world_poses(skeleton, motion)
     local_rotations = alignment.convert_rotations(rotations)
@@ -313,10 +243,17 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
     return alignment.skeleton, rig_motion
 
 
+def _find_joints(rig: Rig, skeleton: Skeleton, names: list[str]) -> Int[np.ndarray, " R"]:
+    """Return the indices of joints of the skeleton. Raises WriteError if it lacks one."""
+    if missing := [name for name in names if name not in skeleton.names]:
+        raise WriteError(f"A BVH for {rig.program} cannot be written: the skeleton has no joint {missing[0]}.")
+    return np.array([skeleton.find_joint(name) for name in names])
+
+
 def _align_rig(rig: Rig, skeleton: Skeleton, joints: Int[np.ndarray, " R"]) -> SkeletonAlignment:
     """Return the rig's skeleton: the places of the skeleton's R joints in its rest pose, and end sites for its leaves."""
-    axes = rig.find_joints(skeleton, [joint.axes for joint in rig.joints])
-    ends = rig.find_joints(skeleton, [joint.end for joint in rig.joints])
+    axes = _find_joints(rig, skeleton, [joint.axes for joint in rig.joints])
+    ends = _find_joints(rig, skeleton, [joint.end for joint in rig.joints])
     parents, names = np.array(rig.parents), tuple(joint.name for joint in rig.joints)
     posed = _pose_skeleton(skeleton, rig.rest)
     positions, rotations = posed.compute_rest_pose()

@@ -1,7 +1,8 @@
-"""Character files: the bones, rest pose, segments and joint limits of a character as YAML; and mappings of bones to edit.
+"""YAML files of characters: their bones, rest pose, segments and joint limits; mappings of bones to edit; and rigs of programs.
 
-The presets in scenes/rigs have this form, and so have armatures that the Blender add-on writes. Positions are in metres in the
-world, Y up, in a rest pose that faces +Z, so that the character's left is +X, whatever axes and units its program has.
+The characters in scenes/rigs have this form, and so have armatures that the Blender add-on writes. Positions are in metres in the
+world, Y up, in a rest pose that faces +Z, so that the character's left is +X, whatever axes and units its program has. A rig has
+no lengths of its own: it names the joints of the solved skeleton that a program expects in a BVH.
 """
 
 from collections.abc import Mapping
@@ -12,13 +13,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 from pydantic import BeforeValidator, Field, FiniteFloat, PositiveFloat
-from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMapping, Character, CharacterSource, build_bone_mapping
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
+from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineSequence, StrictModel, dump_yaml, read_yaml_model
 from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton
+from mocapfix.options import RIG_NAMES
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
@@ -212,6 +214,8 @@ def _read_limits(path: Path, model: _CharacterModel, names: tuple[str, ...]) -> 
 def _read_quaternion(path: Path, key: str, values: Quaternion) -> Float[np.ndarray, "3 3"]:
     if not np.linalg.norm(values) > 0.5:
         raise SceneError(f"{path}: {key}: is no rotation; give a quaternion of length 1, [w, x, y, z].")
+    from scipy.spatial.transform import Rotation  # slow to import
+
     return Rotation.from_quat(values, scalar_first=True).as_matrix()
 
 
@@ -308,3 +312,64 @@ def _comment_unmapped_bones(names: tuple[str, ...], mapping: BoneMapping) -> str
 def _flatten(text: str) -> str:
     """Return a text on one line, as a comment must be: names in files may have any character."""
     return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+
+
+class RigJoint(StrictModel):
+    """One joint of a rig."""
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")  # as the program expects it
+    parent: str | None  # name of the rig's joint above it; None for the root, which comes first
+    joint: str = ""  # the skeleton's joint at the same position; by default the one of the same name
+    axes: str = ""  # the skeleton's joint with the same rotation; by default `joint`
+    # for the last bone of a chain, the skeleton's joint whose end site (or position, if it has none) ends the bone; by default
+    # `axes`
+    end: str = ""
+
+    def model_post_init(self, _: object) -> None:
+        """Fill in the defaults."""
+        joint = self.joint or self.name
+        axes = self.axes or joint
+        for key, value in (("joint", joint), ("axes", axes), ("end", self.end or axes)):
+            object.__setattr__(self, key, value)
+
+
+class Rig(StrictModel):
+    """The skeleton that a program expects."""
+
+    name: str = ""  # name of the file, as in --bvh-for
+    program: str  # name of the program
+    unit_m: PositiveFloat  # length of a unit of the written file in metres
+    # order of a joint's rotation channels, the outermost first: "ZYX" is R = Rz Ry Rx
+    rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]
+    rest: Literal["t-pose", "arms-down", "skeleton"]  # pose in which all rotations are zero; "skeleton" for its own rest pose
+    first_frame: Literal["t-pose", "motion"]  # whether a T-pose that faces +Z and stands on the floor precedes the motion
+    note: str  # what users of the file need to know, for the report
+    joints: tuple[RigJoint, ...] = Field(min_length=1)  # parents before children
+
+    @property
+    def parents(self) -> list[int]:
+        """Index of each joint's parent, -1 for the root."""
+        names = [joint.name for joint in self.joints]
+        return [names.index(joint.parent) if joint.parent else -1 for joint in self.joints]
+
+
+def load_rig(name: str | Path) -> Rig:
+    """Load a shipped rig by name, or one from a YAML file.
+
+    Raises:
+        SceneError: If there is no rig of the name, or if the file is not valid, with the key that is wrong.
+    """
+    shipped_folder = find_shipped_folder("scenes") / "rigs"
+    path = Path(name) if str(name).endswith((".yaml", ".yml")) else shipped_folder / f"{name}.yaml"
+    if path.parent == shipped_folder and path.stem not in RIG_NAMES:
+        raise SceneError(f"There is no rig {str(name)!r}; choose one of {', '.join(RIG_NAMES)}, or give a .yaml file.")
+    rig = read_yaml_model(Rig, path)
+    known: set[str | None] = set()
+    for joint in rig.joints:
+        is_ordered = joint.parent in known if known else joint.parent is None
+        if joint.name in known or not is_ordered:
+            raise SceneError(
+                f"{path}: joints: {joint.name}: must be listed once, after its parent; only the first joint is a root."
+            )
+        known.add(joint.name)
+    return rig.model_copy(update={"name": path.stem})

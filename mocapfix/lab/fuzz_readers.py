@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.batch.job_files import read_cleaning_job
-from mocapfix.characters.alignment import load_rig
 from mocapfix.characters.bone_mapping import load_naming_convention
+from mocapfix.characters.character_yaml import load_rig
 from mocapfix.errors import SceneError
 from mocapfix.io.asf_amc import read_amc
 from mocapfix.io.bvh import write_bvh

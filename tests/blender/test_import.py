@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.characters.alignment import load_rig
+from mocapfix.characters.character_yaml import load_rig
 from mocapfix.options import RIG_NAMES, OutputOptions
 
 ROOT = Path(__file__).parents[2]

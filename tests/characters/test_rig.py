@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.characters.alignment import Rig, load_rig, retarget_to_rig, write_rig_bvh
+from mocapfix.characters.alignment import retarget_to_rig, write_rig_bvh
+from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.bvh import read_bvh
 from mocapfix.io.shipped import find_shipped_folder
