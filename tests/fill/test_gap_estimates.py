@@ -1,4 +1,6 @@
+import textwrap
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,6 +175,23 @@ def test_an_estimator_is_added_by_one_registration_and_weighted_by_its_errors(mo
     filled = estimate_missing_samples(damaged, RATE)
     assert (np.linalg.norm(filled.position - truth, axis=-1)[300:360].max() < 0.005) == is_used
     assert (filled.method[330, 0] == FillMethod.BODY) == is_used
+
+
+def test_the_estimator_of_the_guide_works_as_it_stands(monkeypatch):
+    guide = Path(__file__).parents[2] / "docs" / "how-to" / "add-a-fill-estimator.md"
+    code = guide.read_text(encoding="utf-8").split("```python")[1].split("```")[0]
+    namespace: dict[str, object] = {}
+    exec(textwrap.dedent(code), namespace)
+    monkeypatch.setattr(gap_estimates, "ESTIMATORS", (namespace["MovesLikeNeighbour"],))
+    monkeypatch.setattr(gap_estimates, "LATER_ESTIMATORS", ())
+    truth = np.concatenate([wander(), wander() + [0.1, 0.0, 0.0]], axis=1)
+    truth += np.random.default_rng(1).normal(scale=0.001, size=truth.shape)
+    damaged = truth.copy()
+    damaged[300:360, 0] = np.nan
+    filled = estimate_missing_samples(damaged, RATE)
+    error = np.sqrt(((filled.position - truth)[300:360, 0] ** 2).mean())
+    assert 0.001 < error < 0.003
+    assert 0.5 < error / np.sqrt((filled.sd[300:360, 0] ** 2).mean()) < 2
 
 
 def test_requested_samples_have_the_estimate_of_one_method_or_none():
