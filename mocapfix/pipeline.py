@@ -15,7 +15,6 @@ from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
-from mocapfix.fill.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
@@ -35,6 +34,7 @@ from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleaningResult, merge_results
+from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.solve.initial_motion import initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_threads

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix.fill.apply_decisions import revert_samples
 from mocapfix.model.take import Take
+from mocapfix.review.apply_decisions import revert_samples
 
 masks = arrays(bool, (12, 3), elements=st.booleans())
 

@@ -3,12 +3,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.fill.apply_decisions import update_computed_points
 from mocapfix.io import capture
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
 from mocapfix.output_formats import write_cleaned_copy
 from mocapfix.report.notes import describe_computed_points
+from mocapfix.review.apply_decisions import update_computed_points
 from tests.c3d_files import c3d_bytes
 from tests.stats.test_point_functions import build_segment
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.contacts.body_contacts import hold_standing_feet
-from mocapfix.fill.apply_decisions import apply_decisions
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io import capture, changes_file
 from mocapfix.io.changes_file import Review
@@ -21,6 +20,7 @@ from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerSh
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
+from mocapfix.review.apply_decisions import apply_decisions
 from mocapfix.solve.motion_solver import complete_body
 from mocapfix.stats.sequences import find_runs
 from tests.faulty_take import (
