@@ -40,7 +40,7 @@ from mocapfix.characters.body_frames import (
 from mocapfix.characters.character import LIMB_ENDS, SIDES, TWISTING_SEGMENTS, Character, CharacterMotion
 from mocapfix.characters.kept_positions import Points, Rotations
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.model.skeleton import UNLIMITED_RAD, compute_local_rotations, find_ancestor
+from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, compute_local_rotations, find_ancestor
 from mocapfix.options import FEET_LOCK
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import SolverSettings, minimise
@@ -60,28 +60,36 @@ FIXED_SEGMENTS = ("neck", "toe")  # segments that keep their rotation relative t
 
 @dataclass(frozen=True)
 class SolveTree:
-    """N joints of a character, parents before children, the pelvis first."""
+    """N joints of a character, the pelvis first."""
 
-    tree: KinematicTree  # for the kernels; offsets in metres in the bones' axes
+    skeleton: Skeleton  # the joints have the names of their segments, of spine and neck with the number of the bone: spine.0
     bones: Int[np.ndarray, " N"]  # the bone that has each joint's rotation
-    segments: tuple[str, ...]  # the segment of each joint, of spine and neck with the number of the bone: spine.0
+    free: Bool[np.ndarray, " N"]  # the joints that the solver turns
     standard_rotations: Float[np.ndarray, "N 3 3"]  # C of `BodyFrame`
 
-    def find_joint(self, segment: str) -> int:
-        """Return the index of a segment's joint, -1 if the character lacks it."""
-        return self.segments.index(segment) if segment in self.segments else -1
+    @property
+    def kernel_tree(self) -> KinematicTree:
+        """The joints as the kernels take them."""
+        return KinematicTree(self.skeleton.parents, self.skeleton.offsets, self.free)
 
     @property
     def chest(self) -> int:
         """The index of the outermost joint of the spine, -1 without a spine."""
-        return max((k for k, segment in enumerate(self.segments) if segment.startswith("spine.")), default=-1)
+        return max((k for k, segment in enumerate(self.skeleton.names) if segment.startswith("spine.")), default=-1)
+
+    def find_joint(self, segment: str) -> int:
+        """Return the index of a segment's joint, -1 if the character lacks it."""
+        return self.skeleton.names.index(segment) if segment in self.skeleton.names else -1
 
 
 def build_solve_tree(frame: BodyFrame) -> SolveTree:
-    """Return the tree of a character's segments."""
-    skeleton = frame.character.skeleton
+    """Return the tree of a character's segments.
+
+    Limits of a limb's bones that share its twist are for their shares, so they do not apply to its joint.
+    """
+    skeleton, mapping = frame.character.skeleton, frame.character.mapping
     joints: list[tuple[str, tuple[int, ...], int]] = []  # segment, bones, and the bone that has the rotation
-    for segment, chain in frame.character.mapping.bones.items():
+    for segment, chain in mapping.bones.items():
         if segment in CHAIN_SEGMENTS:
             joints += [(f"{segment}.{k}", (bone,), bone) for k, bone in enumerate(chain)]
         elif chain:
@@ -100,8 +108,16 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     segments = tuple(segment for segment, _, _ in joints)
     free = np.array([not segment.partition(".")[0].endswith(FIXED_SEGMENTS) for segment in segments])
     bones = np.array([bone for _, _, bone in joints])
-    standard = np.stack([frame.standard_rotations[bone] for bone in bones.tolist()])
-    return SolveTree(KinematicTree(parents, offsets, free), bones, segments, standard)
+    is_shared = np.array([segment in TWISTING_SEGMENTS and len(chain) > 1 for segment, chain, _ in joints])
+    solved = Skeleton(
+        segments,
+        parents,
+        offsets,
+        ends=np.full(offsets.shape, np.nan),
+        rest_rotations=compute_local_rotations(frame.rest_rotation[bones], parents),
+        limits_rad=np.where(is_shared[:, None, None], UNLIMITED_RAD, skeleton.limits_rad[bones]),
+    )
+    return SolveTree(solved, bones, free, np.stack([frame.standard_rotations[bone] for bone in bones.tolist()]))
 
 
 ANKLE_SD_M, WRIST_SD_M, PELVIS_SD_M = 0.0003, 0.003, 0.006  # standard deviations of positions about their targets
@@ -130,18 +146,18 @@ class SegmentTargets(NamedTuple):
         return SegmentTargets(self.rotation[is_selected], self.pelvis[is_selected], points)
 
 
-def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
+def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
     """Return positions of the pelvis in metres and local rotations of the joints that reach the targets."""
-    local = compute_local_rotations(targets.rotation, tree.tree.parents)
+    local = compute_local_rotations(targets.rotation, tree.skeleton.parents)
     terms = (
         _build_point_term(tree, targets),
         _build_direction_term(tree, targets.rotation),
         _build_orientation_term(tree, targets.rotation),
         _build_tracking_term(tree, local, targets.pelvis),
-        _build_limit_term(tree, character),
+        _build_limit_term(tree),
     )
     start = targets.pelvis, bend_straight_knees(tree, local)
-    return minimise(tree.tree, terms, start, SolverSettings(max_iterations=MAX_POSE_ITERATIONS)).poses
+    return minimise(tree.kernel_tree, terms, start, SolverSettings(max_iterations=MAX_POSE_ITERATIONS)).poses
 
 
 def bend_straight_knees(tree: SolveTree, local: JointRotations) -> JointRotations:
@@ -176,9 +192,9 @@ def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> Directio
     for side in SIDES:
         for start, end in LIMB_ENDS.items():
             joint, tip = tree.find_joint(f"{side}_{start}"), tree.find_joint(f"{side}_{end}")
-            length = np.linalg.norm(tree.tree.offsets[tip]) if tip >= 0 and tree.tree.parents[tip] == joint >= 0 else 0.0
+            length = np.linalg.norm(tree.skeleton.offsets[tip]) if tip >= 0 and tree.skeleton.parents[tip] == joint >= 0 else 0.0
             if length > 0:
-                directions.append((joint, tree.tree.offsets[tip] / length, DIRECTION_SD_RAD))
+                directions.append((joint, tree.skeleton.offsets[tip] / length, DIRECTION_SD_RAD))
     knees = [tree.find_joint(f"{side}_{segment}") for side in SIDES for segment in ("thigh", "shin")]
     directions += [(joint, tree.standard_rotations[joint].T @ SIDEWAYS, SIDEWAYS_SD_RAD) for joint in knees]
     joints, axes, sd = (np.array(each) for each in zip(*directions, strict=True))
@@ -187,7 +203,7 @@ def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> Directio
 
 
 def _build_orientation_term(tree: SolveTree, rotation: JointRotations) -> OrientationTerm:
-    sd = {k: ORIENTATION_SD_RAD.get(_get_base_segment(segment)) for k, segment in enumerate(tree.segments)}
+    sd = {k: ORIENTATION_SD_RAD.get(_get_base_segment(segment)) for k, segment in enumerate(tree.skeleton.names)}
     if tree.chest >= 0:
         sd[tree.chest] = ORIENTATION_SD_RAD["chest"]
     known = {k: each for k, each in sd.items() if each is not None}
@@ -196,22 +212,14 @@ def _build_orientation_term(tree: SolveTree, rotation: JointRotations) -> Orient
 
 
 def _build_tracking_term(tree: SolveTree, local: JointRotations, pelvis: Points) -> TrackingTerm:
-    sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.segments])
+    sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.skeleton.names])
     weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
     return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), PELVIS_SD_M**-2))
 
 
-def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
-    """Return the limits of the joints about the rest pose, without any where the character has none.
-
-    Limits of a limb's bones that share its twist are for their shares, so they do not apply to the joint.
-    """
-    chains = [character.mapping.bones.get(segment, ()) for segment in TWISTING_SEGMENTS]
-    is_shared = np.isin(tree.bones, [bone for chain in chains if len(chain) > 1 for bone in chain])
-    limits_rad = np.where(is_shared[:, None, None], UNLIMITED_RAD, character.skeleton.limits_rad[tree.bones])
-    reference = compute_local_rotations(character.skeleton.compute_rest_pose()[1][tree.bones], tree.tree.parents)
-    low, high = np.ascontiguousarray(np.moveaxis(limits_rad, 2, 0))
-    return JointLimitTerm(reference, low, high, JOINT_LIMIT_SD_RAD**-2)
+def _build_limit_term(tree: SolveTree) -> JointLimitTerm:
+    low, high = np.ascontiguousarray(np.moveaxis(tree.skeleton.limits_rad, 2, 0))
+    return JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2)
 
 
 LEG_AXIS = np.array([0.0, 1.0, 0.0])
@@ -321,7 +329,7 @@ def build_retarget_problem(
             rotation[:, joint] = foot @ tree.standard_rotations[joint]
     points = {f"{side}_foot": ankle for side, ankle in ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
-        start = compute_tree_poses(tree.tree, kept.pelvis, compute_local_rotations(rotation, tree.tree.parents))[0]
+        start = compute_tree_poses(tree.kernel_tree, kept.pelvis, compute_local_rotations(rotation, tree.skeleton.parents))[0]
         hands = kept_positions.compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))
@@ -333,16 +341,16 @@ def solve_retarget_problem(problem: RetargetProblem) -> tuple[RetargetProblem, P
     Frames in which a palm is nearer to a thigh than in the source are solved again, with targets farther from it.
     """
     tree, targets, wrists = problem.tree, problem.targets, problem.wrists
-    pelvis, local = solve_segments(tree, problem.target.character, targets)
+    pelvis, local = solve_segments(tree, targets)
     for _ in range(MAX_SEPARATIONS if wrists else 0):
-        position = name_positions(tree, compute_tree_poses(tree.tree, pelvis, local)[0])
+        position = name_positions(tree, compute_tree_poses(tree.kernel_tree, pelvis, local)[0])
         moved = kept_positions.move_hands_out_of_thighs(problem.source, problem.target, problem.segments, position, wrists)
         is_moved = np.any([np.abs(moved[side] - wrists[side]).max(1) > MIN_SEPARATION_M for side in SIDES], axis=0)
         if not is_moved.any():
             break
         wrists = moved
         targets = targets._replace(points=targets.points | {f"{side}_hand": wrist for side, wrist in wrists.items()})
-        pelvis[is_moved], local[is_moved] = solve_segments(tree, problem.target.character, targets.select_frames(is_moved))
+        pelvis[is_moved], local[is_moved] = solve_segments(tree, targets.select_frames(is_moved))
     return replace(problem, targets=targets), (pelvis, local)
 
 
@@ -350,7 +358,7 @@ def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segm
     """Return the world rotations of the bones of a target's solve tree that have the source's segments' rotations."""
     chains = {segment: fit_chain(source, target, segments, segment) for segment in CHAIN_SEGMENTS}
     rotations: list[Rotations] = []
-    for segment, standard in zip(tree.segments, tree.standard_rotations, strict=True):
+    for segment, standard in zip(tree.skeleton.names, tree.standard_rotations, strict=True):
         name, _, number = segment.partition(".")
         rotations.append((chains[name][:, int(number) + 1] if number else segments.rotation[name]) @ standard)
     return np.ascontiguousarray(np.stack(rotations, axis=1))
@@ -358,7 +366,7 @@ def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segm
 
 def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Points]:
     """Return the positions of the joints of a solve tree by segment; spine and neck are where their first bone begins."""
-    return {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.segments)}
+    return {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.skeleton.names)}
 
 
 def compose_character_motion(
@@ -366,9 +374,9 @@ def compose_character_motion(
 ) -> CharacterMotion:
     """Return the motion of all bones of a character from the pelvis in the world and the local rotations of a solve tree."""
     skeleton, mapping = frame.character.skeleton, frame.character.mapping
-    _, world = compute_tree_poses(tree.tree, pelvis, local)
+    _, world = compute_tree_poses(tree.kernel_tree, pelvis, local)
     standard = world @ np.swapaxes(tree.standard_rotations, 1, 2)
-    rotation = {segment: standard[:, k] for k, segment in enumerate(tree.segments) if "." not in segment}
+    rotation = {segment: standard[:, k] for k, segment in enumerate(tree.skeleton.names) if "." not in segment}
     for side in SIDES:
         rotation.setdefault(f"{side}_clavicle", standard[:, max(tree.chest, 0)])
     placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)

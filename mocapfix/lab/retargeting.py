@@ -48,7 +48,9 @@ def copy_rotations(source: Character, motion: CharacterMotion, target: Character
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     standing = [frame.leg_length_m + frame.ankle_height_m - frame.hip_centre[1] for frame in (source_frame, target_frame)]
     pelvis = segments.position["pelvis"] + np.array([0.0, standing[1] - standing[0], 0.0])
-    return compose_character_motion(target_frame, tree, pelvis, compute_local_rotations(rotation, tree.tree.parents), motion.rate)
+    return compose_character_motion(
+        target_frame, tree, pelvis, compute_local_rotations(rotation, tree.skeleton.parents), motion.rate
+    )
 
 
 SKATE_RATE_HZ = 30.0
