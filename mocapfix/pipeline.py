@@ -177,6 +177,7 @@ def clean_subject(
         with timer("solve"):
             standing = hold_standing_feet(complete_body(body, conditioner, options), take, options.contacts.feet)
     with timer("fill"):
+        # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
         filling_body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
         filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill)

@@ -139,7 +139,7 @@ class EventDisagreement(NamedTuple):
 class HeldFeet(NamedTuple):
     """What was done to the feet of a motion that stand."""
 
-    mode: str  # "soft", "lock", or "off" if they are as they were solved
+    mode: str  # "soft", "lock", or "off" if they are as they were solved: as asked, or since none stands
     largest_displacement_m: float  # the farthest that a heel or a ball of a foot was moved
     yielded_s: float = 0.0  # time for which a foot in contact was not held, since that would have moved visible markers
 
