@@ -135,9 +135,10 @@ def make_gap(studio: Studio) -> str:
     after.add_trail(cleaned_m[frames.start - 1 : frames.stop + 1], ESTIMATED, radius=0.009)
     after.add_balls(cleaned_m[[middle]], ESTIMATED, 0.024)
     save_picture("gap", studio.draw((before, after), 2 * [View(centre, 3.2, -35.0, 6.0)]))
+    method = next(change.method for change in take.result.changes if change.markers == (GAP,))
     return (
-        f"A marker of the wrist is lost for {GAP_S[1] - GAP_S[0]:.1f} s while the hand reaches up. mocapfix fills the gap "
-        f"from the markers that move with it, with an error of {error_mm:.0f} mm; that of a cubic spline is {cubic_mm:.0f} mm."
+        f"A marker of the wrist is lost for {GAP_S[1] - GAP_S[0]:.1f} s while the hand reaches up. Its samples are {method}. "
+        f"Their error is {error_mm:.0f} mm; that of a cubic spline is {cubic_mm:.0f} mm."
     )
 
 
