@@ -271,8 +271,6 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
     The files of rigs and characters are read when they are first named, and when they have been changed.
 
     Raises:
-        SceneError: If there is no such rig or character.
-        ReadError: If the file of a character is unreadable.
         WriteError: If two formats would write the same file.
     """
     files = (*options.rigs, *options.characters, *([options.character_map] if options.character_map else []))

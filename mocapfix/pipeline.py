@@ -220,9 +220,6 @@ def detect_and_fit(
 ) -> FittedTake:
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
     fitted to the inliers known before. A learned marker set that contradicts the take is withdrawn.
-
-    Raises:
-        TakeError: Where too few markers are visible.
     """
     with timer("detect"):
         detected = detect_on_trajectories(take, choice.marker_set, choice.subject, review, options)

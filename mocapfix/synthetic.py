@@ -389,11 +389,7 @@ def compose_take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, asym
 
 
 def write_synthetic_take(path: Path, synthetic: SyntheticTake) -> None:
-    """Write the damaged take as a C3D file, as a capture system would export it: millimetres, Z up, frames numbered from 1.
-
-    Raises:
-        WriteError: If the folder cannot be written.
-    """
+    """Write the damaged take as a C3D file, as a capture system would export it: millimetres, Z up, frames numbered from 1."""
     markers = np.where(synthetic.missing_mask[..., None], np.nan, synthetic.damaged_positions)
     write_c3d(path, Take(markers, synthetic.labels, synthetic.rate))
 

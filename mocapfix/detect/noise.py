@@ -394,10 +394,10 @@ def _find_excursions(take: Take, marker: int, min_distance_m: float, max_duratio
     if len(frames) >= 3:
         is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))
     omitted = np.flatnonzero(~is_kept)
-    fit = _fit_locally(frames[is_kept] / rate, frames[omitted] / rate)
-    deviation = points[omitted] - np.einsum("ns,nsx->nx", fit.weight, points[is_kept][fit.samples])
-    is_far = np.linalg.norm(deviation, axis=-1) > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * fit.sd_m)
-    return _Excursions(frames[omitted][is_far], deviation[is_far], frames[is_kept][fit.samples[is_far]], fit.weight[is_far])
+    samples, weight, sd_m = _fit_locally(frames[is_kept] / rate, frames[omitted] / rate)
+    deviation = points[omitted] - np.einsum("ns,nsx->nx", weight, points[is_kept][samples])
+    is_far = np.linalg.norm(deviation, axis=-1) > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * sd_m)
+    return _Excursions(frames[omitted][is_far], deviation[is_far], frames[is_kept][samples[is_far]], weight[is_far])
 
 
 def _find_shared_excursions(take: Take, marker: int, excursion: _Excursions, partners: np.ndarray) -> np.ndarray:
@@ -417,16 +417,11 @@ def _find_shared_excursions(take: Take, marker: int, excursion: _Excursions, par
     return is_possible & (find_shared_deviations(excursion.deviation, deviation) | is_rigid)
 
 
-class _LocalFit(NamedTuple):
-    """Local fits at N times."""
+def _fit_locally(times_s: np.ndarray, query_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit parabolas through the nearest samples of each of N times.
 
-    samples: np.ndarray  # indices (N, S) of the nearest samples
-    weight: np.ndarray  # weights (N, S) of these samples in the fitted position, with the sum 1
-    sd_m: np.ndarray  # standard deviation (N,) in metres per axis of the fitted position
-
-
-def _fit_locally(times_s: np.ndarray, query_s: np.ndarray) -> _LocalFit:
-    """Fit parabolas through the nearest samples.
+    Return the indices (N, S) of these samples, their weights (N, S) in the fitted position, with the sum 1, and its standard
+    deviation (N,) in metres per axis.
 
     Bayesian least squares: a sample weighs less the farther away in time it is, since a path is close to a parabola only for a
     moment. Where the samples are far away or few, the standard deviation is large and nothing is a spike.
@@ -441,4 +436,4 @@ def _fit_locally(times_s: np.ndarray, query_s: np.ndarray) -> _LocalFit:
     weight = np.einsum("na,nka,nk->nk", covariance[:, 0], basis, precision)
     # The prior's mean is the position of the first sample that follows.
     weight[:, FIT_SAMPLES_PER_SIDE] += 1 - weight.sum(1)
-    return _LocalFit(near, weight, np.sqrt(covariance[:, 0, 0]))
+    return near, weight, np.sqrt(covariance[:, 0, 0])

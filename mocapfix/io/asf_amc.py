@@ -92,11 +92,7 @@ class AsfSkeleton:
 
 
 def parse_asf(path: Path, text: str) -> AsfSkeleton:
-    """Parse the text of an ASF.
-
-    Raises:
-        ReadError: If it is invalid. The message names file and line.
-    """
+    """Parse the text of an ASF."""
     return _AsfParser(path).parse(text)
 
 

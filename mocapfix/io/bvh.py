@@ -41,17 +41,6 @@ ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.
 CHANNEL_PATTERN = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class BvhHierarchy:
-    """The J joints of a BVH, parents before children. The fields are those of `Animation`."""
-
-    names: tuple[str, ...]
-    parents: Int[np.ndarray, " J"]
-    offsets: Float[np.ndarray, "J 3"]
-    end_sites: tuple[Float[np.ndarray, "_ 3"], ...]
-    channels: tuple[tuple[str, ...], ...]
-
-
 @dataclass
 class _BvhJoint:
     name: str
@@ -59,22 +48,6 @@ class _BvhJoint:
     offset: list[float] | None = None
     channels: tuple[str, ...] = ()
     end_sites: list[list[float]] = field(default_factory=list[list[float]])
-
-
-def parse_hierarchy(path: Path, text: bytes) -> BvhHierarchy:
-    """Parse the text of a BVH before MOTION, with keywords in any case.
-
-    Raises:
-        ReadError: If the hierarchy is invalid. The message names file and line.
-    """
-    joints = _HierarchyParser(path).parse(_split_items(text.removeprefix(b"\xef\xbb\xbf")))
-    return BvhHierarchy(
-        names=tuple(joint.name for joint in joints),
-        parents=np.array([joint.parent for joint in joints]),
-        offsets=np.array([joint.offset for joint in joints], float),
-        end_sites=tuple(np.array(joint.end_sites, float).reshape(-1, 3) for joint in joints),
-        channels=tuple(joint.channels for joint in joints),
-    )
 
 
 def _split_items(text: bytes) -> Iterator[tuple[int, str]]:
@@ -221,9 +194,6 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     Args:
         data: The bytes of the file, if they were read already.
         options: What is known about the file.
-
-    Raises:
-        ReadError: If the file is invalid. The message names file and line.
     """
     path = Path(path)
     data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
@@ -231,20 +201,20 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     if not match:
         problem = "has no line MOTION after its hierarchy: it is not a BVH, or it was cut off"
         raise ReadError(f"{path}: {problem}. Export it again.")
-    hierarchy = parse_hierarchy(path, data[: match.start()])
+    joints = _HierarchyParser(path).parse(_split_items(data[: match.start()].removeprefix(b"\xef\xbb\xbf")))
     timing = _parse_timing(path, data, match.end(), options)
-    width = sum(len(each) for each in hierarchy.channels)
+    width = sum(len(joint.channels) for joint in joints)
     tokens = scan_tokens(data, timing.stop_byte)
     frame_count = _count_frames(path, tokens, width)
     notes = list(timing.notes)
     if timing.declared_frame_count != frame_count:
         notes.append(f"It declares {timing.declared_frame_count} frames and has {frame_count}; all of these are read.")
     animation = Animation(
-        names=hierarchy.names,
-        parents=hierarchy.parents,
-        offsets=hierarchy.offsets,
-        end_sites=hierarchy.end_sites,
-        channels=hierarchy.channels,
+        names=tuple(joint.name for joint in joints),
+        parents=np.array([joint.parent for joint in joints]),
+        offsets=np.array([joint.offset for joint in joints], float),
+        end_sites=tuple(np.array(joint.end_sites, float).reshape(-1, 3) for joint in joints),
+        channels=tuple(joint.channels for joint in joints),
         values=tokens.values.reshape(frame_count, width),
         rate=timing.rate,
         path=path,

@@ -115,9 +115,6 @@ def add_c3d_events(
         events_by_subject: The events of each person, by the name that the file has for that person; "" for none.
         first_frame: The file's number of its first frame.
         rate: Frames per second.
-
-    Raises:
-        WriteError: If the file is not writable.
     """
     data = target.read_bytes()
     head = C3dHead(data[:data_start_byte])

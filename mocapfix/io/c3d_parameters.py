@@ -343,11 +343,7 @@ class C3dParameters:
 
 
 def read_c3d_parameters(data: bytes) -> C3dParameters:
-    """Return what the C3D file with the bytes `data` declares about itself.
-
-    Raises:
-        ValueError: If the header or a parameter is invalid.
-    """
+    """Return what the C3D file with the bytes `data` declares about itself."""
     try:
         return _parse_parameters(C3dHead(data))
     except (struct.error, IndexError, OverflowError) as error:

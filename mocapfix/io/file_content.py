@@ -101,11 +101,7 @@ class TextDocument:
 
 
 def parse_document(path: Path, data: bytes) -> TextDocument:
-    """Return the lines of a text file: UTF-8, UTF-16 or UTF-32, with or without a byte-order mark, else Latin-1.
-
-    Raises:
-        ReadError: If UTF-16 or UTF-32 text is damaged.
-    """
+    """Return the lines of a text file: UTF-8, UTF-16 or UTF-32, with or without a byte-order mark, else Latin-1."""
     text, encoding = decode_text(data)
     if text.encode(encoding, "replace") != data:
         raise ReadError(f"{path}: is damaged {encoding[:6].upper()} text; save it again as UTF-8.")
@@ -138,11 +134,7 @@ def _detect_wide_encoding(data: bytes) -> str:
 
 
 def convert_to_utf_8(path: Path, data: bytes) -> bytes:
-    """Return the bytes of a text in UTF-8 if they are UTF-16 or UTF-32, otherwise unchanged. `restore_encoding` reverses this.
-
-    Raises:
-        ReadError: If UTF-16 or UTF-32 text is damaged.
-    """
+    """Return the bytes of a text in UTF-8 if they are UTF-16 or UTF-32, otherwise unchanged. `restore_encoding` reverses this."""
     if not _detect_wide_encoding(data):
         return data
     document = parse_document(path, data)

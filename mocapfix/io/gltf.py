@@ -49,11 +49,7 @@ def is_glb(head: bytes) -> bool:
 
 
 def parse_glb(path: Path, data: bytes) -> GlbContent:
-    """Return the content of a GLB. Bytes after its declared length are ignored.
-
-    Raises:
-        ReadError: If the container or its JSON is damaged. The message names the file.
-    """
+    """Return the content of a GLB. Bytes after its declared length are ignored."""
     if len(data) < GLB_HEADER.size + GLB_CHUNK_HEADER.size or not is_glb(data):
         raise ReadError(f"{path}: is no GLB, or was cut off within its header; export it again.")
     _, version, length = GLB_HEADER.unpack_from(data)

@@ -100,11 +100,7 @@ def check_frame_count(declared: str, frame_count: int) -> tuple[str, ...]:
 
 
 def parse_unit(document: TextDocument, index: int, name: str) -> float:
-    """Return the metres in the unit that the line at `index` names.
-
-    Raises:
-        ReadError: If the unit is unknown. The message lists the known units.
-    """
+    """Return the metres in the unit that the line at `index` names."""
     if (unit_m := get_metres_per_unit(name)) is None:
         raise document.build_error(index, f"the unit is {name!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
     return unit_m
@@ -196,9 +192,6 @@ def find_names_line(document: TextDocument, content: str) -> int:
 
     Args:
         content: What the line names, for error messages.
-
-    Raises:
-        ReadError: If none of the first lines begins so.
     """
     for index in range(min(MAX_HEADER_LINES, len(document.lines))):
         if document.get_line(index).lstrip(CELL_PADDING).lower().startswith("frame"):
@@ -292,9 +285,6 @@ def build_take(
         default_up_axis: Up axis of most files of the format, "Y" or "Z".
         notes: Sentences about assumptions made so far.
         options: What is known about the file.
-
-    Raises:
-        ReadError: If no point is a marker.
     """
     visible = find_valid_points(points_file)
     types = classify_points(DeclaredPoints(labels), visible, np.zeros(visible.shape))

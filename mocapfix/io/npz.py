@@ -39,9 +39,6 @@ def write_npz(
     Args:
         rate: Frames per second of the motion; by default those of the take.
         solved_joints: The joints that the markers show; by default all.
-
-    Raises:
-        WriteError: If `target` is not writable.
     """
     arrays = {
         "format": np.array(NPZ_FORMAT),

@@ -13,7 +13,6 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -122,14 +121,6 @@ TIME_PATTERN_UNITS_S = (1e-3, 1e-6, 1e-9, 1.0)
 INSPECTED_FRAMES = 50  # from which the span of the coordinates is computed
 
 
-class _PointColumns(NamedTuple):
-    """The first field of a point, its label, and the unit in its column name, "" if there is none."""
-
-    first_field: int
-    label: str
-    unit: str
-
-
 def is_plain_csv(head: bytes) -> bool:
     """Return whether a file with this beginning is a plain table of markers."""
     line = split_head_lines(head)[0]
@@ -157,14 +148,14 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         raise document.build_error(names_index, "has no columns X, Y and Z of a marker side by side; export it again.")
     line_indices = list(find_nonblank_lines(document, names_index + 1, delimiter))
     check_decimal_commas(document, line_indices, delimiter, len(cells))
-    others = [i for i in range(len(cells)) if not any(0 <= i - point.first_field < 3 for point in points)]
+    others = [i for i in range(len(cells)) if not any(0 <= i - first < 3 for first, _, _ in points)]
     time_field = next((i for i in others if TIME_COLUMN_PATTERN.fullmatch(cells[i])), None)
     frame_field = next((i for i in others if FRAME_COLUMN_PATTERN.fullmatch(cells[i])), None)
     if time_field is None and options.rate_hz is None:
         remedy = "give it with --rate HZ, or add a column Time in seconds"
         raise document.build_error(names_index, f"there is no column for the time, so the rate is unknown; {remedy}.")
-    field_indices = np.array([point.first_field for point in points])[:, None] + np.arange(3)
-    unit, notes = options.unit or next((point.unit for point in points if point.unit), ""), ()
+    field_indices = np.array([first for first, _, _ in points])[:, None] + np.arange(3)
+    unit, notes = options.unit or next((unit for _, _, unit in points if unit), ""), ()
     if not unit:
         inspected = line_indices[:: max(1, len(line_indices) // INSPECTED_FRAMES)]
         decimal_sign = detect_decimal_sign(document, inspected, delimiter)
@@ -179,7 +170,7 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             line_indices=line_indices,
             frame_field=frame_field,
             field_indices=field_indices,
-            labels=[point.label for point in points],
+            labels=[label for _, label, _ in points],
             unit_m=METRES_PER_UNIT[unit],
             rate_line=names_index,
             time_field=time_field,
@@ -190,12 +181,12 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
 
 
-def _find_points(cells: list[str]) -> list[_PointColumns]:
-    """Return the points whose X, Y and Z are three adjacent columns with the same label and unit."""
+def _find_points(cells: list[str]) -> list[tuple[int, str, str]]:
+    """Return the first column, label and unit ("" if none) of points whose three adjacent columns share label and unit."""
     matches = [COLUMN_PATTERN.fullmatch(cell) for cell in cells]
     columns = [(match[1], match[2].upper(), (match[3] or "").lower()) if match else ("", "", "") for match in matches]
     return [
-        _PointColumns(i, label, unit)
+        (i, label, unit)
         for i, (label, axis, unit) in enumerate(columns[:-2])
         if axis == "X" and columns[i + 1 : i + 3] == [(label, "Y", unit), (label, "Z", unit)]
     ]
@@ -212,9 +203,6 @@ def write_trc(target: str | Path, take: Take) -> None:
 
     The file has the unit and axes of the source file, tabs between fields, and blanks for missing samples. Frames keep their
     numbers. Times count from frame 1, or from frame 0 if the take begins there.
-
-    Raises:
-        WriteError: If `target` is not writable.
     """
     target, frame = Path(target), get_file_frame(take)
     is_short = np.isclose(take.rate, round(take.rate, 2), rtol=1e-9)  # two decimals are usual
@@ -238,9 +226,6 @@ def write_csv(target: str | Path, take: Take) -> None:
     Columns are frame, time_s, and LABEL_X_mm, LABEL_Y_mm, LABEL_Z_mm of each marker, in the unit (mm, cm or m) and axes of the
     source file. Missing samples are blank. Frames keep their numbers, and the time of the first one is 0. The file is UTF-8 with
     commas and decimal points.
-
-    Raises:
-        WriteError: If `target` is not writable.
     """
     frame = get_file_frame(take)
     names = [f"{label}_{axis}_{frame.unit_name}" for label in _list_written_labels(take) for axis in "XYZ"]

@@ -47,14 +47,6 @@ UNNAMED_MARKER_PATTERN = re.compile(r"|Marker-\d+|Unlabell?ed.*", re.IGNORECASE)
 MOTIVE_ROWS_UNIT_M = 1.0
 
 
-class _MarkerColumns(NamedTuple):
-    """The columns of the P markers, and notes on the choice."""
-
-    field_indices: Int[np.ndarray, "P 3"]
-    labels: list[str]
-    notes: tuple[str, ...]
-
-
 def is_motive_csv(head: bytes) -> bool:
     """Return whether a file with this beginning is a Motive CSV of version 1.2 or later."""
     return head[:20].lower().replace(b'"', b"").startswith(b"format version")
@@ -78,7 +70,7 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             header_index, "the coordinates are local to rigid bodies; export it with Coordinate Space Global."
         )
     axes_index = marker_table.find_names_line(document, "columns")
-    columns = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
+    field_indices, labels, notes = _find_marker_columns(document, header_index + 1, axes_index, delimiter)
     line_indices = list(marker_table.find_nonblank_lines(document, axes_index + 1, delimiter))
     marker_table.check_decimal_commas(document, line_indices, delimiter, len(document.split_cells(axes_index, delimiter)))
     unit_m, unit_notes = marker_table.parse_unit_or_default(
@@ -91,15 +83,15 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             delimiter=delimiter,
             line_indices=line_indices,
             frame_field=0,
-            field_indices=columns.field_indices,
-            labels=columns.labels,
+            field_indices=field_indices,
+            labels=labels,
             unit_m=unit_m,
             rate_text=rate,
             rate_line=header_index,
             time_field=1,
             default_up_axis="Y",
             declared_frame_count=header.get("total exported frames", ""),
-            notes=(*columns.notes, *unit_notes),
+            notes=(*notes, *unit_notes),
         ),
         options,
     )
@@ -154,8 +146,10 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
 
 
-def _find_marker_columns(document: TextDocument, start: int, axes_index: int, delimiter: str) -> _MarkerColumns:
-    """Return the columns of the markers, which the rows from `start` on describe."""
+def _find_marker_columns(
+    document: TextDocument, start: int, axes_index: int, delimiter: str
+) -> tuple[Int[np.ndarray, "P 3"], list[str], tuple[str, ...]]:
+    """Return the columns (P, 3) and labels of the markers, which the rows from `start` on describe, and notes on the choice."""
     header_rows = [
         document.split_cells(i, delimiter) for i in range(start, axes_index) if document.get_line(i).strip(delimiter + " ")
     ]
@@ -175,7 +169,7 @@ def _find_marker_columns(document: TextDocument, start: int, axes_index: int, de
     if expected and all(is_unlabelled(name) for _, _, name in markers):
         markers, notes = expected + markers, (EXPECTED_MARKERS_NOTE,)
     first_fields = np.array([i for i, _, _ in markers])
-    return _MarkerColumns(first_fields[:, None] + np.arange(3), [name for _, _, name in markers], notes)
+    return first_fields[:, None] + np.arange(3), [name for _, _, name in markers], notes
 
 
 def _parse_row_markers(document: TextDocument, index: int, cells: list[str]) -> dict[str, list[float]]:
@@ -218,11 +212,7 @@ def is_nexus_csv(head: bytes) -> bool:
 
 
 def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
-    """Return the take in the bytes of a Nexus export: the positions in its section of trajectories.
-
-    Raises:
-        ReadError: If there is no such section. The message names file and line.
-    """
+    """Return the take in the bytes of a Nexus export: the positions in its section of trajectories."""
     document = parse_document(path, data)
     names = ((index, document.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(document.lines)))
     sections = {index: name for index, name in names if name in SECTION_NAMES}

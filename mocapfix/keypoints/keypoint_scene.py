@@ -122,11 +122,7 @@ class KeypointFilm:
 
 
 def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
-    """Write a rerun recording (.rrd).
-
-    Raises:
-        WriteError: If `target` cannot be written.
-    """
+    """Write a rerun recording (.rrd)."""
     found, frames = film.confidence > 0, np.arange(len(film.joint_position_world))
     time = [rr.TimeColumn("time", duration=frames / film.rate_hz), rr.TimeColumn("frame", sequence=frames)]
     opacity = np.round(255 * film.confidence[found])[:, None]
@@ -159,11 +155,7 @@ def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
 
 
 def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport) -> None:
-    """Write a page with some frames as seen by the camera, keypoints over the body, and the same frames from the side.
-
-    Raises:
-        WriteError: If `target` cannot be written.
-    """
+    """Write a page with some frames as seen by the camera, keypoints over the body, and the same frames from the side."""
     frame_count = len(film.joint_position_world)
     frames = np.unique(np.linspace(0, frame_count - 1, KEYPOINT_FIGURE_COUNT + 2)[1:-1].round().astype(int))
     write_page(
@@ -299,8 +291,6 @@ def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> 
     """Return motion and camera of the film of a scene file.
 
     Raises:
-        SceneError: For an invalid scene.
-        ReadError: For invalid keypoints.
         TakeError: For keypoints that do not determine a body.
     """
     settings, timer = read_keypoint_scene(path), StageTimer(report_progress=progress)

@@ -88,9 +88,6 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
     Args:
         marker_set: As for `find_bodies`.
         subject_prefix: The only subject to clean; all other markers are left out.
-
-    Raises:
-        TakeError: Where no subject has that name.
     """
     if subject_prefix is not None:
         return (select_subject(take, subject_prefix),)

@@ -44,11 +44,7 @@ PAGE_COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "b
 
 
 def write_page(target: Path, template: str, **values: object) -> None:
-    """Render a template to a file. Values are escaped unless they are Markup.
-
-    Raises:
-        WriteError: If `target` cannot be written.
-    """
+    """Render a template to a file. Values are escaped unless they are Markup."""
     text = _load_environment().get_template(template).render(colours=PAGE_COLOURS, **values)
     with replace_atomically(target) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
@@ -78,11 +74,7 @@ class BarRow:
 
 
 def write_html_report(target: Path, report: Report, comparison: CleaningComparison) -> None:
-    """Write the HTML report of a take.
-
-    Raises:
-        WriteError: If `target` cannot be written.
-    """
+    """Write the HTML report of a take."""
     take, solve, subject = comparison.input_take, report["solve"], report["subject"]
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))

@@ -159,11 +159,7 @@ RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 
 
 
 def write_recording(target: Path, comparison: CleaningComparison) -> None:
-    """Write a rerun recording (.rrd) of a take before and after cleaning, with its blueprint.
-
-    Raises:
-        WriteError: If `target` cannot be written.
-    """
+    """Write a rerun recording (.rrd) of a take before and after cleaning, with its blueprint."""
     with replace_atomically(target) as part:
         recording = rr.RecordingStream("mocapfix")
         try:

@@ -91,11 +91,7 @@ class CleaningRun:
 def build_clean_command(
     take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake], formats: Sequence[str], rigs: Sequence[str]
 ) -> list[str]:
-    """Return the command that cleans a take again in its folder, with the changes files of all its subjects.
-
-    Raises:
-        SceneError: If there is no such format or rig.
-    """
+    """Return the command that cleans a take again in its folder, with the changes files of all its subjects."""
     for names, known in ((formats, EXTRA_FORMAT_NAMES), (rigs, RIG_NAMES)):
         if unknown := [name for name in names if name not in known]:
             raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(known)}.")

@@ -67,11 +67,7 @@ def load_mean_pose_prior(name: str, skeleton: Skeleton) -> MeanPosePrior:
 
 @cache
 def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePrior:
-    """Return the prior in a file, for joints of these names. The file is read once.
-
-    Raises:
-        SceneError: If a joint of the file is missing or incomplete.
-    """
+    """Return the prior in a file, for joints of these names. The file is read once."""
     data, joint_count = read_yaml(path), len(joint_names)
     mean_rotations = np.tile(np.eye(3), (joint_count, 1, 1))
     information, locked_information, between_take_covariance = np.zeros((3, joint_count, 3, 3))

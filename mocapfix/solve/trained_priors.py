@@ -339,11 +339,7 @@ MODEL_CLASSES: dict[str, type[PoseModel]] = {each.kind: each for each in (Gaussi
 
 
 def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:
-    """Return a function that loads a trained prior once, when it is first needed; None for the name "none".
-
-    Raises:
-        SceneError: Where there is no such prior.
-    """
+    """Return a function that loads a trained prior once, when it is first needed; None for the name "none"."""
     if name == "none":
         return None
     find_pose_model(name)

@@ -382,14 +382,6 @@ class WindowSolution(NamedTuple):
     evidence: PoseEvidence
 
 
-class IndependentSolution(NamedTuple):
-    """The solution of T frames before their trajectories are smoothed."""
-
-    poses: Poses
-    uncertainty: PoseUncertainty  # uncertainty of the poses
-    gap_variance: np.ndarray  # (T, J) rad^2: variance of the interpolated rotations of uncertain joints
-
-
 def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
     """Return the solution of all frames of a window; `is_restarted` are those whose start may be far from it."""
     poses, iterations = solve_from_starts(window, start, is_restarted)
@@ -398,11 +390,9 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
         poses, more_iterations = solve_from_starts(window, poses, np.zeros(len(poses[0]), bool))
         iterations = iterations + more_iterations
     problem, options, rate = window.pose_problem, window.options, window.rate
-    alone = solve_uncertain_frames(window, poses)
-    root_position, local_rotations = alone.poses
-    tracking = smoothing.smooth_poses(
-        root_position, local_rotations.copy(), alone.uncertainty, window.is_uncertain, problem.tree.free, rate
-    )
+    own_pose, known, gap_variance = solve_uncertain_frames(window, poses)
+    root_position, local_rotations = own_pose
+    tracking = smoothing.smooth_poses(root_position, local_rotations.copy(), known, window.is_uncertain, problem.tree.free, rate)
     tracked = np.where(window.is_unobserved[..., None, None], tracking.rotations, local_rotations)
     solution = problem.minimise((root_position, tracked), options.robust_scales_m[-1:], tracking)
     recover_lost_limbs(
@@ -410,7 +400,7 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
         window.subject,
         window.prior,
         solution.poses,
-        own_pose=alone.poses,
+        own_pose=own_pose,
         tracking=tracking,
         is_uncertain=window.is_uncertain,
         options=options,
@@ -421,8 +411,7 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
         anchor_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate
     )
     root_position[:] = anchor_position - kinematics.compute_anchor_offset(problem.tree, local_rotations)
-    known = alone.uncertainty
-    evidence = PoseEvidence(known.marker_sd, known.rotation_variance, alone.gap_variance, tracking.root_weight)
+    evidence = PoseEvidence(known.marker_sd, known.rotation_variance, gap_variance, tracking.root_weight)
     return WindowSolution(solution.poses, solution.status, iterations + solution.iterations, evidence)
 
 
@@ -443,8 +432,11 @@ def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: 
     return window.set_pose_prior(term)
 
 
-def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> IndependentSolution:
-    """Solve frames with uncertain joints again from their neighbours, tracking an interpolation of each frame's own solution."""
+def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, PoseUncertainty, np.ndarray]:
+    """Solve frames with uncertain joints again from their neighbours, tracking an interpolation of each frame's own solution.
+
+    Return poses, their uncertainty, and the variance (T, J) in rad^2 of the interpolated rotations of uncertain joints.
+    """
     problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
     robust_scale_m = options.robust_scales_m[-1]
     uncertainty = problem.compute_uncertainty(poses, robust_scale_m)
@@ -460,7 +452,7 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> IndependentSo
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
     )
-    return IndependentSolution(poses, uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
+    return poses, uncertainty._replace(rotation_variance=rotation_variance), gap_variance
 
 
 def solve_from_starts(

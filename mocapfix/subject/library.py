@@ -395,11 +395,7 @@ def find_subject_prefixes(labels: Sequence[str], marker_set: MarkerSet | None = 
 
 
 def select_subject(take: Take, subject_prefix: str) -> Take:
-    """Return the markers of one subject of a take, who is given by the beginning of the labels: "Jim" or "Jim:".
-
-    Raises:
-        TakeError: Where no subject has that name.
-    """
+    """Return the markers of one subject of a take, who is given by the beginning of the labels: "Jim" or "Jim:"."""
     subject_prefix = subject_prefix.strip().removesuffix(":")
     names = np.array([name.casefold() for name in take.marker_subjects], object)
     selected = np.flatnonzero(names == subject_prefix.casefold())

@@ -214,11 +214,7 @@ def calibrate_one_person(
 def calibrate_people(
     paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
 ) -> list[CalibratedPerson]:
-    """Calibrate all people in takes. Who is who: by the names in the labels or the folders of the takes, checked by the body.
-
-    Raises:
-        TakeError: If a take cannot be read or shows no body.
-    """
+    """Calibrate all people in takes. Who is who: by the names in the labels or the folders of the takes, checked by the body."""
     from mocapfix.surveys import BodyToCalibrate, find_bodies_to_calibrate, survey_subject
 
     found: dict[tuple[str, str], BodyToCalibrate] = {}

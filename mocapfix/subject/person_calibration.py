@@ -37,14 +37,6 @@ TAKE_DISTANCE_S = 1e3  # distance in time at which frames of different takes are
 MAX_JOINT_ROUNDS = 20  # steps of the shared unknowns
 
 
-class JointUnknowns(NamedTuple):
-    """The layout of the N unknowns of all takes, and their prior."""
-
-    of_take: tuple[Int[np.ndarray, " Q"], ...]  # indices of each take's own unknowns
-    information: Float[np.ndarray, "N N"]  # inverse covariance about the expected values
-    expected: Float[np.ndarray, " N"]
-
-
 class JointFit(NamedTuple):
     """The fitted states of all takes, with the unknowns (N,), the cost and its gradient (N,)."""
 
@@ -84,15 +76,15 @@ def calibrate_jointly(
     start = build_average_subject(takes[0].known_markers, size_ratio)
     plain = build_calibration_parameters(start, body, prior)
     parameters = add_hip_regression(plain, start, body.skeleton)
-    unknowns = lay_out_unknowns(plain, parameters, places)
+    unknowns_of_takes, information, expected = lay_out_unknowns(plain, parameters, places)
     poses = [each.poses for each in (takes if previous is None else previous.states)]
 
     def fit(values: np.ndarray, poses: list[Poses]) -> JointFit:
         states: list[RefinementState] = []
-        deviation = values - unknowns.expected
-        gradient = unknowns.information @ deviation
+        deviation = values - expected
+        gradient = information @ deviation
         cost = float(0.5 * deviation @ gradient)
-        for take, indices, start_poses in zip(takes, unknowns.of_take, poses, strict=True):
+        for take, indices, start_poses in zip(takes, unknowns_of_takes, poses, strict=True):
             of_take = values[indices]
             # the prior is that of all takes together, and is added once
             shape = replace(parameters, information=np.zeros_like(parameters.information))
@@ -103,14 +95,14 @@ def calibrate_jointly(
         return JointFit(states, values, cost, gradient)
 
     def sum_curvature(joint: JointFit) -> np.ndarray:
-        curvature = unknowns.information.copy()
-        for state, indices in zip(joint.states, unknowns.of_take, strict=True):
+        curvature = information.copy()
+        for state, indices in zip(joint.states, unknowns_of_takes, strict=True):
             curvature[np.ix_(indices, indices)] += refinement.compute_curvature(state)
         return curvature
 
-    values = np.zeros(len(unknowns.expected))
+    values = np.zeros(len(expected))
     if previous is not None:
-        for state, indices in zip(previous.states, unknowns.of_take, strict=True):
+        for state, indices in zip(previous.states, unknowns_of_takes, strict=True):
             values[indices] = state.unknowns
     first = fit(values, poses)
     joint, _ = minimise_shared(lambda values, joint: fit(values, joint.poses), first, sum_curvature, MAX_JOINT_ROUNDS)
@@ -119,8 +111,10 @@ def calibrate_jointly(
 
 def lay_out_unknowns(
     plain: CalibrationParameters, parameters: CalibrationParameters, places: Int[np.ndarray, "T K"]
-) -> JointUnknowns:
-    """Return the unknowns of all takes: deformations, markers at place 0, their further places, and mean poses of the takes.
+) -> tuple[list[Int[np.ndarray, " Q"]], Float[np.ndarray, "N N"], Float[np.ndarray, " N"]]:
+    """Lay out the N unknowns of all takes: deformations, markers at place 0, their further places, and mean poses of the takes.
+
+    Return the indices of each take's own unknowns, the inverse covariance about the expected values, and these.
 
     Args:
         plain: The parameters without the prediction of the hip joints, whose prior holds for further places.
@@ -150,7 +144,7 @@ def lay_out_unknowns(
         indices[shared:] = np.arange(own_pose.start, own_pose.stop)
         information[own_pose, own_pose] = parameters.information[shared:, shared:]
         of_take.append(indices)
-    return JointUnknowns(tuple(of_take), information, expected)
+    return of_take, information, expected
 
 
 def build_joint_calibration(
@@ -433,9 +427,6 @@ def calibrate_person(
 
     Args:
         sessions: The session of each take: markers are attached again only between sessions; None if all are of one.
-
-    Raises:
-        TakeError: If the takes have different marker sets.
     """
     takes = join_marker_sets(takes)
     session_of_take = {take.take: name for take, name in zip(takes, sessions or [""] * len(takes), strict=True)}
@@ -516,11 +507,7 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
 
 
 def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFrames]:
-    """Return the takes with the markers of all: those that a take does not have are missing in it.
-
-    Raises:
-        TakeError: If the takes have different marker sets.
-    """
+    """Return the takes with the markers of all: those that a take does not have are missing in it."""
     if len({take.marker_set for take in takes}) > 1:
         names = format_name_list([f"{take.take} ({take.marker_set})" for take in takes])
         raise TakeError(

@@ -55,11 +55,7 @@ class MarkerAssignment(NamedTuple):
 def guess_from_marker_cloud(
     take: Take, labels: tuple[str, ...], body: BodyModel, prior: MeanPosePrior, limits: JointLimits
 ) -> MarkerSet:
-    """Return a set of those markers of the take for which the body has a position, under the names `labels`.
-
-    Raises:
-        TakeError: If too few markers are visible at once.
-    """
+    """Return a set of those markers of the take for which the body has a position, under the names `labels`."""
     candidates = select_candidate_frames(take.markers)
     trial = take.markers[candidates[sample_evenly(len(candidates), MAX_TRIAL_FRAMES)]]
     if (~np.isnan(trial[..., 0])).sum(1).max(initial=0) < MIN_CLOUD_MARKERS:
