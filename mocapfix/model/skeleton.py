@@ -146,7 +146,6 @@ class BodyModel:
     Of a part of a body (see `restrict_body`), only the joints within the part are free. The others keep the mean pose.
 
     Attributes:
-        bone_groups: G named groups of joints whose offsets share one scale (left and right together).
         shape_components: Metres: the variation of people's offsets at one size, one standard deviation per component.
         free_joints: Joints that markers can turn. The hip stubs are redundant with the thighs, and toes, fingers and thumbs carry
             no markers, so they keep their rest pose.
@@ -154,7 +153,7 @@ class BodyModel:
     """
 
     skeleton: Skeleton
-    bone_groups: dict[str, tuple[int, ...]]
+    bone_groups: dict[str, tuple[int, ...]]  # g named groups of joints whose offsets share one scale (left and right together)
     shape_components: Float[np.ndarray, "P J 3"]
     free_joints: Bool[np.ndarray, " J"]
     shown_segments: Bool[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0, bool))

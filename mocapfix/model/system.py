@@ -15,23 +15,14 @@ DEVICE_NAMES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("co
 
 
 class System(NamedTuple):
-    """An operating system.
+    """An operating system."""
 
-    Attributes:
-        name: "linux", "darwin" or "win32", as Python names it.
-        cache_folder: Where programs of this user keep what they can compute again.
-        max_path_length: Characters of a path that all programs can open.
-        keeps_open_files: Whether a file that a program has open cannot be replaced or removed.
-        has_signal_masks: Whether a thread can block signals, and processes that it starts inherit this.
-        stop_signals: The signals besides the interrupt by which the system asks a command to end.
-    """
-
-    name: str
-    cache_folder: Path
-    max_path_length: int
-    keeps_open_files: bool
-    has_signal_masks: bool
-    stop_signals: tuple[int, ...]
+    name: str  # "linux", "darwin" or "win32", as Python names it
+    cache_folder: Path  # where programs of this user keep what they can compute again
+    max_path_length: int  # characters of a path that all programs can open
+    keeps_open_files: bool  # whether a file that a program has open cannot be replaced or removed
+    has_signal_masks: bool  # whether a thread can block signals, and processes that it starts inherit this
+    stop_signals: tuple[int, ...]  # the signals besides the interrupt by which the system asks a command to end
 
 
 def get_system() -> System:

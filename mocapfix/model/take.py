@@ -36,27 +36,19 @@ class C3dLayout:
     `rotation_y_up_file @ xyz * unit_m`; the inverse is `rotation_y_up_file.T @ marker / unit_m`.
 
     Attributes:
-        processor_type: Intel, DEC or SGI.
-        is_float: Whether words are 32-bit floats.
         scale_factor: Absolute value of POINT:SCALE. File units per count in integer files, and the unit of the residual in
             both kinds of file.
-        data_start_byte: Offset of the first point of the first frame.
-        frame_stride_bytes: Bytes from the first point of one frame to that of the next, analog samples included.
-        point_count: Points per frame, markers and others.
-        frame_count: Number of frames.
-        unit_m: Metres per file unit.
-        rotation_y_up_file: Rotation from file axes to Y-up axes.
     """
 
-    processor_type: int
-    is_float: bool
+    processor_type: int  # Intel, DEC or SGI
+    is_float: bool  # whether words are 32-bit floats
     scale_factor: float
-    data_start_byte: int
-    frame_stride_bytes: int
-    point_count: int
-    frame_count: int
-    unit_m: float
-    rotation_y_up_file: Float[np.ndarray, "3 3"]
+    data_start_byte: int  # offset of the first point of the first frame
+    frame_stride_bytes: int  # bytes from the first point of one frame to that of the next, analog samples included
+    point_count: int  # points per frame, markers and others
+    frame_count: int  # number of frames
+    unit_m: float  # metres per file unit
+    rotation_y_up_file: Float[np.ndarray, "3 3"]  # rotation from file axes to Y-up axes
 
     @property
     def has_vax_floats(self) -> bool:
@@ -107,27 +99,20 @@ class TableLayout:
     Each point has three fields in the line of a frame. Coordinates are mapped as by `C3dLayout`.
 
     Attributes:
-        encoding: Text encoding of the file; a byte-order mark is the first character of its text.
-        newline: Line separator; with "\\r\\n" the "\\r" is the last character of each line.
-        delimiter: Field separator.
-        decimal_sign: "." or ",".
-        unit_m: Metres per file unit.
         line_indices: Index of the line of each of the T frames, -1 for a frame that has no line.
         field_indices: Index of the X, Y and Z field of each of the P points. Empty if lines list only the visible markers.
-        number_format: Format specification of a coordinate, as for `format`.
-        missing_text: Text of a missing coordinate, such as "", "NaN" or "0.000".
         rotation_y_up_file: Rotation from file axes to Y-up axes.
     """
 
-    encoding: str
-    newline: str
-    delimiter: str
-    decimal_sign: str
-    unit_m: float
+    encoding: str  # text encoding of the file; a byte-order mark is the first character of its text
+    newline: str  # line separator; with "\\r\\n" the "\\r" is the last character of each line
+    delimiter: str  # field separator
+    decimal_sign: str  # "." or ","
+    unit_m: float  # metres per file unit
     line_indices: Int[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, int))
     field_indices: Int[np.ndarray, "P 3"] = field(default_factory=lambda: np.zeros((0, 3), int))
-    number_format: str = ".6f"
-    missing_text: str = ""
+    number_format: str = ".6f"  # format specification of a coordinate, as for `format`
+    missing_text: str = ""  # text of a missing coordinate, such as "", "NaN" or "0.000"
     rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     @property
@@ -147,17 +132,11 @@ SUBJECT_SEPARATORS = re.compile(r"[._-]")  # characters, besides the colon, that
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The axis of a file that points up.
+    """The axis of a file that points up."""
 
-    Attributes:
-        letter: "X", "Y" or "Z", with "-" before it if the axis points down.
-        basis: From what it is known, in a few words.
-        is_certain: Whether other axes are far less likely.
-    """
-
-    letter: str
-    basis: str
-    is_certain: bool = True
+    letter: str  # "X", "Y" or "Z", with "-" before it if the axis points down
+    basis: str  # from what it is known, in a few words
+    is_certain: bool = True  # whether other axes are far less likely
 
 
 @dataclass(frozen=True)
@@ -357,13 +336,11 @@ class ComputedPoints:
     """Positions that a program computed from markers. They are kept, and are no evidence of where markers are.
 
     Attributes:
-        take: The points as a take of their own.
-        evidence: For each point, how it was recognised.
         functions: For each point, how its position follows from other points of the file; None if that is not known.
     """
 
-    take: Take
-    evidence: tuple["ComputedEvidence", ...]
+    take: Take  # the points as a take of their own
+    evidence: tuple["ComputedEvidence", ...]  # for each point, how it was recognised
     functions: tuple[PointFunction | None, ...]
 
     @property
