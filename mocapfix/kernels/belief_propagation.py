@@ -27,6 +27,8 @@ import numpy as np
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.rigid_registration import compute_nearest_rotation, solve_wahba
 from mocapfix.kernels.small_matrices import (
+    clear_array,
+    copy_array,
     invert_symmetric_3x3,
     load_matrix,
     load_single_matrix,
@@ -61,20 +63,6 @@ class RegistrationWorkspace(NamedTuple):
 def read_matrix(row, n):
     """Return the 3 x 3 matrix that begins at number `n` of a row, as nine numbers."""
     return row[n], row[n + 1], row[n + 2], row[n + 3], row[n + 4], row[n + 5], row[n + 6], row[n + 7], row[n + 8]
-
-
-@compile_inner_kernel
-def clear_row(row):
-    """Set a row to zero: no information."""
-    for n in range(len(row)):
-        row[n] = 0.0
-
-
-@compile_inner_kernel
-def copy_row(row, target):
-    """Copy a row into `target`."""
-    for n in range(len(row)):
-        target[n] = row[n]
 
 
 @compile_inner_kernel
@@ -201,13 +189,13 @@ def fit_segment_pose_robustly(measured, offsets, weight, inlier_weight, row, pos
     others, candidate = spare
     for i in range(len(inlier_weight)):
         if inlier_weight[i] > 0:
-            copy_row(row, others)
+            copy_array(row, others)
             add_point(others, -inlier_weight[i] * weight[i], measured[i], offsets[i])
             fit_segment_pose(others, candidate, work)
             disagreement, _ = _compute_disagreement(measured, offsets, inlier_weight, candidate)
             if disagreement < best:
                 best = disagreement
-                copy_row(candidate, pose)
+                copy_array(candidate, pose)
     for i in range(len(inlier_weight)):
         if inlier_weight[i] > 0:
             inlier = 1 / (1 + _compute_squared_distance(pose, offsets[i], measured[i]) / OUTLIER_SCALE_M**2) ** 2
@@ -294,7 +282,7 @@ def propagate_segment_frames(segments, joint_segments, markers, position, varian
             _fit_segment(segments, s, markers[t], work, registration)
             if n < count:
                 _send_to_parent(segments, s, origin, work, registration)
-        copy_row(work.inlier_weight, inlier_weight[t])
+        copy_array(work.inlier_weight, inlier_weight[t])
         for j in range(position.shape[1]):
             variances[t, j] = _combine_joint_estimates(joint_segments, j, work.poses, position[t, j], registration)
 
@@ -303,9 +291,9 @@ def propagate_segment_frames(segments, joint_segments, markers, position, varian
 def _collect_marker_statistics(segments, measured, work, registration):
     """Initialise the statistics with each segment's own markers, and a weak prior on its rotation from the whole body's."""
     count = len(segments.parent)
-    clear_row(work.statistics[count])
+    clear_array(work.statistics[count])
     for s in range(count):
-        clear_row(work.statistics[s])
+        clear_array(work.statistics[s])
         for i in range(segments.first_marker[s], segments.first_marker[s + 1]):
             x, w = measured[i], segments.weight[i]
             work.inlier_weight[i] = 0.0 if math.isnan(x[0]) else 1.0
@@ -333,7 +321,7 @@ def _fit_segment(segments, s, measured, work, registration):
 def _send_to_parent(segments, s, origin, work, registration):
     """Add this segment's information to its parent's."""
     pose, message, mean = work.poses[s], work.messages[s], load_matrix(segments.mean_rotation, s)
-    clear_row(message)
+    clear_array(message)
     weight = 1 / compute_point_variance(pose, origin, 0.0, registration)
     add_point(message, weight, transform_point(pose, origin), segments.joint_offset[s])
     information = read_matrix(pose, INFORMATION_INDEX)

@@ -113,12 +113,8 @@ def transfer_pose_frames(tree, start_root, start_local, target, sd, scale, out, 
                 to_joint = transpose_matrix(load_matrix(start_rotation, j))
                 for i in range(count):
                     k = tree.cloud_joint[tree.cloud_start[j] + i]
-                    x, y, z = multiply_vector(
-                        to_joint,
-                        start_position[k, 0] - start_position[j, 0],
-                        start_position[k, 1] - start_position[j, 1],
-                        start_position[k, 2] - start_position[j, 2],
-                    )
+                    one, other = start_position[j], start_position[k]
+                    x, y, z = multiply_vector(to_joint, other[0] - one[0], other[1] - one[1], other[2] - one[2])
                     model[i, 0], model[i, 1], model[i, 2] = x, y, z
                     variance = tree.cloud_variance[tree.cloud_start[j] + i]
                     cloud_weight[i] = 1.0 / (1.0 / weight[k] + variance) if weight[k] > 0.0 else 0.0
@@ -150,24 +146,14 @@ def transfer_pose_frames(tree, start_root, start_local, target, sd, scale, out, 
                     x, y, z = multiply_vector(rotation, mean_model[0], mean_model[1], mean_model[2])
                     unit = CORRECTION_SD_COUNT / math.sqrt(total) if total > 0.0 else MAX_ROOT_SHIFT_M
                     out.root_unit[t] = min(MAX_ROOT_SHIFT_M, unit)
-                    if total > 0.0:
-                        out.root[t, 0], out.root[t, 1], out.root[t, 2] = (
-                            mean_points[0] - x,
-                            mean_points[1] - y,
-                            mean_points[2] - z,
-                        )
-                    else:
-                        for a in range(3):
-                            out.root[t, a] = start_root[t, a]
+                    shift = x, y, z
                     for a in range(3):
+                        out.root[t, a] = mean_points[a] - shift[a] if total > 0.0 else start_root[t, a]
                         out.position[t, 0, a] = out.root[t, a]
             elif tree.bone_end[j] >= 0 and weight[tree.bone_end[j]] > 0.0:
                 end = tree.bone_end[j]
-                x, y, z = (
-                    target[t, end, 0] - out.position[t, j, 0],
-                    target[t, end, 1] - out.position[t, j, 1],
-                    target[t, end, 2] - out.position[t, j, 2],
-                )
+                goal, origin = target[t, end], out.position[t, j]
+                x, y, z = goal[0] - origin[0], goal[1] - origin[1], goal[2] - origin[2]
                 length = math.sqrt(x * x + y * y + z * z)
                 if length > SMALLEST_SD_M:
                     direction = x / length, y / length, z / length
@@ -201,11 +187,8 @@ def _write_features(tree, t, j, target, weight, scale, inherited, out, features)
         d = target[t, j, 0] - out.root[t, 0], target[t, j, 1] - out.root[t, 1], target[t, j, 2] - out.root[t, 2]
         x, y, z = multiply_vector(transpose_matrix(load_matrix(out.rotation[t], 0)), *d)
         features[t, base], features[t, base + 1], features[t, base + 2] = x / scale, y / scale, z / scale
-        d = (
-            target[t, j, 0] - out.position[t, j, 0],
-            target[t, j, 1] - out.position[t, j, 1],
-            target[t, j, 2] - out.position[t, j, 2],
-        )
+        given, fitted = target[t, j], out.position[t, j]
+        d = given[0] - fitted[0], given[1] - fitted[1], given[2] - fitted[2]
         x, y, z = multiply_vector(transpose_matrix(load_matrix(out.rotation[t], p)), *d)
         features[t, base + 9], features[t, base + 10], features[t, base + 11] = x / scale, y / scale, z / scale
     own = load_matrix(out.rotation[t], j)

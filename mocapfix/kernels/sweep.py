@@ -70,13 +70,8 @@ def allocate_factors(joints, unknowns):
 def factorise_tree(tree, equations, damping, factors):
     """Eliminate all joints' rotations, the root's twist and the shared unknowns into `factors`, with Marquardt damping."""
     parents, free, lever_arm, h_joint = tree.parents, tree.free, equations.lever_arm, equations.h_joint
-    h, gain, inverse, cross, unknowns = (
-        factors.h,
-        factors.gain,
-        factors.joint_inverse,
-        factors.h_twist_shared,
-        len(equations.h_shared),
-    )
+    h, gain, inverse, cross = factors.h, factors.gain, factors.joint_inverse, factors.h_twist_shared
+    unknowns = len(equations.h_shared)
     copy_array(equations.h, h)
     if unknowns:
         clear_array(cross)
@@ -223,13 +218,8 @@ def solve_tree(tree, equations, factors, g, g_joint, step):
         step.shared: (P,) in: gradient on the shared unknowns; out: their step.
     """
     lever_arm, gain, inverse, shift = equations.lever_arm, factors.gain, factors.joint_inverse, equations.shared_shift
-    twist, turn, shared, shapes, joint_gain = (
-        step.twist,
-        step.joint_turn,
-        step.shared,
-        len(tree.shape_basis),
-        factors.joint_gain_shared,
-    )
+    twist, turn, shared, joint_gain = step.twist, step.joint_turn, step.shared, factors.joint_gain_shared
+    shapes = len(tree.shape_basis)
     for i in range(len(tree.parents) - 1, 0, -1):
         p = tree.parents[i]
         for c in range(shapes):

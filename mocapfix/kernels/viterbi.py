@@ -70,8 +70,13 @@ def _trace_chain(predecessor, i, g):
 
 
 @compile_kernel
-def compute_cheapest_states(step_cost, state_cost):
-    """Return (T,) the state of each frame in the sequence of least total cost."""
+def find_cheapest_states(step_cost, state_cost):
+    """Return (T,) the state of each frame in the sequence of least total cost (Viterbi 1967).
+
+    Args:
+        step_cost: (T - 1, N, N) cost of the step from each state of a frame to each state of the next.
+        state_cost: (T, N) cost of each state in each frame.
+    """
     frames, states = state_cost.shape
     cost, total, predecessor = np.empty(states), np.empty(states), np.zeros((frames, states), np.int64)
     for s in range(states):

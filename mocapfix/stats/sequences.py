@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.viterbi import compute_cheapest_states
-
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """Return the runs of True in `mask` as (first, last) indices, both inclusive."""
@@ -47,18 +45,6 @@ def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: i
     count = min(MAX_TRAINING_FRAMES - len(near), len(far))
     spaced = far[sample_evenly(len(far), count)] if count > 0 else far[:0]
     return np.sort(np.r_[near, spaced])
-
-
-def find_cheapest_states(
-    step_cost: Float[np.ndarray, "steps N N"], state_cost: Float[np.ndarray, "T N"]
-) -> Int[np.ndarray, " T"]:
-    """Return the state of each frame in the sequence of least total cost (Viterbi 1967).
-
-    Args:
-        step_cost: (T - 1, N, N) cost of the step from each state of a frame to each state of the next.
-        state_cost: Cost of each state in each frame.
-    """
-    return compute_cheapest_states(step_cost, state_cost)
 
 
 def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[int]:
