@@ -11,8 +11,6 @@ between them.
 Swaps have to be undone first, since both labels of a swap look like ghosts.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from mocapfix.kernels.label_evidence import (
@@ -69,13 +67,13 @@ def detect_ghosts(take: Take) -> list[Fault]:
             if not gain > MIN_GHOST_GAIN:
                 continue
             is_persistent = b == len(visible) - 1 or a == 0
-            displacement = _measure_displacement(take.markers, distances, m, visible, (a, b))
-            may_be_moved = is_persistent and displacement.sd_m < MIN_GHOST_M / 3
+            off_m, sd_m, is_abrupt = _measure_displacement(take.markers, distances, m, visible, (a, b))
+            may_be_moved = is_persistent and sd_m < MIN_GHOST_M / 3
             interval = int(frames[0]), int(frames[-1])
             is_seen = any(0 <= t < take.frame_count and take.visible[t, m] for t in (interval[0] - 1, interval[1] + 1))
             least_m = MIN_GHOST_M if is_seen else MIN_UNSEEN_GHOST_M
-            if displacement.distance_m > least_m and displacement.is_abrupt and not may_be_moved:
-                off_m, count = displacement.distance_m, interval[1] - interval[0] + 1
+            if off_m > least_m and is_abrupt and not may_be_moved:
+                count = interval[1] - interval[0] + 1
                 where = f"{off_m * 1e3:.0f} mm off its segment for {count / take.rate:.2f} s ({count} frames)"
                 end = "" if is_persistent else ", and returns"
                 reason = f"{take.bare_labels[m]} is {where}, at a position without a marker{end}."
@@ -103,18 +101,13 @@ def _compute_ghost_costs(
     return step_cost, np.stack([contradiction, elsewhere], 1) / (CONTRADICTION_S_PER_LEAP * rate)
 
 
-class _Displacement(NamedTuple):
-    """The deviation of a marker's distances to its partners in metres, and whether it begins and ends abruptly."""
-
-    distance_m: float  # size of the deviation, NaN if unknown
-    sd_m: float  # standard deviation over time
-    is_abrupt: bool  # whether the deviation changes abruptly at both ends, or may do so
-
-
 def _measure_displacement(
     markers: np.ndarray, distances: MarkerDistances, marker: int, visible: np.ndarray, interval: tuple[int, int]
-) -> _Displacement:
+) -> tuple[float, float, bool]:
     """Measure the deviation from the distances to the steadiest partners.
+
+    Return its size in metres, NaN if unknown, its standard deviation over time, and whether it changes abruptly at both ends, or
+    may do so.
 
     Args:
         visible: The frames (N,) in which the marker is visible.
@@ -126,7 +119,7 @@ def _measure_displacement(
     partners = partners[~np.isnan(markers[frames][:, partners, 0]).any(0)]
     partners = partners[~_find_shared_deviations(markers, distances, marker, partners, frames)]
     if not partners.size:
-        return _Displacement(float("nan"), float("nan"), True)
+        return float("nan"), float("nan"), True
     deviation = _compute_deviations(markers[frames], distances, marker, partners)
     ends = [(frames[0], visible[a - 1])] if a > 0 else []
     ends += [(frames[-1], visible[b + 1])] if b + 1 < len(visible) else []
@@ -135,7 +128,7 @@ def _measure_displacement(
         at_end = _compute_deviations(markers[[*end]], distances, marker, partners)
         inside, outside = at_end[:, np.abs(at_end[0]).argmax()]
         is_abrupt &= not abs(inside - outside) < MIN_END_CHANGE_RATIO * abs(inside)
-    return _Displacement(float(np.median(np.abs(deviation).max(1))), float(deviation.std(0).max()), is_abrupt)
+    return float(np.median(np.abs(deviation).max(1))), float(deviation.std(0).max()), is_abrupt
 
 
 def _compute_deviations(markers: np.ndarray, distances: MarkerDistances, marker: int, partners: np.ndarray) -> np.ndarray:

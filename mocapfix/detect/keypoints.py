@@ -12,8 +12,6 @@ deviation of the distance to the nearest joint of the same side from its usual l
 outwards. Being exchanged costs a little at all times, so that the smaller part of a take is the exchanged one.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -46,14 +44,6 @@ MIN_OUTLIER_NOISE_RATIO = 0.5
 SMOOTHING_ROUNDS = 5
 
 
-class SmoothedPoint(NamedTuple):
-    """A keypoint's trajectory without noise."""
-
-    path: np.ndarray  # positions (T, 3) in metres, NaN where the point was not measured
-    is_outlier: np.ndarray  # samples (T,) at a large distance from the trajectory
-    noise_sd_m: float  # standard deviation of the noise per axis
-
-
 def estimate_noise_sd(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, " M"]:
     """Return the standard deviation per axis, in metres, of the noise of each point, from its third differences."""
     if len(markers) <= MIN_SMOOTHED_SAMPLES:
@@ -68,8 +58,10 @@ def estimate_noise_sd(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, 
     return noise_sd_m
 
 
-def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float, point_sd_m: float) -> SmoothedPoint:
-    """Smooth the trajectory of one keypoint.
+def smooth_point(
+    path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float, point_sd_m: float
+) -> tuple[Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
+    """Return the trajectory of one keypoint without noise, NaN where it was not measured, and the samples far away from it.
 
     Args:
         noise_sd_m: Standard deviation of the noise per axis.
@@ -84,7 +76,7 @@ def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float,
         if is_known[frames].sum() >= MIN_SMOOTHED_SAMPLES:
             smooth[frames], is_outlier[frames] = _smooth_run(path[frames], is_known[frames], noise_sd_m, rate, point_sd_m)
     smooth[~is_known] = np.nan
-    return SmoothedPoint(smooth, is_outlier & is_known, noise_sd_m)
+    return smooth, is_outlier & is_known
 
 
 def _smooth_run(
@@ -296,14 +288,14 @@ def detect_on_keypoints(take: Take, marker_set: MarkerSet, review: FaultReview, 
     markers = take.markers.copy()
     outliers: list[Fault] = []
     for m in range(len(take.labels)):
-        smoothed = smooth_point(take.markers[:, m], float(noise_sd_m[m]), take.rate, marker_set.point_sd)
+        path, is_outlier = smooth_point(take.markers[:, m], float(noise_sd_m[m]), take.rate, marker_set.point_sd)
         found = [
-            _build_outlier_fault(take, m, first, last, smoothed.path, options.detect.max_spike_duration_s)
-            for first, last in find_runs(smoothed.is_outlier)
+            _build_outlier_fault(take, m, first, last, path, options.detect.max_spike_duration_s)
+            for first, last in find_runs(is_outlier)
         ]
         outliers += review.select(found)
-        is_smoothed = is_editable[:, m] & take.measured[:, m] & ~smoothed.is_outlier
-        markers[is_smoothed, m] = smoothed.path[is_smoothed]
+        is_smoothed = is_editable[:, m] & take.measured[:, m] & ~is_outlier
+        markers[is_smoothed, m] = path[is_smoothed]
     take = take.replace_markers(markers)
     missing = review.select([*gaps.detect_gaps(take), *gaps.detect_lost_segments(take, marker_set)])
     faults = Faults().add_faults([*missing, *outliers])

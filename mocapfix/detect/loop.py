@@ -152,9 +152,7 @@ def detect_sample_faults(
         measured, memory=memory
     )
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
-    bursts = noise.detect_jitter(
-        measured, is_usable, options.min_jitter_m, noise.MIN_JITTER_RATIO, noise.MIN_JITTER_DURATION_S, memory
-    )
+    bursts = noise.detect_jitter(measured, is_usable, options.min_jitter_m, memory)
     has_jitter = build_fault_mask(bursts, shape)
     # a marker with bursts of jitter is not reported as noisy as well
     noisy = [fault for fault in noise.detect_noise(measured, memory) if not has_jitter[:, fault.marker].any()]

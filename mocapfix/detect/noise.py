@@ -219,51 +219,36 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
 
 
 def detect_jitter(
-    take: Take,
-    is_usable: Bool[np.ndarray, "T M"],
-    min_amplitude_m: float,
-    min_ratio: float,
-    min_duration_s: float,
-    memory: RoundMemory | None = None,
+    take: Take, is_usable: Bool[np.ndarray, "T M"], min_amplitude_m: float, memory: RoundMemory | None = None
 ) -> list[Fault]:
     """Detect the bursts in which a marker is much noisier than in the rest of the take.
 
     Args:
         is_usable: The samples without spikes.
         min_amplitude_m: Smallest noise in a burst, in metres.
-        min_ratio: Smallest noise in a burst, in multiples of the marker's median over the take.
-        min_duration_s: Duration of the shortest burst.
         memory: What earlier rounds on the same positions found.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the noise in metres.
     """
-    limits = _BurstLimits(min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2, min_ratio, min_duration_s * take.rate)
+    min_noise_m = min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2
     faults: list[Fault] = []
     memory, partners = memory or RoundMemory(), None
     for m, label in enumerate(take.bare_labels):
         samples = is_usable[:, m]
-        noise = memory.recall(
-            ("bursts", m, limits), samples, lambda m=m, samples=samples: _measure_noise(take, m, samples, limits)
+        usual_m, threshold_m, bursts = memory.recall(
+            ("bursts", m, min_noise_m), samples, lambda m=m, samples=samples: _measure_noise(take, m, samples, min_noise_m)
         )
-        memory.recall(("usual residual", m), samples, lambda noise=noise: noise.usual_m)  # for `estimate_noise_levels`
-        for burst in noise.bursts:
+        memory.recall(("usual residual", m), samples, lambda usual_m=usual_m: usual_m)  # for `estimate_noise_levels`
+        for burst in bursts:
             partners = estimate_distances(take.markers).partner if partners is None else partners
-            if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, noise.threshold_m):
+            if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, threshold_m):
                 continue
             duration_s = (burst.last - burst.first + 1) / take.rate
-            usual = f"its usual noise is {noise.usual_m * 1e3:.1f} mm"
+            usual = f"its usual noise is {usual_m * 1e3:.1f} mm"
             reason = f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; {usual}."
             faults.append(Fault("jitter", m, burst.first, burst.last, burst.amplitude_m, reason))
     return faults
-
-
-class _BurstLimits(NamedTuple):
-    """The smallest noise of a burst, in metres and relative to the marker's median, and its least number of frames."""
-
-    min_amplitude_m: float
-    min_ratio: float
-    min_frames: float
 
 
 class _Burst(NamedTuple):
@@ -274,23 +259,15 @@ class _Burst(NamedTuple):
     amplitude_m: float
 
 
-class _MarkerNoise(NamedTuple):
-    """The median noise of a marker, the smallest noise of a burst of it, both in metres, and the bursts."""
-
-    usual_m: float
-    threshold_m: float
-    bursts: tuple[_Burst, ...]
-
-
-def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, limits: _BurstLimits) -> _MarkerNoise:
-    """Measure the noise of a marker in the frames `is_usable` (T,)."""
+def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, min_noise_m: float) -> tuple[float, float, tuple[_Burst, ...]]:
+    """Return the median noise of a marker in the frames `is_usable` (T,), the smallest of a burst of it, and the bursts."""
     frames = np.flatnonzero(is_usable)
     if len(frames) < MIN_NOISE_SAMPLES:
-        return _MarkerNoise(np.nan, np.nan, ())
+        return np.nan, np.nan, ()
     residual_m = compute_cubic_residuals(frames / take.rate, take.markers[frames, marker])
     usual_m = float(np.median(residual_m))
-    threshold_m = max(limits.min_amplitude_m, limits.min_ratio * usual_m)
-    return _MarkerNoise(usual_m, threshold_m, tuple(_find_bursts(frames, residual_m, threshold_m, limits.min_frames)))
+    threshold_m, min_frames = max(min_noise_m, MIN_JITTER_RATIO * usual_m), MIN_JITTER_DURATION_S * take.rate
+    return usual_m, threshold_m, tuple(_find_bursts(frames, residual_m, threshold_m, min_frames))
 
 
 def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: float, min_frames: float) -> Iterator[_Burst]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -102,13 +102,6 @@ def compute_feature_vectors(
     return turns.as_rotvec().reshape(angles.shape)
 
 
-class LayerOutput(NamedTuple):
-    """The output of layers for N rows, and its derivatives along P directions."""
-
-    rows: Float32[np.ndarray, "N B"]
-    slopes: Float32[np.ndarray, "N P B"]
-
-
 def evaluate_silu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x / (1 + exp(-x)) and its derivative."""
     share = 1 / (1 + np.exp(-values))
@@ -134,8 +127,8 @@ class Layers:
         self.skip_weight = weights[f"{part}{SKIP}weight"].T if has_skip else None
         self.evaluate_activation = ACTIVATION_SLOPES[architecture.activation]
 
-    def linearise(self, inputs: Float[np.ndarray, "N A"], directions: Float[np.ndarray, "P A"]) -> LayerOutput:
-        """Return the output for inputs and its derivatives along some directions of the input.
+    def linearise(self, inputs: Float[np.ndarray, "N A"], directions: Float[np.ndarray, "P A"]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the output (N, B) for inputs and its derivatives (N, P, B) along some directions of the input.
 
         The matrix products span all rows, and the first derivatives, which are equal for all rows, are computed once.
         """
@@ -149,10 +142,10 @@ class Layers:
             rows, slopes = rows @ weight + bias, slopes @ weight
         if self.skip_weight is not None:
             rows, slopes = rows + start @ self.skip_weight, slopes + steps @ self.skip_weight
-        return LayerOutput(rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:])))
+        return rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:]))
 
     def evaluate(self, inputs: Float[np.ndarray, "N A"]) -> Float32[np.ndarray, "N B"]:
-        return self.linearise(inputs, np.zeros((0, inputs.shape[1]))).rows
+        return self.linearise(inputs, np.zeros((0, inputs.shape[1])))[0]
 
 
 FIELD_OF_AUTOENCODER_TENSOR = {

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Collection, Iterator, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -42,13 +42,6 @@ class SideSplit(NamedTuple):
     place: str
 
 
-class OtherWords(NamedTuple):
-    """Words that locate no marker: those of objects, and those that only modify others."""
-
-    objects: frozenset[str]
-    modifiers: frozenset[str]
-
-
 def guess_marker_set_from_words(labels: Sequence[str]) -> MarkerSet:
     """Return those of the labels whose words locate a marker, as a marker set; the labels have no subject prefixes.
 
@@ -77,7 +70,7 @@ def locate_label(label: str, side_places: Collection[str] = ALL_SIDE_PLACES) -> 
     Returns None if the label has no known word, names an object, or has no word for the side of a marker that needs one.
     """
     name = fold_label(label)
-    if names_object(label) or name in _load_other_words().modifiers:
+    if names_object(label) or name in _load_other_words("modifiers"):
         return None
     for split in _list_side_splits(name):
         if split.side and split.place not in side_places:
@@ -93,7 +86,7 @@ def locate_label(label: str, side_places: Collection[str] = ALL_SIDE_PLACES) -> 
 
 def names_object(label: str) -> bool:
     """Return whether a word of a label names an object, such as a wheelchair or a racket."""
-    words, tokens = _load_other_words().objects, [token.upper() for token in TOKEN_PATTERN.findall(label)]
+    words, tokens = _load_other_words("objects"), [token.upper() for token in TOKEN_PATTERN.findall(label)]
     candidates = {name for token in tokens for name in (token, token.removesuffix("S"))}
     candidates |= {split.rest for split in _list_side_splits(fold_label(label))}
     return any(candidate.rstrip("0123456789") in words for candidate in candidates)
@@ -143,7 +136,7 @@ def _find_first_word(name: str, word_starts: frozenset[int]) -> WordLocation | N
 
 def _list_words_at(name: str, start: int) -> Iterator[str]:
     """Yield the known words that begin at a letter of a folded name, no modifier among them."""
-    rest, modifiers = name[start:], _load_other_words().modifiers
+    rest, modifiers = name[start:], _load_other_words("modifiers")
     first_starts = (0, *_list_modifier_ends(name))
     longest_modifier = max((len(word) for word in modifiers if rest.startswith(word)), default=0)
     for word in _load_word_locations():
@@ -158,16 +151,16 @@ def _list_words_at(name: str, start: int) -> Iterator[str]:
 @cache
 def _list_modifier_ends(name: str) -> tuple[int, ...]:
     """Return where the modifiers at the beginning of a folded name end, one after the other."""
-    ends, modifiers = [0], _load_other_words().modifiers
+    ends, modifiers = [0], _load_other_words("modifiers")
     for end in ends:
         ends += [end + len(word) for word in modifiers if name.startswith(word, end) and end + len(word) not in ends]
     return tuple(ends[1:])
 
 
 @cache
-def _load_other_words() -> OtherWords:
-    entries = read_shipped_yaml(OTHER_WORDS_FILE)
-    return OtherWords(*(frozenset(word.upper() for word in entries[key]) for key in ("objects", "modifiers")))
+def _load_other_words(kind: Literal["objects", "modifiers"]) -> frozenset[str]:
+    """Return the words that locate no marker: those of objects, or those that only modify others."""
+    return frozenset(word.upper() for word in read_shipped_yaml(OTHER_WORDS_FILE)[kind])
 
 
 @cache

@@ -16,7 +16,7 @@ def swinging(rate=120.0, seconds=4.0, noise=0.0005):
 
 def found(markers, rate=120.0):
     take = Take(markers, ("LWRA",), rate)
-    return noise.detect_jitter(take, take.visible, min_amplitude_m=0.005, min_ratio=6.0, min_duration_s=0.1)
+    return noise.detect_jitter(take, take.visible, min_amplitude_m=0.005)
 
 
 def add_jitter(markers, first, last, size, seed=0):

@@ -133,9 +133,9 @@ def test_noise_is_estimated_and_removed(noise_sd_m):
     measured = truth + rng.normal(0, noise_sd_m, truth.shape)
     estimated = float(estimate_noise_sd(measured[:, None])[0])
     assert estimated == pytest.approx(noise_sd_m, rel=0.2)
-    smoothed = smooth_point(measured, estimated, RATE, noise_sd_m)
-    assert np.sqrt(((smoothed.path - truth) ** 2).mean()) < 0.5 * noise_sd_m
-    assert smoothed.is_outlier.sum() <= 1
+    smooth, is_outlier = smooth_point(measured, estimated, RATE, noise_sd_m)
+    assert np.sqrt(((smooth - truth) ** 2).mean()) < 0.5 * noise_sd_m
+    assert is_outlier.sum() <= 1
 
 
 def test_outliers_are_found_and_do_not_move_the_path():
@@ -145,14 +145,14 @@ def test_outliers_are_found_and_do_not_move_the_path():
     outliers = np.array([50, 51, 120, 300])
     measured[outliers] += [0.4, 0.0, -0.3]
     measured[200:215] = np.nan
-    smoothed = smooth_point(measured, 0.02, RATE, 0.02)
-    np.testing.assert_array_equal(np.flatnonzero(smoothed.is_outlier), outliers)
-    assert np.isnan(smoothed.path[200:215]).all()
-    assert np.nanmax(np.linalg.norm(smoothed.path - truth, axis=-1)) < 0.06
+    smooth, is_outlier = smooth_point(measured, 0.02, RATE, 0.02)
+    np.testing.assert_array_equal(np.flatnonzero(is_outlier), outliers)
+    assert np.isnan(smooth[200:215]).all()
+    assert np.nanmax(np.linalg.norm(smooth - truth, axis=-1)) < 0.06
 
 
 def test_short_and_missing_trajectories_are_left_as_they_are():
     path = np.full((30, 3), np.nan)
-    assert np.isnan(smooth_point(path, 0.02, RATE, 0.02).path).all()
+    assert np.isnan(smooth_point(path, 0.02, RATE, 0.02)[0]).all()
     path[3:9] = 1.0
-    np.testing.assert_array_equal(smooth_point(path, 0.02, RATE, 0.02).path, path)
+    np.testing.assert_array_equal(smooth_point(path, 0.02, RATE, 0.02)[0], path)

@@ -124,7 +124,7 @@ def test_vibrating_limb_has_no_jitter():
 
 
 def detect_jitter(take):
-    faults = noise.detect_jitter(take, take.visible, 0.004, 5.0, 0.1)
+    faults = noise.detect_jitter(take, take.visible, 0.004)
     return [(take.labels[f.marker], f.first, f.last) for f in faults]
 
 
