@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from mocapfix.detect.noise import RoundMemory
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
-from mocapfix.stats.sequences import compute_float_resolution, estimate_resolution, find_runs
+from mocapfix.stats.sequences import compute_float_resolution, estimate_resolution, find_runs, sample_evenly
 
 
 def compute_polynomial_misfits(
@@ -173,7 +173,7 @@ def _choose_stretch_length(take: Take, degree: int, resolution: float, length: i
 
 def _measure_small_misfit(path: np.ndarray, degree: int, length: int) -> float:
     """Measure the misfit in metres that few stretches of a path (T, 3) fall below, NaN if none is complete."""
-    starts = np.unique(np.linspace(0, len(path) - length, MAX_SAMPLED_STRETCHES).astype(int))
+    starts = sample_evenly(len(path) - length + 1, MAX_SAMPLED_STRETCHES)
     misfit_m = compute_polynomial_misfits(path, degree, length, starts)
     misfit_m = misfit_m[~np.isnan(misfit_m)]
     return float(np.quantile(misfit_m, SMALL_MISFIT_QUANTILE)) if len(misfit_m) else np.nan
@@ -258,7 +258,7 @@ def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) 
     frames, count = markers.shape[:2]
     usual_change = np.full((count, count), np.inf)
     lag = min(round(DISTANCE_CHANGE_INTERVAL_S * rate), frames // 2)
-    starts = np.unique(np.linspace(0, frames - lag - 1, MAX_FRAME_PAIRS).astype(int)) if lag else np.zeros(0, int)
+    starts = sample_evenly(frames - lag, MAX_FRAME_PAIRS) if lag else np.zeros(0, int)
     before, after = markers[starts], markers[starts + lag]
     for i in range(1, count):
         old, new = (np.linalg.norm(sample[:, :i] - sample[:, i, None], axis=-1) for sample in (before, after))

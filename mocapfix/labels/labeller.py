@@ -15,6 +15,7 @@ from mocapfix.labels import body_search, tracklets
 from mocapfix.labels.set_comparison import add_optional_markers, measure_marker_evidence
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.average_body import build_posed_body
 
 BODIES_PER_KEY_FRAME = 3  # bodies of each frame that are kept
@@ -199,7 +200,7 @@ def assign_to_people(points: tracklets.UnlabelledPoints, masks: list[Bool[np.nda
     starts = np.searchsorted(of_point.ravel()[order], np.arange(points.tracklet_count + 1))
     for n in np.flatnonzero(counts.sum(0) == 0):
         places = order[starts[n] : starts[n + 1]]
-        places = places[np.unique(np.linspace(0, len(places) - 1, MAX_PROXIMITY_FRAMES).astype(int))]
+        places = places[sample_evenly(len(places), MAX_PROXIMITY_FRAMES)]
         frames, columns = np.unravel_index(places, of_point.shape)
         person[n] = int(np.argmin([_measure_distance(points.positions, frames, columns, mask) for mask in masks]))
     return np.append(person, -1)[of_point]

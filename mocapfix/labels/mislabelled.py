@@ -22,6 +22,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve.terms import compute_robust_costs
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject.average_body import (
     PosedBody,
     build_average_subject,
@@ -117,8 +118,7 @@ def select_fullest_frames(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarr
     """Select up to MAX_BODY_FIT_FRAMES of the frames with the most visible markers, evenly over the take."""
     count = (~np.isnan(markers[..., 0])).sum(1)
     full = np.flatnonzero(count >= max(MIN_FITTED_MARKERS, MIN_RELATIVE_MARKER_COUNT * count.max(initial=0)))
-    pick = np.unique(np.linspace(0, len(full) - 1, MAX_BODY_FIT_FRAMES).astype(int)) if len(full) else full
-    return np.ascontiguousarray(markers[full[pick]])
+    return np.ascontiguousarray(markers[full[sample_evenly(len(full), MAX_BODY_FIT_FRAMES)]])
 
 
 def find_correct_labels(

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.point_linking import combine_links, link_in_order, number_tracklets
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def are_points_unordered(positions: Float[np.ndarray, "T C 3"]) -> bool:
     has_point = ~np.isnan(positions[..., 0])
     pairs = np.flatnonzero((has_point[:-1] & has_point[1:]).any(1))
     is_nearer_to_another: list[np.ndarray] = []
-    for t in pairs[np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_ORDER_FRAMES)).astype(int))]:
+    for t in pairs[sample_evenly(len(pairs), MAX_ORDER_FRAMES)]:
         next_columns = np.flatnonzero(has_point[t + 1])
         columns = np.flatnonzero(has_point[t] & has_point[t + 1])
         distance = np.linalg.norm(positions[t, columns, None] - positions[t + 1, next_columns], axis=-1)

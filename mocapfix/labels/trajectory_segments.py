@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.model.detected import find_namesakes
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import estimate_distance_statistics, estimate_distances_from, sample_coordinates
+from mocapfix.stats.sequences import sample_evenly
 
 # A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
 MAX_PAUSE_S = 0.025  # a longer pause ends a segment
@@ -45,7 +46,7 @@ class TrajectorySegment:
 
     def pick_samples(self, max_count: int) -> "TrajectorySegment":
         """Return the segment with at most `max_count` of its samples, evenly spread."""
-        pick = np.unique(np.linspace(0, len(self.frames) - 1, max_count).astype(int))
+        pick = sample_evenly(len(self.frames), max_count)
         return replace(self, frames=self.frames[pick], points=self.points[pick])
 
     def measure_distances(self, markers: Float[np.ndarray, "T M 3"], columns: Int[np.ndarray, " K"]) -> Float[np.ndarray, "N K"]:
@@ -200,7 +201,7 @@ class RigidSignatures:
     def __init__(self, markers: Float[np.ndarray, "T M 3"]):
         """Estimate the signatures from world positions in metres, NaN where missing."""
         self.markers = markers
-        self.sampled_frames = np.unique(np.linspace(0, len(markers) - 1, MAX_SIGNATURE_FRAMES).astype(int))
+        self.sampled_frames = sample_evenly(len(markers), MAX_SIGNATURE_FRAMES)
         self.sampled_markers = markers[self.sampled_frames]
         self.distance_m, sd_m = estimate_distance_statistics(self.sampled_markers, SIGNATURE_COVERAGE_FRACTION)
         self.distance_sd_m = _add_motion_sd(self.distance_m, sd_m)
@@ -228,7 +229,7 @@ class RigidSignatures:
         self, frames: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"], marker: int
     ) -> SignatureMatch | None:
         """Compare samples at the given frames with the signature of a marker; None if it has fewer than three partners."""
-        pick = np.unique(np.linspace(0, len(frames) - 1, MAX_COMPARED_SAMPLES).astype(int))
+        pick = sample_evenly(len(frames), MAX_COMPARED_SAMPLES)
         candidates = np.flatnonzero(self.distance_sd_m[marker] < MAX_SIGNATURE_SD_M)
         candidates = candidates[np.argsort(self.distance_sd_m[marker, candidates], kind="stable")]
         points, others = points[pick], self.markers[np.ix_(frames[pick], candidates)]
