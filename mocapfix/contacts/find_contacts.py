@@ -24,10 +24,9 @@ from mocapfix.contacts.contacts import (
     build_no_contacts,
     estimate_floor,
 )
-from mocapfix.kernels.viterbi import find_cheapest_states
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
 MAX_SD_RATIO = 1.5  # standard deviation, relative to the take's usual one, above which the joint lacks its markers

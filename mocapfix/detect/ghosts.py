@@ -20,11 +20,10 @@ from mocapfix.kernels.label_evidence import (
     compute_own_contradictions,
     compute_own_leaps,
 )
-from mocapfix.kernels.viterbi import find_cheapest_states
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories, estimate_distances
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 GHOST_CORRECT_FRACTION = 0.8  # of the take in which a marker is assumed to be in place; larger than for swaps: rare poses
 GHOST_CHANGE_COST = 0.5  # cost of a change of state, in leaps

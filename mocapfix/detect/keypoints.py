@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.detect import gaps
-from mocapfix.kernels.viterbi import find_cheapest_states
 from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.changes import compute_editable_mask
 from mocapfix.model.detected import Detected
@@ -26,7 +25,7 @@ from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE, average_acceleration_power
-from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
+from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_cheapest_states, find_runs, smooth_path
 
 THIRD_DIFFERENCE_VARIANCE = 20.0  # variance of the third difference of white noise, relative to that of the noise
 CHI_SQUARED_1_MEDIAN = 0.455  # median of the square of a standard normal variable

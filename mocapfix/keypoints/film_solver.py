@@ -17,7 +17,6 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
-from mocapfix.kernels.viterbi import find_cheapest_states
 from mocapfix.keypoints.keypoint_file import KeypointDetector, Keypoints
 from mocapfix.model.motion import Motion, PoseUncertainty
 from mocapfix.model.skeleton import Skeleton
@@ -28,6 +27,7 @@ from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.single_pose import Camera
 from mocapfix.solve.smoothing import smooth_poses
 from mocapfix.solve.terms import KinematicTree, ReprojectionTerm, TrackingTerm, compute_robust_weights
+from mocapfix.stats.sequences import find_cheapest_states
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
 MAX_SCALE_STEP = 0.2  # of the scale's logarithm

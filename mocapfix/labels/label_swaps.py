@@ -31,11 +31,10 @@ from mocapfix.kernels.label_evidence import (
     mark_continuations,
     mark_distance_matches,
 )
-from mocapfix.kernels.viterbi import find_cheapest_states
 from mocapfix.model.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, MarkerTrajectories, build_trajectories, estimate_distances
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 MIN_PARTIAL_SWAP_DURATION_S = 0.1  # shortest exchange with a label that is missing at that time: a shorter one may be a spike
 SWAPPED_COST_PER_S = 0.1  # cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct

@@ -3,6 +3,10 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.kernels import viterbi
+
+find_cheapest_states = viterbi.find_cheapest_states
+
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """Return the runs of True in `mask` as (first, last) indices, both inclusive."""

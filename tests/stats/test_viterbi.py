@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.viterbi import find_cheapest_states
+from mocapfix.stats.sequences import find_cheapest_states
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
