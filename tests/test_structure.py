@@ -21,7 +21,6 @@ MAX_TUPLE_RESULTS = 3
 FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
 SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "workspace", "low_rank", "schur")
 """the kernels of which a minimisation consists"""
-FOLDERS_WITH_COLUMNS = {"batch", "fill"}
 
 
 def name_of(path: Path) -> str:
@@ -100,7 +99,7 @@ def test_docstrings_have_sections_instead_of_columns() -> None:
     found: list[str] = []
     for name, tree in modules().items():
         for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and folder_of(name) not in FOLDERS_WITH_COLUMNS:
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 lines = (ast.get_docstring(node) or "").splitlines()
                 found += [f"{name}: {line}" for line in lines if column.match(line)]
                 found += [f"{name}: {b}" for a, b in pairwise(lines) if header.match(a) and not re.match(r"    \S.*: \S", b)]

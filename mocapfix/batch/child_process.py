@@ -82,10 +82,7 @@ _peak_memory_mb = 0.0  # greatest memory of this process that was seen since its
 
 
 def serve_jobs(prepare: str) -> None:
-    """Run the jobs from standard input until that ends. Run in the child.
-
-    prepare  "module:name" of a function that is called first
-    """
+    """Call the function `prepare` ("module:name"), then run the jobs from standard input until that ends. Run in the child."""
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     for number, flags in ((0, os.O_RDONLY), (1, os.O_WRONLY)):  # what a library prints is not shown
         os.dup2(os.open(os.devnull, flags), number)
@@ -178,9 +175,9 @@ class JobOutcome:
 
 
 class ChildProcess:
-    """A process that runs one job after the other. Raises MocapfixError if it cannot be started.
+    """A process that calls the function `prepare` ("module:name"), then runs one job after the other.
 
-    prepare  "module:name" of a function that it calls when it starts
+    Raises MocapfixError if it cannot be started.
     """
 
     def __init__(self, prepare: str = DEFAULT_PREPARE) -> None:

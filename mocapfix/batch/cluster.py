@@ -58,7 +58,8 @@ def check_dask_installed(options: ClusterOptions) -> None:
 def open_client(options: ClusterOptions) -> Generator["Client"]:
     """Yield the client of a cluster, and end the cluster afterwards unless it was there before.
 
-    Raises MocapfixError if it cannot be started or reached.
+    Raises:
+        MocapfixError: If it cannot be started or reached.
     """
     check_dask_installed(options)
     silence_dask()

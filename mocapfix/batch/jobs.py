@@ -42,10 +42,7 @@ class CleanRequest:
 
 
 def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -> TakeRecord | None:
-    """Return the record of a take if it need not be cleaned: input, options and version agree, and all outputs exist.
-
-    repeat_failed  whether a take that has failed is to be cleaned again
-    """
+    """Return the record of a take if it need not be cleaned: input, options and version agree, and all outputs exist."""
     record = read_record(get_record_path(request.output_folder, request.take))
     if record is None or record.version != get_version() or record.options_sha256 != hash_options(request.options):
         return None

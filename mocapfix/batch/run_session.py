@@ -225,10 +225,11 @@ def assign_subjects(
 ) -> list[CleanRequest]:
     """Return the requests with the subjects calibrated from all takes of each person, and write people.yaml.
 
-    connect  opens the cluster, which is not needed where all was done before
-    names    by name of a person, the ids of takes
-
     Takes that cannot be surveyed, and people with one take, keep their options.
+
+    Args:
+        connect: Opens the cluster, which is not needed where all was done before.
+        names: By name of a person, the ids of takes.
     """
     from mocapfix.subject.people import BodyMeasurements, group_people
 
@@ -263,8 +264,8 @@ def assign_subjects(
 def build_person_request(person: "Person", surveyed: Mapping[str, dict[str, Any]], folder: Path) -> PersonRequest | None:
     """Return the request to calibrate a person from the takes that were surveyed; None if they are too few.
 
-    surveyed  by id of a take, the record of its survey
-    folder    of the batch
+    Args:
+        surveyed: By id of a take, the record of its survey.
     """
     paths = {
         body.take: Path(surveyed[body.take]["subjects"][body.subject_name])
@@ -357,9 +358,8 @@ def run_session(
 ) -> list[TakeRecord]:
     """Clean the takes of a session and return their records, in the order of the takes.
 
-    write_page  writes the page and the tables of the session from the records
-
-    Raises MocapfixError if the output folder is in use, the cluster cannot be reached, or its scheduler ends.
+    Raises:
+        MocapfixError: If the output folder is in use, the cluster cannot be reached, or its scheduler ends.
     """
     folder = settings.output_folder.resolve()
     settings = replace(settings, output_folder=folder, options=resolve_option_files(settings.options))
@@ -446,7 +446,8 @@ def clean_takes_on_cluster(
 def explain_lost_take(request: CleanRequest, error: object) -> TakeRecord:
     """Return the record of a take whose worker could not even write one; it is not written, so the take is repeated.
 
-    Raises MocapfixError if no worker can clean at all.
+    Raises:
+        MocapfixError: If no worker can clean at all.
     """
     if isinstance(error, MocapfixError):
         raise error

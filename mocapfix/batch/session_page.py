@@ -120,9 +120,11 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str =
 
     The people are those in the folder's people.yaml, if there is one.
 
-    title  "" for the name of the folder
+    Args:
+        title: "" for the name of the folder.
 
-    Raises WriteError if one of them cannot be written.
+    Raises:
+        WriteError: If one of them cannot be written.
     """
     write_summary_tables(folder, records)
     script = files("mocapfix.report").joinpath("templates/session.js").read_text(encoding="utf-8")

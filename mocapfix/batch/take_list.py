@@ -47,7 +47,8 @@ def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
     A folder stands for all captures in it and in its folders, outside the output folder, hidden folders and those that `clean`
     wrote. Outputs of mocapfix are no takes, wherever they are.
 
-    Raises ReadError if a source has no take, or two takes would have the same output folder.
+    Raises:
+        ReadError: If a source has no take, or two takes would have the same output folder.
     """
     paths: list[Path] = []
     skipped: list[Path] = []
@@ -128,7 +129,8 @@ def is_reported(path: Path, report_stem: str) -> bool:
 def select_matched_takes(matching: Iterable[Path], given: Path) -> list[Path]:
     """Return the takes among the files that a pattern matches: captures that are neither hidden nor outputs of mocapfix.
 
-    given  the pattern; folders that it names may be hidden, or hold outputs
+    Args:
+        given: The pattern; folders that it names may be hidden, or hold outputs.
     """
     files = (path for path in matching if path.suffix.lower() in TAKE_SUFFIXES and path.is_file())
     shown = (path for path in files if not any(is_set_aside(part) for part in set(path.parts) - set(given.parts)))
@@ -154,9 +156,11 @@ def make_absolute(path: Path) -> Path:
 def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[BatchTake, ...]:
     """Return takes with their ids, in the order of these; a path that is named twice is one take.
 
-    root  the folder to which ids are relative; None for the deepest that contains all takes
+    Args:
+        root: The folder to which ids are relative; None for the deepest that contains all takes.
 
-    Raises ReadError if two takes would have the same output folder, or a name is not valid UTF-8.
+    Raises:
+        ReadError: If two takes would have the same output folder, or a name is not valid UTF-8.
     """
     absolute = list(dict.fromkeys(make_absolute(path) for path in paths))
     for path in absolute:

@@ -241,7 +241,8 @@ class _MappingModel(StrictModel):
 def write_mapping_file(target: str | Path, character: Character) -> None:
     """Write the mapping of a character as YAML, with the names of its bones and comments on its use.
 
-    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
+    Raises:
+        WriteError: If the folder cannot be written; an existing file is then left unchanged.
     """
     names, mapping = character.skeleton.names, character.mapping
     data: dict[str, Any] = {

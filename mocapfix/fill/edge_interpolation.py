@@ -46,9 +46,9 @@ def fill_with_splines(
     Gaps with fewer than three visible samples at an edge are not filled, nor gaps for whose length the marker has too few
     complete stretches to measure the error.
 
-    markers    in metres, NaN if not visible or an outlier
-    rate       frame rate in Hz
-    max_gap_s  duration of the longest gap that is filled
+    Args:
+        markers: In metres, NaN if not visible or an outlier.
+        max_gap_s: Duration of the longest gap that is filled.
     """
     visible = ~np.isnan(markers[..., 0])
     filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
@@ -92,9 +92,8 @@ def build_hermite_map(
     after: Int[np.ndarray, " A"],
     points: Int[np.ndarray, " P"] | None = None,
 ) -> Float[np.ndarray, "P BA"]:
-    """Return the map from samples before and after a gap, as distances from its edge samples, to those in the gap.
-
-    points  offsets in the gap, from its first frame; None for all of its frames
+    """Return the map from samples before and after a gap, as distances from its edge samples, to those in all of its frames, or
+    at `points`, offsets from its first frame.
     """
     s = ((np.arange(gap_frames) if points is None else points) + 1)[:, None] / (gap_frames + 1)
 
@@ -124,7 +123,8 @@ def measure_spline_error(
 ) -> Float[np.ndarray, " gap"] | None:
     """Return the root mean square error of a map in metres per axis on complete stretches, None if there are too few.
 
-    context_frames  frames of the map's samples, relative to the first of the gap
+    Args:
+        context_frames: Frames of the map's samples, relative to the first of the gap.
     """
     gap = np.arange(len(spline_map))
     frame_offsets = np.sort(np.concatenate([context_frames, gap]))
@@ -191,7 +191,7 @@ def build_edge_maps(
 ) -> list[Float[np.ndarray, "P BA"]]:
     """Return the straight, the damped and, with enough samples at both edges, the cubic map to some points in a gap.
 
-    before, after, points  offsets in frames from the first frame of the gap, which is `length` frames long
+    Samples and points are offsets in frames from the first frame of the gap, which is `length` frames long.
     """
     distances = [-1 - before[::-1], after - length]  # of the samples from their edge, nearest first
     columns = [np.arange(len(before))[::-1], len(before) + np.arange(len(after))]
@@ -218,8 +218,9 @@ def build_edge_maps(
 def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluster_sd_m: float | None) -> Float[np.ndarray, " S"]:
     """Return the expected standard deviation per axis of the straight method at the points of a gap.
 
-    speed_m_s     variation of the marker's velocity in the world
-    cluster_sd_m  variation of its position in moving axes; None in the world
+    Args:
+        speed_m_s: Variation of the marker's velocity in the world.
+        cluster_sd_m: Variation of its position in moving axes; None in the world.
     """
     gap_s, share = window.length / rate, (window.points + 1) / (window.length + 1)
     if cluster_sd_m is None:

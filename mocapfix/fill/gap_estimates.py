@@ -209,10 +209,7 @@ class NeighbourActivity:
         self._square_with_marker: dict[int, np.ndarray] = {}
 
     def compare(self, marker: int, window: GapWindow, neighbours: Int[np.ndarray, " N"]) -> float:
-        """Return how many times as fast neighbours are in a gap as while the marker is visible, at least one.
-
-        neighbours  the steadiest first
-        """
+        """Return how many times as fast neighbours are in a gap as while the marker is visible, at least one."""
         if not len(self.square):
             return 1.0
         first = min(max(0, window.first - self.lag // 2), len(self.square) - 1)

@@ -74,9 +74,8 @@ def fit_marker_process(
 def compute_marker_state_features(
     inputs: Float[np.ndarray, "T I 3"], axes: MovingAxes, frames: Int[np.ndarray, " N"], rate: float
 ) -> Float[np.ndarray, "N F"]:
-    """Return the features of the body's state in some frames, each in units of a difference that counts as one.
-
-    inputs  positions of the input markers in the body's axes, in metres
+    """Return the features of the body's state in some frames, each in units of a difference that counts as one; `inputs` are
+    positions of the input markers in the body's axes, in metres.
     """
     rotation, origin = axes.rotation_world_axes, axes.origin
     half_span, last = max(1, round(MARKER_VELOCITY_HALF_SPAN_S * rate)), len(inputs) - 1

@@ -144,7 +144,7 @@ def build_cluster_axes(
 ) -> MovingAxes | None:
     """Return the axes of a cluster in those of the given frames in which all of it is visible; None if there are none.
 
-    change_m  variation of the distance of each marker, which weights it
+    The variation `change_m` of its distances weights each marker.
     """
     selected = markers[np.ix_(frames, cluster)]
     is_visible = ~np.isnan(selected[..., 0]).any(1)
@@ -400,10 +400,8 @@ def select_changing_cluster(
 ) -> ChangingCluster | None:
     """Return the markers with the most constant distances that are visible in a part of a gap or all of it.
 
-    None if no member comes or goes, or if some frame of the gap shows too few.
-
-    change_m  variation of the distance of each marker to the missing one, infinite where unknown
-    size      number of markers at most
+    None if no member comes or goes, or if some frame of the gap shows too few. `change_m` is the variation of each marker's
+    distance to the missing one, infinite where unknown.
     """
     in_gap = is_known[window.gap_frames]
     order = np.argsort(change_m, kind="stable")
@@ -421,8 +419,8 @@ def build_changing_axes(
 
     In the hidden stretches only those members are used that are visible in the gap at the same point.
 
-    markers  in metres, NaN if not visible
-    frames   the frames of the gap, of its hidden stretches and of the samples beside them, and others
+    Args:
+        markers: In metres, NaN if not visible.
     """
     selected = markers[:, cluster.markers]
     is_used = ~np.isnan(selected[..., 0])

@@ -52,11 +52,11 @@ def apply_decisions(original: Take, filled: Filled, review: Review, options: Cle
     with samples that must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it.
 
     Args:
-        original: the take as it was read.
-        filled: the same without faults and gaps.
-        review: what a reviewer decided.
-        options: those of detection and filling.
-        is_smoothed: whether samples without faults are smoothed as well.
+        original: The take as it was read.
+        filled: The same without faults and gaps.
+        review: What a reviewer decided.
+        options: Those of detection and filling.
+        is_smoothed: Whether samples without faults are smoothed as well.
     """
     detected, is_editable = filled.detected, compute_editable_mask(original, options.fill)
     corrections = list_label_corrections(review.corrections)
