@@ -310,13 +310,8 @@ def _open_loopback_socket(port: int) -> socket.socket:
     """Return a socket on loopback. Raises WriteError if the port is used or no port."""
     if not 0 <= port <= MAX_PORT:
         raise WriteError(f"Port {port} cannot be used (ports are 0 to {MAX_PORT}); choose another with --port, or 0 for any.")
-    opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        opened.bind((SERVER_HOST, port))
-        opened.listen()
+        return socket.create_server((SERVER_HOST, port))
     except OSError as error:
-        opened.close()
         problem = error.strerror or error
         raise WriteError(f"Port {port} cannot be used ({problem}); choose another with --port, or 0 for any.") from error
-    return opened
