@@ -5,6 +5,7 @@ by the option that they are, or by the class that groups the options of their st
 """
 
 import ast
+import re
 from dataclasses import fields
 from importlib import import_module
 from typing import Any
@@ -44,7 +45,8 @@ class DescribeFields(griffe.Extension):
             if "property" in member.labels or name in known or name.startswith("_"):
                 continue
             description = self.describe(name, member, cls).rstrip(".")
-            rows.append(f"    {name}: {description[:1].upper()}{description[1:]}{'.' if description else ''}")
+            first = description[:1] if re.match(r"m\b", description) else description[:1].upper()  # m: metres
+            rows.append(f"    {name}: {first}{description[1:]}{'.' if description else ''}")
             member.docstring = None
         if rows:
             cls.docstring.value = "\n".join([f"{text}\n\nAttributes:", *rows]) + blank + rest

@@ -64,7 +64,7 @@ def test_every_section_of_the_gallery_has_a_caption_with_errors() -> None:
         ("options.CleanOptions", "fill", "Gap filling."),  # the class of a stage's options
         ("options.FillOptions", "max_gap_s", "Leave longer gaps empty: `--max-gap SECONDS`."),  # an option
         ("options.PurposeOptions", "given", "The names of the options that were given"),  # a string below
-        ("model.take.Take", "markers", "Positions, NaN where a sample is missing."),  # the section Attributes
+        ("model.take.Take", "markers", "Positions in metres, NaN where a sample is missing."),  # the section Attributes
         ("contacts.contacts.Floor", "slope_z", "The same along Z."),  # a comment behind
         ("solve.single_pose.SolvedPose", "cost", "Half the sum of squares"),  # comments above
     ],

@@ -239,7 +239,8 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
     replaces the one that the character has.
 
     Raises:
-        ReadError, SceneError: If there is no such character, its file is invalid, or its bones do not form a body.
+        ReadError: If its file cannot be read.
+        SceneError: If there is no such character, or its bones do not form a body.
     """
     if str(name_or_path) in CHARACTER_PRESETS:
         skeletons = [load_character_preset(str(name_or_path))]

@@ -144,7 +144,7 @@ class Take:
     """Marker positions over time: T frames of M markers, in metres, Y up, right-handed.
 
     Attributes:
-        markers: Positions, NaN where a sample is missing.
+        markers: Positions in metres, NaN where a sample is missing.
         labels: Marker names as in the file, without trailing spaces, with any subject prefix ("Jim:LFHD").
         rate: Frames per second.
         first_frame: Number that the file gives to frame index 0. Users are always shown the file's frame numbers.
