@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.characters.alignment import SkeletonAlignment
-from mocapfix.contacts.body_contacts import hold_feet
+from mocapfix.contacts.body_contacts import compute_held_displacements, displace_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.fill.gap_filling import compute_gap_durations, explain_unfilled_samples
 from mocapfix.io.changes_file import ReviewedChange
@@ -207,7 +207,8 @@ def lock_feet(
             legs.append(leg)
         used = _drop_contacts(used, side, leg, [each for each in reviewed if each.entry.kind == "foot slide"])
     before = kinematics.compute_world_poses(alignment.skeleton, motion)[0]
-    held = hold_feet(alignment.skeleton, motion, before, used, is_locked=True, is_root_fixed=True)
+    places = compute_held_displacements(alignment.skeleton, before, used, is_locked=True)
+    held = displace_feet(alignment.skeleton, motion, before, places, is_root_fixed=True)
     displacement = np.linalg.norm(kinematics.compute_world_poses(alignment.skeleton, held)[0] - before, axis=-1)
     faults, is_changed, largest_m = list[Fault](), np.zeros(is_editable.shape, bool), 0.0
     for leg in legs:

@@ -5,7 +5,9 @@ all frames in which a foot is displaced, beside terms that keep the legs' rotati
 markers of thighs and shins. The weights do not depend on contacts, so that no knee jumps where one begins. The root yields by
 MAX_ROOT_DISPLACEMENT_M at most: a place that a leg does not reach from there is not where its foot stands.
 
-While no marker shows a held foot, it is as certain as where it stood before and after, up to its rolling.
+While no marker shows a held foot, it is as certain as where it stood before and after, up to its rolling. Two motions result:
+that of the body, whose feet yield where visible markers contradict, and one with all feet held, from which lost markers are
+filled.
 """
 
 from dataclasses import replace
@@ -95,26 +97,6 @@ LEG_MARKER_SD_M = 0.003  # standard deviation of thighs' and shins' markers abou
 MARKER_DISPLACEMENT_M = 0.005  # displacement of a foot at which the markers of its leg have half their weight
 MIN_KERNEL_WEIGHT = 1e-6  # share of a kernel within visible frames below which a residual is not known
 MIN_DISPLACEMENT_M = 2e-5  # displacement below which a frame is not solved
-
-
-def hold_feet(
-    skeleton: Skeleton,
-    motion: Motion,
-    joint_position: Float[np.ndarray, "T J 3"],
-    contacts: BodyContacts,
-    *,
-    is_locked: bool,
-    is_root_fixed: bool = False,
-) -> Motion:
-    """Return the motion of an animation with standing feet held: at one place each (`is_locked`), or without its fast part.
-
-    No marker limits it, unlike `hold_measured_feet`, which holds the feet of a take.
-
-    Args:
-        is_root_fixed: Only the legs move; otherwise the root may move a little too.
-    """
-    displacement = compute_held_displacements(skeleton, joint_position, contacts, is_locked=is_locked)
-    return displace_feet(skeleton, motion, joint_position, displacement, is_root_fixed=is_root_fixed)
 
 
 def compute_held_displacements(
@@ -272,7 +254,7 @@ def hold_measured_feet(
     Args:
         body: Without held feet.
         markers: Metres, in the body's order, NaN if missing or faulty.
-        is_locked: Hold feet at one place; the markers of feet and shins are then not where the body has them.
+        is_locked: Hold feet at one place; the limit for visible markers does then not count for those of feet and shins.
     """
     subject, names = body.extended_subject, body.subject.skeleton.names
     displacement = compute_held_displacements(subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)
@@ -295,8 +277,8 @@ def hold_measured_feet(
         allowed = np.ones(limit.shape)
         for joint, windows in growth.items():
             legs = [foot for foot, chain in enumerate(LEGS) if names[joint] in chain]
-            is_exempt = is_locked and bool(legs) and names[joint] != LEGS[legs[0]][0]
-            if not is_exempt and find_excess_windows(windows).any():
+            is_below_thigh = any(names[joint] in chain[1:] for chain in LEGS)
+            if not (is_locked and is_below_thigh) and find_excess_windows(windows).any():
                 if not legs or yield_round >= PARTIAL_ROUNDS:  # the root carries the other leg along, too
                     legs = list(range(len(LEGS)))
                 allowed[:, legs] = np.minimum(allowed[:, legs], compute_allowed_share(windows, len(limit))[:, None])

@@ -9,8 +9,8 @@ from mocapfix.contacts.body_contacts import (
     LEG_JOINTS,
     MAX_ROOT_DISPLACEMENT_M,
     build_foot_targets,
+    compute_held_displacements,
     displace_feet,
-    hold_feet,
     solve_legs,
 )
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
@@ -40,6 +40,13 @@ def make_sliding_motion() -> tuple[Motion, np.ndarray, BodyContacts]:
     return motion, compute_joints(motion), contacts
 
 
+def hold_feet(
+    motion: Motion, before: np.ndarray, contacts: BodyContacts, *, is_locked: bool, is_root_fixed: bool = False
+) -> Motion:
+    displacement = compute_held_displacements(SKELETON, before, contacts, is_locked=is_locked)
+    return displace_feet(SKELETON, motion, before, displacement, is_root_fixed=is_root_fixed)
+
+
 def compute_joints(motion: Motion) -> np.ndarray:
     return kinematics.compute_joint_and_marker_positions(TAKE.subject, motion)[0]
 
@@ -57,7 +64,7 @@ def measure_drift(position: np.ndarray, contacts: BodyContacts) -> float:
 @pytest.mark.parametrize("is_root_fixed", [False, True])
 def test_locked_feet_do_not_slide_and_the_rest_stays(is_root_fixed):
     motion, before, contacts = make_sliding_motion()
-    held = hold_feet(SKELETON, motion, before, contacts, is_locked=True, is_root_fixed=is_root_fixed)
+    held = hold_feet(motion, before, contacts, is_locked=True, is_root_fixed=is_root_fixed)
     after = compute_joints(held)
     assert measure_drift(before, contacts) > 0.003
     assert measure_drift(after, contacts) < 0.001
@@ -71,7 +78,7 @@ def test_locked_feet_do_not_slide_and_the_rest_stays(is_root_fixed):
 @pytest.mark.parametrize("is_locked", [False, True])
 def test_nothing_pops_or_sinks(is_locked):
     motion, before, contacts = make_sliding_motion()
-    after = compute_joints(hold_feet(SKELETON, motion, before, contacts, is_locked=is_locked))
+    after = compute_joints(hold_feet(motion, before, contacts, is_locked=is_locked))
     largest = [np.linalg.norm(np.diff(position, 2, axis=0), axis=-1).max(0) for position in (before, after)]
     assert largest[1].max() <= 1.2 * largest[0].max()
     assert (after[:, FEET, 1].min(0) > before[:, FEET, 1].min(0) - 0.0005).all()
@@ -79,22 +86,20 @@ def test_nothing_pops_or_sinks(is_locked):
 
 def test_soft_slides_less_and_moves_less_than_lock():
     motion, before, contacts = make_sliding_motion()
-    soft, locked = (
-        compute_joints(hold_feet(SKELETON, motion, before, contacts, is_locked=is_locked)) for is_locked in (False, True)
-    )
+    soft, locked = (compute_joints(hold_feet(motion, before, contacts, is_locked=is_locked)) for is_locked in (False, True))
     assert measure_drift(locked, contacts) < measure_drift(soft, contacts) < measure_drift(before, contacts)
 
 
 def test_motion_without_contacts_is_returned_unchanged():
     motion, before, contacts = make_sliding_motion()
     contacts.is_contact[:] = False
-    assert hold_feet(SKELETON, motion, before, contacts, is_locked=True) is motion
+    assert hold_feet(motion, before, contacts, is_locked=True) is motion
 
 
 def test_the_given_motion_is_not_changed():
     motion, before, contacts = make_sliding_motion()
     root, local = motion.root_position.copy(), motion.local_rotations.copy()
-    hold_feet(SKELETON, motion, before, contacts, is_locked=True)
+    hold_feet(motion, before, contacts, is_locked=True)
     np.testing.assert_array_equal(motion.root_position, root)
     np.testing.assert_array_equal(motion.local_rotations, local)
 
