@@ -38,7 +38,7 @@ from mocapfix.model.animation import Animation, build_joint_take, build_tip_take
 from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Faults
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import compose_transforms, load_cmu31_body
+from mocapfix.model.skeleton import compose_transforms
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -118,8 +118,7 @@ class MappedPriorConditioner(PriorConditioner):
         _, world = compose_transforms(self.parents, np.zeros(context.local_rotations.shape[:3]), context.local_rotations)
         is_known = context.is_known[:, self.alignment.carriers]
         model = context._replace(local_rotations=self.alignment.convert_rotations(world), is_known=is_known)
-        size_ratio = self.alignment.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
-        predicted = self.predict_motion(model, size_ratio)
+        predicted = self.predict_motion(model, self.alignment.skeleton.size_ratio)
         if predicted is None:
             return None
         file_rotations = context.local_rotations[context.frames].copy()

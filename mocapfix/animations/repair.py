@@ -82,7 +82,7 @@ def remove_rotation_offset(
     The rotation order has the joint's axes of rotation, such as "ZYX".
     """
     inside = make_quaternions_continuous(quaternions[span.first : span.last + 1])
-    context = _find_offset_context(is_sound, span)
+    context = find_context_frames(is_sound, span, _count_context_frames(span))
     known = make_quaternions_continuous(quaternions[context])
     models = constant_offsets.build_rotation_offset_models(inside, rotation_order)
     corrected, variance = _solve_offset(2 * known, context, models, span)
@@ -93,7 +93,7 @@ def remove_position_offset(
     positions: Float[np.ndarray, "T 3"], is_sound: Bool[np.ndarray, " T"], span: FrameSpan
 ) -> tuple[Float[np.ndarray, "n 3"], float]:
     """Return the root positions over a span without their offset, and its variance in m^2 per axis."""
-    context = _find_offset_context(is_sound, span)
+    context = find_context_frames(is_sound, span, _count_context_frames(span))
     models = constant_offsets.build_position_offset_models(positions[span.first : span.last + 1])
     return _solve_offset(positions[context], context, models, span)
 
@@ -108,11 +108,10 @@ def _count_context_frames(span: FrameSpan) -> int:
     return max(MIN_CONTEXT_FRAMES, round(OFFSET_CONTEXT_S * span.rate))
 
 
-def _find_offset_context(is_sound: np.ndarray, span: FrameSpan) -> np.ndarray:
-    """Return the sound frames near the span."""
-    count = _count_context_frames(span)
-    context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_sound), span.last + 1 + count)]
-    return context[is_sound[context]]
+def find_context_frames(is_usable: Bool[np.ndarray, " T"], span: FrameSpan, count: int) -> Int[np.ndarray, " N"]:
+    """Return the usable frames among `count` on either side of the span."""
+    context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_usable), span.last + 1 + count)]
+    return context[is_usable[context]]
 
 
 def _solve_offset(
@@ -173,7 +172,7 @@ def interpolate_body(
 ) -> InterpolatedBody:
     """Return the interpolated body over a span, from the frames in which the whole body is known."""
     frame_count, joint_count = local_rotations.shape[:2]
-    context = find_context_frames(is_known, span)
+    context = find_context_frames(is_known, span, round(INTERPOLATION_CONTEXT_S * span.rate))
     if not len(context):  # at low rates, or far from the nearest known frames
         known = np.flatnonzero(is_known)
         context = np.r_[known[known < span.first][-1:], known[known > span.last][:1]]
@@ -191,12 +190,6 @@ def interpolate_body(
         root = root + bias.displacement @ extract_heading(world_rotations[span.first - 1, 0]).T
         root_variance, rotation_variance = root_variance * bias.variance_ratio, rotation_variance * bias.variance_ratio
     return InterpolatedBody(root, compute_local_rotations(rotations, parents), root_variance, rotation_variance)
-
-
-def find_context_frames(is_known: Bool[np.ndarray, " T"], span: FrameSpan) -> Int[np.ndarray, " N"]:
-    count = round(INTERPOLATION_CONTEXT_S * span.rate)
-    context = np.r_[max(0, span.first - count) : span.first, span.last + 1 : min(len(is_known), span.last + 1 + count)]
-    return context[is_known[context]]
 
 
 def compute_interpolation_weights(
@@ -482,7 +475,7 @@ def _interpolate_gaps(
     for n in np.flatnonzero(remaining.any(0) & ~is_lost.all(0)):
         for first, last in find_runs(remaining[:, n]):
             span, frames = FrameSpan(first, last, rate), slice(first, last + 1)
-            context = find_context_frames(~is_lost[:, n], span)
+            context = find_context_frames(~is_lost[:, n], span, round(INTERPOLATION_CONTEXT_S * span.rate))
             if not len(context):
                 continue
             if n == repair.local_rotations.shape[1]:

@@ -21,7 +21,7 @@ from mocapfix.model.changes import compute_editable_mask
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault, FaultKind, FaultReview, Faults
 from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
-from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body
+from mocapfix.model.skeleton import BODY_SECTIONS, list_path, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE, average_acceleration_power
@@ -184,7 +184,8 @@ def compute_length_cost(
 
 def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, int]]:
     """Return the columns in the take of each pair of points with mirrored places, the left one first, from the trunk outwards."""
-    names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
+    skeleton, columns = load_cmu31_body().skeleton, marker_set.find_columns(take.labels)
+    names, parents = skeleton.names, skeleton.parents
     place_of_column = {
         int(column): (names[marker_set.joints[k]], marker_set.marker_offsets[k])
         for k, column in enumerate(columns)
@@ -197,16 +198,7 @@ def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, 
             is_pair = is_left and right_joint == left_joint.replace("Left", "Right")
             if is_pair and np.abs(left_offset * [-1, 1, 1] - right_offset).max() <= MAX_MIRROR_MISFIT_M and left != right:
                 pairs.append((left, right))
-    depths = compute_joint_depths()
-    return sorted(pairs, key=lambda pair: depths[place_of_column[pair[0]][0]])
-
-
-def compute_joint_depths() -> dict[str, int]:
-    """Return the number of segments between the root and each joint, by the joint's name."""
-    skeleton, depths = load_cmu31_body().skeleton, dict[str, int]()
-    for name, parent in zip(skeleton.names, skeleton.parents, strict=True):
-        depths[name] = depths[skeleton.names[parent]] + 1 if parent >= 0 else 0
-    return depths
+    return sorted(pairs, key=lambda pair: len(list_path(names.index(place_of_column[pair[0]][0]), -1, parents)))
 
 
 def find_exchanged_frames(

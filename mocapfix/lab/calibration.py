@@ -80,7 +80,7 @@ def measure_calibration(
         truth = compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
         markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
         take = Take(markers, truth.labels, CALIBRATION_RATE_HZ)
-        average = scale_average_subject(take, marker_set, body)
+        average = scale_average_subject(take, marker_set)
         calibrated = calibrate_subject(take, marker_set, body, prior)
         row: CalibrationRow = {"person": f"seed {seed}"}
         for prefix, subject in (("average_", average), ("", calibrated)):

@@ -11,6 +11,7 @@ the others must be. Tracklets that begin or end in such frames get their labels,
 of a limb break at once, the limb is placed in the poses that it has in other frames.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,36 +21,24 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.labels.tracklets import (
     SampledPoints,
     TrackletDistances,
-    assign_points,
     assign_tracklets,
+    assign_within_gate,
     compute_max_distances,
     measure_tracklets,
 )
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_body, restrict_body
+from mocapfix.model.skeleton import BODY_SECTIONS
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.subject.average_body import (
-    PosedBody,
-    build_average_subject,
-    build_posed_body,
-    estimate_body_size_ratio,
-    scale_subject,
-)
+from mocapfix.subject.average_body import PosedBody, build_average_subject, estimate_body_size_ratio
 from mocapfix.subject.marker_set_fit import measure_marker_offsets
 
 FINAL_OFFSET_WEIGHT = 0.8  # weight of the measured offset of a marker; that of the offset of the set is the rest
 POSING_SCALES_M = (0.2, 0.1)  # robust scales of the poses
 POSING_ITERATIONS = 8  # solver iterations at each scale
 POSING_MARKER_SD_M = 0.02  # standard deviation of a marker about the body per axis
-
-
-def build_set_body(marker_set: MarkerSet) -> PosedBody:
-    """Return the average body with the markers of a set, as far as they show it."""
-    body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
-    return build_posed_body(build_average_subject(marker_set), body)
 
 
 def pose_body(body: PosedBody, markers: Float[np.ndarray, "S K 3"]) -> Poses:
@@ -103,8 +92,7 @@ def predict_in_posed_frames(labels: PropagatedLabels, subject: Subject) -> Float
 
 def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
     """Return a subject of the size of another one with the marker offsets of the set."""
-    average = build_set_body(marker_set).subject
-    return scale_subject(average, subject.skeleton.total_length_m / average.skeleton.total_length_m)
+    return build_average_subject(marker_set, subject.skeleton.size_ratio)
 
 
 TRIED_HEADING_COUNT = 12  # headings in which a body is placed
@@ -116,22 +104,22 @@ SEARCH_ITERATIONS = 4  # solver iterations in a round
 SEARCH_MARKER_SD_M = 0.04  # standard deviation of a person's markers about those of the average body
 
 
-class FoundBody(NamedTuple):
-    """A pose in one frame: the marker (V,) of each of its points, -1 for none, and the cost."""
+class FoundMarkers(NamedTuple):
+    """The marker of each point of a frame, or of each tracklet, -1 for none, and the cost of this assignment."""
 
     markers: Int[np.ndarray, " V"]
     cost: float
 
 
-def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[FoundBody]:
+def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[FoundMarkers]:
     """Return the poses found for the points of one frame, in metres, by rising cost. Poses with the same assignment are one."""
     poses = place_bodies(positions, body)
-    found: list[FoundBody] = []
+    found: list[FoundMarkers] = []
     for number, gate in enumerate(np.geomspace(*SEARCH_GATES_M, SEARCH_ROUNDS)):
         predicted = body.predict(poses)
         squared = ((positions[:, None] - predicted[:, None]) ** 2).sum(-1)
-        assigned = [assign_points(each, float(gate)) for each in squared]
-        found = [FoundBody(*each) for each in assigned]
+        assigned = [assign_within_gate(each, float(gate)) for each in squared]
+        found = [FoundMarkers(*each) for each in assigned]
         if number == PRUNING_ROUND:
             kept = np.argsort([each.cost for each in found], kind="stable")[:MAX_CONTINUED_POSES]
             poses, found = (poses[0][kept], poses[1][kept]), [found[h] for h in kept]
@@ -144,9 +132,9 @@ def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[Fo
     totals = [
         float(cost + missing_cost * (possible - (each.markers >= 0).sum())) for cost, each in zip(costs, found, strict=True)
     ]
-    best: dict[bytes, FoundBody] = {}
+    best: dict[bytes, FoundMarkers] = {}
     for h in np.argsort(totals, kind="stable"):
-        best.setdefault(found[h].markers.tobytes(), FoundBody(found[h].markers, totals[h]))
+        best.setdefault(found[h].markers.tobytes(), FoundMarkers(found[h].markers, totals[h]))
     return list(best.values())
 
 
@@ -158,8 +146,8 @@ def place_bodies(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> Poses:
     return root_position, local_rotations
 
 
-def _arrange_found(positions: Float[np.ndarray, "V 3"], found: list[FoundBody], marker_count: int) -> Float[np.ndarray, "H K 3"]:
-    markers = np.full((len(found), marker_count, 3), np.nan)
+def _arrange_found(positions: Float[np.ndarray, "V 3"], found: list[FoundMarkers], count: int) -> Float[np.ndarray, "H K 3"]:
+    markers = np.full((len(found), count, 3), np.nan)
     for h, each in enumerate(found):
         is_assigned: Bool[np.ndarray, " V"] = each.markers >= 0
         markers[h, each.markers[is_assigned]] = positions[is_assigned]
@@ -189,9 +177,8 @@ def extend_body(
     frames = select_extension_frames(sampled, markers)
     part = sampled.select_frames(frames)
     if marker_set is not None:
-        average = build_set_body(marker_set)
-        size = estimate_body_size_ratio(average.subject.skeleton, marker_set, part.arrange_markers(markers, count))
-        body = body.change_subject(scale_subject(average.subject, size))
+        size = estimate_body_size_ratio(marker_set, part.arrange_markers(markers, count))
+        body = body.change_subject(build_average_subject(marker_set, size))
     nominal = body.subject
     for offset_weight, max_distance in zip(OFFSET_WEIGHTS, MAX_EXTENSION_DISTANCES_M, strict=True):
         positions = part.arrange_markers(markers, count)
@@ -256,7 +243,7 @@ def search_limb(
         markers[:, missing] = np.nan
         for h, positions in enumerate(predicted):
             squared = ((sampled.positions[frame, free][:, None] - positions) ** 2).sum(-1)
-            assigned[h] = assign_points(squared, float(gate))[0]
+            assigned[h] = assign_within_gate(squared, float(gate))[0]
             is_found = assigned[h] >= 0
             markers[h, missing[assigned[h, is_found]]] = sampled.positions[frame, free[is_found]]
         poses = body.solve(poses, markers, POSING_MARKER_SD_M, (float(gate),), POSING_ITERATIONS)
@@ -298,6 +285,20 @@ def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], fl
     order = full[np.argsort(height, kind="stable")]
     places = np.linspace(*KEY_FRAME_HEIGHT_QUANTILES, KEY_FRAME_COUNT) * (len(order) - 1)
     return np.unique(order[places.astype(int)]), float(np.quantile(height, STANDING_HEIGHT_QUANTILE))
+
+
+def search_key_frames(
+    sampled: SampledPoints, frames: Int[np.ndarray, " F"], search: Callable[[Float[np.ndarray, "V 3"]], list[FoundMarkers]]
+) -> list[FoundMarkers]:
+    """Return the markers of the tracklets that a search finds in the points of single frames, by rising cost."""
+    found: list[FoundMarkers] = []
+    for frame in frames:
+        visible = np.flatnonzero(sampled.tracklets[frame] >= 0)
+        for each in search(sampled.positions[frame, visible]):
+            markers = np.full(sampled.tracklet_count, -1)
+            markers[sampled.tracklets[frame, visible]] = each.markers
+            found.append(FoundMarkers(markers, each.cost))
+    return sorted(found, key=lambda each: each.cost)
 
 
 MIN_POSED_MARKER_SHARE = 0.6  # of the markers that the body has in most frames, with which a frame is posed

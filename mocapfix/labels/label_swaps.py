@@ -17,7 +17,7 @@ counts, so neither a spike nor a momentary contradiction causes a change. Where 
 leap, the distances alone decide.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import permutations
 from typing import NamedTuple
 
@@ -141,18 +141,25 @@ def _select_exchanges(take: Take) -> list[LabelExchange]:
 
 
 def _build_swap_fault(take: Take, exchange: LabelExchange) -> Fault:
-    cycle, first, last = exchange.cycle, exchange.first, exchange.last
+    share = (exchange.last - exchange.first + 1) / (take.frame_count + 1)
+    wrong_part_odds = share / (1 - share) * np.exp(-np.clip(exchange.counter_evidence, -50, 50))
+    confidence = float((1 - np.exp(-exchange.gain)) / (1 + wrong_part_odds))
+    return build_exchange_fault(take, exchange.cycle, (exchange.first, exchange.last), confidence, take.bare_labels)
+
+
+def build_exchange_fault(
+    take: Take, cycle: tuple[int, ...], interval: tuple[int, int], confidence: float, labels: Sequence[str]
+) -> Fault:
+    """Build the fault of labels that are exchanged in a cycle of markers; `labels` are those of all markers in its reason."""
+    first, last = interval
     points = take.markers[first : last + 1]
     distance_m = np.linalg.norm(points[:, cycle] - points[:, np.roll(cycle, -1)], axis=-1)
     separation_m = float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
-    share = (last - first + 1) / (take.frame_count + 1)
-    wrong_part_odds = share / (1 - share) * np.exp(-np.clip(exchange.counter_evidence, -50, 50))
-    confidence = float((1 - np.exp(-exchange.gain)) / (1 + wrong_part_odds))
-    labels = [take.bare_labels[m] for m in cycle]
     duration = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
     distance = f"{separation_m * 1e3:.0f} mm" if np.isfinite(separation_m) else "away"
     exchange_text = "exchanged their labels" if len(cycle) == 2 else "exchanged their labels in a cycle"
-    reason = f"{join_words(labels)} have {exchange_text} for {duration}: their samples lie {distance} from their markers."
+    names = join_words([labels[m] for m in cycle])
+    reason = f"{names} have {exchange_text} for {duration}: their samples lie {distance} from their markers."
     return Fault("swap", cycle[0], first, last, separation_m, reason, confidence, cycle[1:])
 
 

@@ -16,7 +16,7 @@ from mocapfix.labels.set_comparison import add_optional_markers, measure_marker_
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.subject.average_body import build_posed_body
+from mocapfix.subject.average_body import build_average_subject, build_posed_body
 
 BODIES_PER_KEY_FRAME = 3  # bodies of each frame that are kept
 MAX_EXTENDED_BODIES = 8  # best bodies of all frames that are extended to other frames
@@ -53,12 +53,10 @@ def label_points(
     confidence = tracklets.compute_label_confidence(sampled, labels.markers, labels.distances)
     indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
     markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
+    all_markers = subject or body_search.scale_nominal_subject(labels.body.subject, marker_set)
+    predicted = body_search.predict_in_posed_frames(labels, all_markers)
     if len(searched.labels) < len(marker_set.labels):
-        all_markers = subject or body_search.scale_nominal_subject(labels.body.subject, marker_set)
-        markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
-    predicted = body_search.predict_in_posed_frames(
-        labels, subject or body_search.scale_nominal_subject(labels.body.subject, marker_set)
-    )
+        markers = add_optional_markers(sampled, markers, marker_set, predicted)
     labelled = tracklets.label_points_of_tracklets(points, sampled, predicted, markers, confidence)
     return replace(labelled, evidence_per_marker=evidence)
 
@@ -116,21 +114,16 @@ def find_labelled_body(
     sampled: tracklets.SampledPoints, marker_set: MarkerSet, subject: Subject | None
 ) -> body_search.ExtendedBody | None:
     """Return the best body in a few frames of the take; None if the points show neither a body nor a part of one."""
-    body = build_posed_body(subject) if subject else body_search.build_set_body(marker_set)
-    candidates: list[tuple[float, np.ndarray]] = []
+    body = build_posed_body(subject or build_average_subject(marker_set))
     frames, height_m = body_search.select_key_frames(sampled)
     if not subject:
         body = body.fit_height(height_m)
-    for frame in frames:
-        visible = np.flatnonzero(sampled.tracklets[frame] >= 0)
-        for found in body_search.search_body(sampled.positions[frame, visible], body)[:BODIES_PER_KEY_FRAME]:
-            markers = np.full(sampled.tracklet_count, -1)
-            markers[sampled.tracklets[frame, visible]] = found.markers
-            candidates.append((found.cost, markers))
-    candidates.sort(key=lambda candidate: candidate[0])
+    candidates = body_search.search_key_frames(
+        sampled, frames, lambda points: body_search.search_body(points, body)[:BODIES_PER_KEY_FRAME]
+    )
     extended = [
-        body_search.extend_body(sampled, markers, body, None if subject else marker_set)
-        for _, markers in candidates[:MAX_EXTENDED_BODIES]
+        body_search.extend_body(sampled, candidate.markers, body, None if subject else marker_set)
+        for candidate in candidates[:MAX_EXTENDED_BODIES]
     ]
     best = min(extended, key=lambda each: each.cost, default=None)
     found = {marker_set.labels[k] for k in set(best.markers.tolist()) - {-1}} if best else set[str]()

@@ -18,7 +18,7 @@ from mocapfix.errors import format_name_list, join_words
 from mocapfix.labels.label_swaps import find_permutation_cycles
 from mocapfix.model.faults import Fault
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import is_below, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve.terms import compute_robust_costs
@@ -30,6 +30,7 @@ from mocapfix.subject.average_body import (
     compute_rest_marker_positions,
     estimate_body_size_ratio,
 )
+from mocapfix.subject.library import MIRROR_X
 
 BODY_MARKER_SD_M = 0.030  # per axis: placement, the subject's proportions and skin motion together
 ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # scales of the robust loss (Geman & McClure 1987), from coarse to fine
@@ -47,10 +48,8 @@ def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[
     return np.nan_to_num(compute_robust_costs(square, ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
 
 
-# The body rests facing +Z, so left and right differ in the sign of x.
 # Distance of a marker from the mirrored place of another within which the two mirror each other.
 MAX_TWIN_DISTANCE_M = 0.15
-MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
 MAX_BODY_FIT_FRAMES = 16  # number of frames to which the body is fitted, evenly spread over the fullest ones
 MIN_RELATIVE_MARKER_COUNT = 0.9  # number of visible markers in these frames, relative to the fullest frame
 MIN_FITTED_MARKERS = 12  # no body is fitted to frames with fewer markers
@@ -95,7 +94,7 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     if len(markers) == 0:
         return []
     if subject is None:
-        size = estimate_body_size_ratio(load_cmu31_body().skeleton, marker_set, markers, min_frames=1)
+        size = estimate_body_size_ratio(marker_set, markers, min_frames=1)
         subject = build_average_subject(marker_set, size)
     body = build_posed_body(subject)
     own, is_in_take = np.arange(len(columns)), columns >= 0  # a marker that is not in the take has no label to exchange
@@ -175,8 +174,8 @@ def find_pair_exchanges(
 
 def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
     """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
-    rest = compute_rest_marker_positions(load_cmu31_body().skeleton, marker_set)
-    distance_m = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1)
+    rest = compute_rest_marker_positions(marker_set)
+    distance_m = np.linalg.norm(rest[:, None] * MIRROR_X - rest[None], axis=-1)
     nearest, own = distance_m.argmin(1), np.arange(len(rest))
     return np.where((nearest[nearest] == own) & (distance_m.min(1) <= MAX_TWIN_DISTANCE_M), nearest, own)
 
@@ -186,11 +185,8 @@ def list_mirror_exchanges(marker_set: MarkerSet) -> list[Int[np.ndarray, " K"]]:
     parents, own, twin = load_cmu31_body().skeleton.parents, np.arange(len(marker_set.joints)), find_twins(marker_set)
     exchanges: dict[tuple[int, ...], np.ndarray] = {}
     for joint in range(len(parents)):
-        is_descendant = np.zeros(len(parents), bool)
-        is_descendant[joint] = True
-        for below in range(joint + 1, len(parents)):
-            is_descendant[below] = is_descendant[parents[below]]
-        for is_on_part in (marker_set.joints == joint, is_descendant[marker_set.joints]):
+        is_own = marker_set.joints == joint
+        for is_on_part in (is_own, is_own | [is_below(each, joint, parents) for each in marker_set.joints.tolist()]):
             exchange = np.where(is_on_part | is_on_part[twin], twin, own)
             if (exchange != own).sum() > 2:  # a single pair is among the exchanges of two markers
                 exchanges[tuple(exchange.tolist())] = exchange

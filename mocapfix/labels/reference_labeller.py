@@ -25,7 +25,8 @@ from mocapfix.labels.body_search import (
     EXTENSION_GATE_M,
     PROPAGATION_GATE_M,
     TRIED_HEADING_COUNT,
-    FoundBody,
+    FoundMarkers,
+    search_key_frames,
     select_extension_frames,
     select_key_frames,
 )
@@ -37,8 +38,8 @@ from mocapfix.labels.tracklets import (
     SampledPoints,
     TrackletDistances,
     UnlabelledPoints,
-    assign_points,
     assign_tracklets,
+    assign_within_gate,
     compute_label_confidence,
     label_nothing,
     label_points_of_tracklets,
@@ -49,7 +50,7 @@ from mocapfix.labels.tracklets import (
 )
 from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
 
 MAX_REFERENCE_CANDIDATES = 150  # frames of the labelled take among which those with different poses are chosen
 MAX_POSES = 12  # poses of the labelled take that are kept
@@ -159,12 +160,8 @@ def _choose_poses(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "E K
     full = np.flatnonzero(visible >= np.quantile(visible, 0.5))
     candidates = markers[full[sample_evenly(len(full), MAX_REFERENCE_CANDIDATES)]]
     distances = np.nan_to_num(_measure_distances(candidates).reshape(len(candidates), -1))
-    chosen = [int(np.argmax((~np.isnan(candidates[..., 0])).sum(1)))]
-    nearest = np.linalg.norm(distances - distances[chosen[0]], axis=1)
-    while len(chosen) < min(MAX_POSES, len(candidates)) and nearest.max() > 0:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(distances - distances[chosen[-1]], axis=1))
-    return candidates[chosen]
+    fullest = int(np.argmax((~np.isnan(candidates[..., 0])).sum(1)))
+    return candidates[select_farthest_rows(distances, min(MAX_POSES, len(candidates)), fullest)]
 
 
 def _measure_distances(positions: Float[np.ndarray, "S K 3"]) -> Float[np.ndarray, "S K K"]:
@@ -191,13 +188,6 @@ MAX_EXCHANGE_COST_M2 = 0.003  # squared distances that such an exchange seems to
 MAX_REFERENCE_ROUNDS = 40  # rounds of prediction and assignment in all frames
 
 
-class ExtendedLabels(NamedTuple):
-    """The marker (N,) of each tracklet in some frames, -1 for none, and the mean squared distance in m2 per marker and frame."""
-
-    markers: Int[np.ndarray, " N"]
-    cost: float
-
-
 class ReferenceLabels(NamedTuple):
     """The marker (N,) of each tracklet, -1 for none, its distances from the markers, and where these are predicted (S, K, 3)."""
 
@@ -210,14 +200,9 @@ def label_points_like(points: UnlabelledPoints, reference: ReferenceMarkers) -> 
     """Return the marker of each point by the markers of a labelled take of the same person."""
     sampled = sample_points(points)
     lasting = select_lasting_tracklets(sampled)
-    starts: list[ExtendedLabels] = []
-    for frame in select_key_frames(lasting)[0]:
-        visible = np.flatnonzero(lasting.tracklets[frame] >= 0)
-        for found in search_reference(lasting.positions[frame, visible], reference, (0.0,))[:PLACES_PER_FRAME]:
-            markers = np.full(sampled.tracklet_count, -1)
-            markers[lasting.tracklets[frame, visible]] = found.markers
-            starts.append(ExtendedLabels(markers, found.cost))
-    starts.sort(key=lambda each: each.cost)
+    starts = search_key_frames(
+        lasting, select_key_frames(lasting)[0], lambda points: search_reference(points, reference, (0.0,))[:PLACES_PER_FRAME]
+    )
     extended = [extend_labels(lasting, each.markers, reference) for each in starts[:MAX_EXTENDED_PLACES]]
     if not extended:
         return label_nothing(points)
@@ -271,7 +256,7 @@ def recover_parts(sampled: SampledPoints, labels: ReferenceLabels, reference: Re
     return labels
 
 
-def has_rival(found: list[FoundBody]) -> bool:
+def has_rival(found: list[FoundMarkers]) -> bool:
     """Return whether an assignment with other markers for the same points is nearly as good, as on a symmetric object."""
     best = found[0]
     for other in found[1:]:
@@ -291,19 +276,19 @@ def count_labelled_points(sampled: SampledPoints, labels: ReferenceLabels) -> in
 
 def search_reference(
     positions: Float[np.ndarray, "V 3"], reference: ReferenceMarkers, pitches_rad: tuple[float, ...]
-) -> list[FoundBody]:
+) -> list[FoundMarkers]:
     """Return the assignments of a frame's points, in metres, by rising cost; the poses have all headings, and the pitches."""
     headings = np.linspace(0, 2 * np.pi, TRIED_HEADING_COUNT, endpoint=False)
     angles = np.array([(heading, pitch) for heading in headings for pitch in pitches_rad])
     rotations = Rotation.from_euler("YX", angles).as_matrix()
-    found: list[FoundBody] = []
+    found: list[FoundMarkers] = []
     for pose in reference.poses[:SEARCHED_POSES]:
         if not (~np.isnan(pose[:, 0])).any():
             continue
         predicted = np.median(positions, axis=0) + np.einsum("hij,kj->hki", rotations, pose - np.nanmedian(pose, axis=0))
         for number, gate in enumerate(REFERENCE_GATES_M):
             squared = ((positions[:, None] - predicted[:, None]) ** 2).sum(-1)
-            assigned = [assign_points(np.nan_to_num(each, nan=1e3), gate) for each in squared]
+            assigned = [assign_within_gate(np.nan_to_num(each, nan=1e3), gate) for each in squared]
             if number == RIGID_ROUNDS:
                 kept = np.argsort([cost for _, cost in assigned], kind="stable")[: max(2, MAX_BENT_POSES // 3)]
                 assigned, predicted = [assigned[h] for h in kept], predicted[kept]
@@ -316,21 +301,21 @@ def search_reference(
                     bent, squared = reference.predict_marker(arranged, k, pose[None], body_rotations[:, None])
                     predicted[:, k] = np.where(np.isfinite(squared), bent[:, 0], predicted[:, k])
         squared = ((positions[:, None] - predicted[:, None]) ** 2).sum(-1)
-        found += [FoundBody(*assign_points(np.nan_to_num(each, nan=1e3), REFERENCE_GATES_M[-1])) for each in squared]
+        found += [FoundMarkers(*assign_within_gate(np.nan_to_num(each, nan=1e3), REFERENCE_GATES_M[-1])) for each in squared]
     return sorted(found, key=lambda each: each.cost)
 
 
-def extend_labels(sampled: SampledPoints, markers: Int[np.ndarray, " N"], reference: ReferenceMarkers) -> ExtendedLabels:
-    """Return the labels that hold in several frames, given those that were found in one."""
+def extend_labels(sampled: SampledPoints, markers: Int[np.ndarray, " N"], reference: ReferenceMarkers) -> FoundMarkers:
+    """Return the labels that hold in several frames, given those of one; the cost is a mean squared distance in m2."""
     part = select_reference_frames(sampled, markers)
     max_distance = np.full(len(markers), MAX_EXTENSION_DISTANCE_M)
     for _ in range(REFERENCE_EXTENSION_ROUNDS):
         predicted = reference.predict(part.arrange_markers(markers, len(reference.labels)))
         markers = assign_tracklets(part, measure_tracklets(part, predicted, EXTENSION_GATE_M).squared_m2, max_distance)
-    return ExtendedLabels(markers, compute_reference_cost(part, markers, reference))
+    return FoundMarkers(markers, compute_reference_cost(part, markers, reference))
 
 
-def try_label_exchanges(sampled: SampledPoints, labels: ExtendedLabels, reference: ReferenceMarkers) -> ExtendedLabels:
+def try_label_exchanges(sampled: SampledPoints, labels: FoundMarkers, reference: ReferenceMarkers) -> FoundMarkers:
     """Return the labels with pairs exchanged that fit better so: each of two wrong labels makes the other look right."""
     part = select_reference_frames(sampled, labels.markers)
     predicted = reference.predict(part.arrange_markers(labels.markers, len(reference.labels)))
@@ -346,7 +331,7 @@ def try_label_exchanges(sampled: SampledPoints, labels: ExtendedLabels, referenc
         exchanged = np.where(labels.markers == one, other, np.where(labels.markers == other, one, labels.markers))
         exchanged_cost = compute_reference_cost(part, exchanged, reference)
         if exchanged_cost < labels.cost:
-            labels = ExtendedLabels(exchanged, exchanged_cost)
+            labels = FoundMarkers(exchanged, exchanged_cost)
     return labels
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import format_name_list
 from mocapfix.labels.body_search import (
@@ -18,15 +18,12 @@ from mocapfix.labels.body_search import (
     POSING_MARKER_SD_M,
     POSING_SCALES_M,
     ExtendedBody,
-    PropagatedLabels,
     pose_body,
-    predict_in_posed_frames,
     scale_nominal_subject,
 )
 from mocapfix.labels.tracklets import (
     PointLabels,
     SampledPoints,
-    TrackletDistances,
     UnlabelledPoints,
     assign_tracklets,
     measure_durations,
@@ -36,6 +33,7 @@ from mocapfix.labels.tracklets import (
 )
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.subject import Subject
+from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 
 BODY_SURFACE_SD_M = 0.136  # of a normal distribution as dense as points anywhere on the body: 1.9 m2 by 2 cm
@@ -82,10 +80,12 @@ MIN_OPTIONAL_DURATION_S = 2.0  # duration of such a tracklet; a shorter one may 
 
 
 def add_optional_markers(
-    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, subject: Subject, labels: PropagatedLabels
+    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, predicted: Float[np.ndarray, "S K 3"]
 ) -> Int[np.ndarray, " N"]:
-    """Return the markers of the tracklets with optional ones for long tracklets that have none."""
-    predicted = predict_in_posed_frames(labels, subject)
+    """Return the markers of the tracklets with optional ones for long tracklets that have none.
+
+    `predicted` is where the body carries all markers of the set, in metres, NaN where unknown.
+    """
     squared = measure_tracklets(sampled, predicted, 2 * MAX_OPTIONAL_DISTANCE_M).squared_m2
     is_optional = np.array([label in marker_set.optional_labels for label in marker_set.labels])
     is_free = (markers < 0) & (measure_durations(sampled) >= MIN_OPTIONAL_DURATION_S)
@@ -255,9 +255,5 @@ def _add_optional(
     markers = indices[found.markers]
     if len(required.labels) == len(marker_set.labels):
         return markers
-    everywhere = np.ones(len(measured.sampled.frames), bool)
-    distances = TrackletDistances(np.zeros((0, 0)), np.zeros(0, int))
-    labels = PropagatedLabels(found.body, found.markers, distances, everywhere, measured.poses)
-    return add_optional_markers(
-        measured.sampled, markers, marker_set, scale_nominal_subject(found.body.subject, marker_set), labels
-    )
+    predicted = kinematics.predict_markers(scale_nominal_subject(found.body.subject, marker_set), measured.poses)
+    return add_optional_markers(measured.sampled, markers, marker_set, predicted)

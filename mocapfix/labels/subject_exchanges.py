@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
 from mocapfix.errors import format_name_list
 from mocapfix.io.changes_file import Review
+from mocapfix.labels.label_swaps import build_exchange_fault
 from mocapfix.labels.tracklets import link_points
 from mocapfix.model.changes import Change, build_changes, compute_editable_mask
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
@@ -246,7 +247,8 @@ def detect_subject_exchanges(take: Take, first_subject: str, second_subject: str
             frames = slice(first, last + 1)
             is_one_sided = not visible[frames].any(0).all()
             if not is_one_sided or (last - first + 1) / take.rate >= MIN_ONE_SIDED_EXCHANGE_S:
-                faults.append(_build_exchange_fault(take, pairs.columns[:, k], first, last, float(supported[frames].max())))
+                pair, confidence = tuple(pairs.columns[:, k].tolist()), float(1 - np.exp(-supported[frames].max()))
+                faults.append(build_exchange_fault(take, pair, (first, last), confidence, take.labels))
     return sorted(faults, key=lambda fault: fault.first)
 
 
@@ -366,19 +368,6 @@ def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray
                 related.append((min(n, int(tracklets[each])), max(n, int(tracklets[each]))))
                 evidence.append(sign * POSITION_EVIDENCE * float(nearer))
     return TrackletRelations(np.array(related, int).reshape(-1, 2), np.array(evidence))
-
-
-def _build_exchange_fault(take: Take, columns: np.ndarray, first: int, last: int, support: float) -> Fault:
-    one, other = (int(m) for m in columns)
-    distance_m = np.linalg.norm(take.markers[first : last + 1, one] - take.markers[first : last + 1, other], axis=-1)
-    separation_m = float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
-    duration = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
-    distance = f"{separation_m * 1e3:.0f} mm" if np.isfinite(separation_m) else "away"
-    reason = (
-        f"{take.labels[one]} and {take.labels[other]} have exchanged their labels for {duration}: "
-        f"their samples lie {distance} from their markers."
-    )
-    return Fault("swap", one, first, last, separation_m, reason, float(1 - np.exp(-support)), (other,))
 
 
 @dataclass(frozen=True)

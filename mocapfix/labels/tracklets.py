@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.point_linking import combine_links, link_in_order, number_tracklets
-from mocapfix.stats.sequences import find_runs, sample_evenly
+from mocapfix.stats.sequences import assign_points, find_runs, sample_evenly
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,6 @@ def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
 
 MAX_BLOCK_FRAMES_OF_DISTANCES = 512  # frames whose distances between points and markers are held at a time
 MAX_OVERLAP_SHARE = 0.5  # share of a tracklet's frames in which another tracklet may have its label
-FOUND_GATE_SHARE = 0.95  # share of the gate below which a marker counts as found
 MAX_LABEL_DISTANCES_M = (0.06, 0.15)  # at which no label is as likely as a label, for a short and a long tracklet
 LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)  # durations of these tracklets
 MIN_SEARCHED_DURATION_S = 0.15  # duration of the tracklets among which a body is searched for: shorter ones are often ghosts
@@ -134,18 +133,13 @@ class TrackletDistances(NamedTuple):
     frame_count: np.ndarray  # (N,) frames that were compared
 
 
-def assign_points(squared_distance: Float[np.ndarray, "V K"], gate_m: float) -> tuple[Int[np.ndarray, " V"], float]:
+def assign_within_gate(squared_distance: Float[np.ndarray, "V K"], gate_m: float) -> tuple[Int[np.ndarray, " V"], float]:
     """Assign points one-to-one to markers; points and markers farther apart than the gate stay alone, and count with it.
 
     Returns the marker of each point, -1 for none, and the mean squared distance over the markers or points, whichever are fewer.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
-    capped = np.minimum(squared_distance, gate_m**2)
-    rows, columns = linear_sum_assignment(capped)
-    indices, is_near = np.full(len(capped), -1), capped[rows, columns] < FOUND_GATE_SHARE * gate_m**2
-    indices[rows[is_near]] = columns[is_near]
-    return indices, float(capped[rows, columns].mean()) if len(rows) else 0.0
+    indices, costs = assign_points(squared_distance, gate_m**2)
+    return indices, float(costs.mean()) if len(costs) else 0.0
 
 
 def measure_tracklets(sampled: SampledPoints, predicted: Float[np.ndarray, "S K 3"], gate_m: float) -> TrackletDistances:

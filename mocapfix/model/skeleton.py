@@ -115,6 +115,11 @@ class Skeleton:
         return float(np.linalg.norm(self.offsets))
 
     @property
+    def size_ratio(self) -> float:
+        """The size of a person relative to the average body."""
+        return self.total_length_m / load_cmu31_body().skeleton.total_length_m
+
+    @property
     def rest_positions(self) -> Float[np.ndarray, "J 3"]:
         """The joints in the rest pose, in metres, with the roots at their offsets."""
         return self.compute_rest_pose()[0]

@@ -21,6 +21,7 @@ markers is a row without points; without such a row rerun keeps showing the prev
 
 import errno
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +106,7 @@ def _log_contact_states(writer: "_RecordingWriter", contacts: BodyContacts) -> N
     style = rr.StateConfiguration(values=CONTACT_STATES, labels=(" ", *CONTACT_STATES[1:]), colors=STATE_RGBA)
     for column in np.flatnonzero(contacts.is_contact.any(0)):
         state = np.where(contacts.is_contact[:, column], 1 + contacts.is_known[:, column], 0)
-        starts = np.flatnonzero(np.diff(state, prepend=-1))
-        path = f"contacts/{CONTACT_NAMES[contacts.joints[column]].replace(' ', '-')}"
-        writer.recording.log(path, style, static=True)
-        writer.send_columns(path, rr.StateChange.columns(state=[CONTACT_STATES[s] for s in state[starts]]), starts)
+        writer.log_states(f"contacts/{CONTACT_NAMES[contacts.joints[column]].replace(' ', '-')}", state, CONTACT_STATES, style)
 
 
 def _log_events(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
@@ -250,9 +248,13 @@ class _RecordingWriter:
         for m in sorted(np.argsort(-count, kind="stable")[:MAX_STATE_LANES]):
             if count[m]:
                 path = rr.new_entity_path(["state", self.point_names[m]])
-                starts = np.flatnonzero(np.diff(outcome[:, m], prepend=-1))
-                self.recording.log(path, style, static=True)
-                self.send_columns(path, rr.StateChange.columns(state=[names[s] for s in outcome[starts, m]]), starts)
+                self.log_states(path, outcome[:, m], names, style)
+
+    def log_states(self, path: str, state: Int[np.ndarray, " T"], names: Sequence[str], style: rr.StateConfiguration) -> None:
+        """Log the changes of a state, given by its index among the names."""
+        starts = np.flatnonzero(np.diff(state, prepend=-1))
+        self.recording.log(path, style, static=True)
+        self.send_columns(path, rr.StateChange.columns(state=[names[s] for s in state[starts]]), starts)
 
     def log_missing_counts(self, input_take: Take, cleaned_take: Take) -> None:
         """Log the number of missing markers per frame, before and after."""

@@ -51,19 +51,46 @@ def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: i
     return np.sort(np.r_[near, spaced])
 
 
-def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[int]:
-    """Return the indices of rows that differ most: the one nearest to the mean, then each that is farthest from those before it.
+def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int, first: int | None = None) -> list[int]:
+    """Return the indices of rows that differ most: a first one, then each that is farthest from those before it.
 
     Args:
         count: At least one is returned, and at most N are different.
+        first: The first one, by default the one nearest to the mean.
     """
-    chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin())]
+    chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin()) if first is None else first]
     nearest = np.full(len(values), np.inf)
     while len(chosen) < count:
         nearest = np.minimum(nearest, np.linalg.norm(values - values[chosen[-1]], axis=1))
         nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
         chosen.append(int(nearest.argmax()))
     return chosen
+
+
+FOUND_COST_SHARE = 0.95  # share of the largest cost below which a point counts as assigned
+
+
+def assign_points(costs: Float[np.ndarray, "V K"], max_cost: float) -> tuple[Int[np.ndarray, " V"], Float[np.ndarray, " N"]]:
+    """Assign points one-to-one to places (Kuhn 1955); those that cost about `max_cost` or more stay alone, and count with it.
+
+    Returns the place of each point, -1 for none, and the costs of the points or places, whichever are fewer.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    capped = np.minimum(costs, max_cost)
+    rows, columns = linear_sum_assignment(capped)
+    found, indices = capped[rows, columns], np.full(len(costs), -1)
+    is_near = found < FOUND_COST_SHARE * max_cost
+    indices[rows[is_near]] = columns[is_near]
+    return indices, found
+
+
+def compute_known_medians(values: Float[np.ndarray, "T ..."]) -> Float[np.ndarray, "..."]:
+    """Return what `np.nanmedian` does over the first axis, which takes ten times as long for few values and warns of NaN."""
+    ordered = np.sort(values, axis=0)  # NaN sorts last
+    count = np.asarray((~np.isnan(ordered)).sum(0))
+    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(0))
 
 
 FLOAT32_RESOLUTION = 2.0**-23  # relative resolution of the 32-bit floats in which files store coordinates

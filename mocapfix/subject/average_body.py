@@ -6,7 +6,7 @@ Only the size of the average body is estimated from a take: from the distances b
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.model.marker_set import MarkerSet
@@ -31,7 +31,7 @@ def scale_skeleton(skeleton: Skeleton, factor: float) -> Skeleton:
 
 
 def estimate_body_size_ratio(
-    skeleton: Skeleton, marker_set: MarkerSet, markers: Float[np.ndarray, "T K 3"], min_frames: int = MIN_PAIR_FRAMES
+    marker_set: MarkerSet, markers: Float[np.ndarray, "T K 3"], min_frames: int = MIN_PAIR_FRAMES
 ) -> float:
     """Return the subject's size relative to the average body, from marker distances that stay constant during the motion.
 
@@ -42,23 +42,19 @@ def estimate_body_size_ratio(
         markers: Metres, NaN if not visible or an outlier.
         min_frames: Frames in which both markers of a pair must be visible.
     """
-    nominal = compute_rest_marker_positions(skeleton, marker_set)
+    nominal = compute_rest_marker_positions(marker_set)
     ratios: list[float] = []
     weights: list[float] = []
-    for a in range(len(nominal)):
-        for b in range(a):
-            i, j = marker_set.joints[a], marker_set.joints[b]
-            expected = np.linalg.norm(nominal[a] - nominal[b])
-            if expected < MIN_PAIR_DISTANCE_M or not (i == j or skeleton.parents[i] == j or skeleton.parents[j] == i):
-                continue
-            distance = np.linalg.norm(markers[:, a] - markers[:, b], axis=-1)
-            distance = distance[~np.isnan(distance)]
-            if len(distance) < min_frames:
-                continue
-            median = np.median(distance)
-            if np.median(np.abs(distance - median)) <= MAX_DISTANCE_VARIATION * median:  # true if all lie at one point, too
-                ratios.append(float(median / expected))
-                weights.append(float(expected))
+    for a, b in zip(*find_near_pairs(marker_set.joints), strict=True):
+        expected = np.linalg.norm(nominal[a] - nominal[b])
+        distance = np.linalg.norm(markers[:, a] - markers[:, b], axis=-1)
+        distance = distance[~np.isnan(distance)]
+        if expected < MIN_PAIR_DISTANCE_M or len(distance) < min_frames:
+            continue
+        median = np.median(distance)
+        if np.median(np.abs(distance - median)) <= MAX_DISTANCE_VARIATION * median:  # true if all lie at one point, too
+            ratios.append(float(median / expected))
+            weights.append(float(expected))
     if not ratios:
         return 1.0
     order = np.argsort(ratios)
@@ -66,9 +62,18 @@ def estimate_body_size_ratio(
     return float(np.clip(np.array(ratios)[order][middle], MIN_SIZE_RATIO, MAX_SIZE_RATIO))
 
 
-def compute_rest_marker_positions(skeleton: Skeleton, marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
-    """Return the markers of a set in the rest pose, in metres."""
-    return skeleton.rest_positions[marker_set.joints] + marker_set.marker_offsets
+def find_near_pairs(joints: Int[np.ndarray, " K"]) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
+    """Return the pairs of markers on the same joint, or on a joint and its parent, by their indices, the larger first."""
+    parents = load_cmu31_body().skeleton.parents
+    second, first = np.tril_indices(len(joints), -1)
+    i, j = joints[second], joints[first]
+    is_near = (i == j) | (parents[i] == j) | (parents[j] == i)
+    return second[is_near], first[is_near]
+
+
+def compute_rest_marker_positions(marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
+    """Return the markers of a set on the average body in the rest pose, in metres."""
+    return load_cmu31_body().skeleton.rest_positions[marker_set.joints] + marker_set.marker_offsets
 
 
 ARM_RAISE_SHARES = (0.0, 0.5, 1.0)  # arm positions in which a body is placed: 0 hanging, 1 as in a T-pose
@@ -153,7 +158,7 @@ class PosedBody:
         return build_marker_problem(self.subject, self.body.free_joints, markers, marker_sd_m, prior, limits)
 
 
-def build_posed_body(subject: Subject, body: BodyModel | None = None) -> PosedBody:
-    """Return the body of a subject; `body` is the average body as far as it is posed, by default that which its markers show."""
-    body = subject.body_model if body is None else body
+def build_posed_body(subject: Subject) -> PosedBody:
+    """Return the body of a subject, posed as far as its markers show it."""
+    body = subject.body_model
     return PosedBody(subject, body, load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))

@@ -144,7 +144,7 @@ def fit_calibration(
     subject, refined, first_cost = refinement.refine_subject(
         start, body, prior, take.markers[frames], poses, unknowns, times_s=frames / take.rate
     )
-    check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
+    check_size_ratio(take, subject.skeleton.size_ratio)
     improvement = (first_cost - refined.cost) / refined.cost
     return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], refined.poses, improvement)
 
@@ -153,18 +153,18 @@ def choose_calibration_frames(
     take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior
 ) -> tuple[Subject, Int[np.ndarray, " N"], Poses]:
     """Return the average body at the size of the take, the frames that differ most in pose, and its poses in them."""
-    start = scale_average_subject(take, marker_set, body)
+    start = scale_average_subject(take, marker_set)
     candidates = select_candidate_frames(take.markers)
     root_position, local_rotations = refinement.pose_frames(start, body, prior, take.markers[candidates])
     chosen = select_varied_poses(local_rotations, np.random.default_rng(0))
     return start, candidates[chosen], (root_position[chosen], local_rotations[chosen])
 
 
-def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
+def scale_average_subject(take: Take, marker_set: MarkerSet) -> Subject:
     """Return the average body at the size estimated from the take, the start of `calibrate_subject`; raises like it."""
     if not ((~np.isnan(take.markers[..., 0])).sum(1) >= MIN_CALIBRATION_MARKERS).any():
         raise TakeError(f"{take.name}: no frame shows three markers of the body, so it cannot be calibrated.")
-    ratio = estimate_body_size_ratio(body.skeleton, marker_set, take.markers)
+    ratio = estimate_body_size_ratio(marker_set, take.markers)
     check_size_ratio(take, ratio)
     return build_average_subject(marker_set, ratio)
 
@@ -183,17 +183,20 @@ def select_candidate_frames(markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarr
     return enough[sample_evenly(len(enough), MAX_CANDIDATE_FRAMES)]
 
 
-def select_varied_poses(local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.random.Generator) -> Int[np.ndarray, " C"]:
-    """Return the indices of up to MAX_CALIBRATION_FRAMES poses: half of them the most different, half at random.
+def select_varied_poses(
+    local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.random.Generator | None, max_count: int = MAX_CALIBRATION_FRAMES
+) -> Int[np.ndarray, " C"]:
+    """Return the indices of up to `max_count` poses: half the most different, half others, at random or else evenly spaced.
 
     The different ones are found by farthest-point selection in the chordal distance over the joints below the root.
     """
     flat = local_rotations[:, 1:].reshape(len(local_rotations), -1)
-    if len(flat) <= MAX_CALIBRATION_FRAMES:
+    if len(flat) <= max_count:
         return np.arange(len(flat))
-    chosen = select_farthest_rows(flat, MAX_CALIBRATION_FRAMES // 2)
-    rest = np.setdiff1d(np.arange(len(flat)), chosen)
-    return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
+    chosen = select_farthest_rows(flat, max_count // 2)
+    rest, count = np.setdiff1d(np.arange(len(flat)), chosen), max_count - len(chosen)
+    others = rng.choice(rest, count, replace=False) if rng else rest[np.linspace(0, len(rest) - 1, count).astype(int)]
+    return np.sort(np.r_[chosen, others])
 
 
 def select_calibration_frames(
@@ -216,7 +219,7 @@ def select_calibration_frames(
         joints=marker_set.joints,
         marker_offsets=marker_set.marker_offsets,
         marker_spread=marker_set.marker_spread,
-        size_ratio=start.skeleton.total_length_m / body.skeleton.total_length_m,
+        size_ratio=start.skeleton.size_ratio,
         times_s=frames / take.rate,
         markers=take.markers[frames],
         root_position=root_position,

@@ -203,16 +203,13 @@ def find_impossible_joint(
     return ""
 
 
-def measure_learned_body(
-    take: Take, labels: Sequence[str], marker_set: MarkerSet, fit: "MarkerSetFit", average_length_m: float
-) -> LearnedBody:
+def measure_learned_body(take: Take, labels: Sequence[str], marker_set: MarkerSet, fit: MarkerSetFit) -> LearnedBody:
     """Return what the checks compare of a set that was fitted to a take, whose markers have `labels` in the set."""
     columns = [labels.index(label) for label in marker_set.labels]
     markers = take.markers[:, columns]
-    size_ratio = fit.subject.skeleton.total_length_m / average_length_m
     residual_m = float(np.sqrt(3 * np.mean(fit.attachment.residual_sd[columns] ** 2)))
     spreads = measure_distance_spread(markers), measure_position_spread(markers)
-    return LearnedBody(marker_set, residual_m, size_ratio, fit.joint_rotations, *spreads)
+    return LearnedBody(marker_set, residual_m, fit.subject.skeleton.size_ratio, fit.joint_rotations, *spreads)
 
 
 def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", guess: MarkerSet) -> str:
@@ -350,7 +347,7 @@ def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) ->
         raise TakeError(f"{take.name}: no marker set can be learned: {problem.partition(';')[0]}.")
     marker_set = marker_set.select_shown_part(marker_set.labels)
     if not keep_guess:
-        learned_body = measure_learned_body(take, labels, marker_set, fit, body.skeleton.total_length_m)
+        learned_body = measure_learned_body(take, labels, marker_set, fit)
         limits = load_joint_limits(body.skeleton)
         problem = (
             describe_incomplete_location(marker_set.joints, int(take.visible.any(0).sum()))
@@ -433,16 +430,8 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
 def relabel_marker_set(known: MarkerSet, labels: Sequence[str]) -> MarkerSet:
     """Return those markers of a set that are among a take's labels, under the take's labels."""
     found = known.match_labels(labels)
-    rows = [known.labels.index(label) for label in found]
-    return replace(
-        known,
-        labels=tuple(labels[column] for column in found.values()),
-        joints=known.joints[rows],
-        marker_offsets=known.marker_offsets[rows],
-        marker_spread=known.marker_spread[rows],
-        aliases=((),) * len(rows),
-        optional_labels=frozenset(),
-    )
+    names = tuple(labels[column] for column in found.values())
+    return replace(known.select_markers(found), labels=names, aliases=((),) * len(names), optional_labels=frozenset())
 
 
 def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title: str, *, keep_guess: bool) -> MarkerSet:
@@ -452,7 +441,7 @@ def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title:
         keep_guess: Whether the offsets of the guessed markers stay as they are, because they are of a known set.
     """
     marker_set = learned.marker_set
-    size = learned.subject.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
+    size = learned.subject.skeleton.size_ratio
     index_of_label = {label: k for k, label in enumerate(learned.subject.labels)}
     offsets, spread = marker_set.marker_offsets.copy(), marker_set.marker_spread.copy()
     for n, label in enumerate(marker_set.labels):

@@ -142,7 +142,7 @@ def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
 
 
 LANDMARK_FILE = "skeletons/landmarks.yaml"
-MIRROR_X = np.array([-1.0, 1.0, 1.0])
+MIRROR_X = np.array([-1.0, 1.0, 1.0])  # the body rests facing +Z, so left and right differ in the sign of x
 MAX_MEDIAN_DISTANCE_M = 0.008  # from the median plane, of a landmark of pelvis, trunk or head of neither side
 
 

@@ -198,7 +198,7 @@ def fit_marker_set(
     def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, MarkerSet]:
         part = restrict_body(body, set(marker_set.joints.tolist()))
         fit = calibrate_on_frames(take, labels, marker_set, part, prior, frames)
-        size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
+        size = fit.subject.skeleton.size_ratio
         is_posed = part.free_joints | part.shown_segments
         is_posed[0] = part.shown_segments[0]
         places = atlas.select_joints(is_posed[find_carriers(part.skeleton.parents, body.free_joints)]).scale(size)

@@ -160,9 +160,9 @@ class HipEvidence(NamedTuple):
     jacobian: Float[np.ndarray, "6 Q"]  # its derivatives with respect to the unknowns
 
 
-def add_hip_regression(parameters: CalibrationParameters, start: Subject, average: Skeleton) -> CalibrationParameters:
+def add_hip_regression(parameters: CalibrationParameters, start: Subject) -> CalibrationParameters:
     """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none."""
-    evidence = build_hip_evidence(start, average, parameters)
+    evidence = build_hip_evidence(start, parameters)
     if evidence is None:
         return parameters
     precision = evidence.jacobian.T / HIP_REGRESSION_SD_M**2
@@ -171,10 +171,9 @@ def add_hip_regression(parameters: CalibrationParameters, start: Subject, averag
     return replace(parameters, information=information, expected=np.linalg.solve(information, gradient))
 
 
-def find_pelvis_landmarks(subject: Subject, average: Skeleton) -> PelvisLandmarks | None:
+def find_pelvis_landmarks(subject: Subject) -> PelvisLandmarks | None:
     """Return the markers on the landmarks of the pelvis of an uncalibrated subject; None if one is missing."""
-    ratio = subject.skeleton.total_length_m / average.total_length_m
-    pelvis = average.find_joint("Hips")
+    ratio, pelvis = subject.skeleton.size_ratio, subject.skeleton.find_joint("Hips")
 
     def find_marker(landmark_name: str) -> list[int]:
         distance = np.linalg.norm(subject.marker_offsets / ratio - find_landmark(landmark_name).offset, axis=1)
@@ -201,9 +200,9 @@ def predict_hip_joints(
     return np.array([centre + sideward, centre - sideward])
 
 
-def build_hip_evidence(start: Subject, average: Skeleton, parameters: CalibrationParameters) -> HipEvidence | None:
+def build_hip_evidence(start: Subject, parameters: CalibrationParameters) -> HipEvidence | None:
     """Return what the regression says of the unknowns, None if the subject has no markers on the landmarks."""
-    landmarks = find_pelvis_landmarks(start, average)
+    landmarks = find_pelvis_landmarks(start)
     if landmarks is None:
         return None
     skeleton, posterior = start.skeleton, list(landmarks.posterior)

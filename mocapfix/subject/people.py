@@ -17,11 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from mocapfix.io.files import find_common_folder
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.system import make_file_name
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.stats.sequences import sample_evenly
+from mocapfix.subject.average_body import find_near_pairs
 from mocapfix.subject.calibration import CalibrationFrames
 from mocapfix.subject.library import write_subject
 from mocapfix.subject.person_calibration import PersonCalibration, calibrate_person
@@ -57,11 +57,7 @@ def measure_marker_distances(
     markers: Float[np.ndarray, "N K 3"], labels: Sequence[str], joints: Int[np.ndarray, " K"]
 ) -> dict[str, float]:
     """Return the median distances in metres of marker pairs whose joints are the same or neighbours."""
-    parents = np.array(load_cmu31_body().skeleton.parents)
-    second, first = np.tril_indices(len(labels), -1)
-    i, j = joints[second], joints[first]
-    near = (i == j) | (parents[i] == j) | (parents[j] == i)
-    first, second = first[near], second[near]
+    second, first = find_near_pairs(joints)
     distance = np.linalg.norm(markers[:, second] - markers[:, first], axis=2)
     known = (~np.isnan(distance)).any(0)
     median = np.nanmedian(distance[:, known], axis=0)

@@ -26,10 +26,10 @@ from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.minimise import minimise_shared
 from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
-from mocapfix.stats.sequences import select_farthest_rows
+from mocapfix.stats.sequences import compute_known_medians
 from mocapfix.subject import refinement
 from mocapfix.subject.average_body import build_average_subject
-from mocapfix.subject.calibration import CalibrationFrames
+from mocapfix.subject.calibration import CalibrationFrames, select_varied_poses
 from mocapfix.subject.parameters import CalibratedBody, CalibrationParameters, add_hip_regression, build_calibration_parameters
 from mocapfix.subject.refinement import RefinementState, estimate_residual_sd
 
@@ -75,7 +75,7 @@ def calibrate_jointly(
     size_ratio = float(np.median([take.size_ratio for take in takes]))
     start = build_average_subject(takes[0].known_markers, size_ratio)
     plain = build_calibration_parameters(start, body, prior)
-    parameters = add_hip_regression(plain, start, body.skeleton)
+    parameters = add_hip_regression(plain, start)
     unknowns_of_takes, information, expected = lay_out_unknowns(plain, parameters, places)
     poses = [each.poses for each in (takes if previous is None else previous.states)]
 
@@ -270,7 +270,7 @@ def find_attached_again(
     residuals = np.array([compute_place_residuals(state) for state in states]) + marker_offsets - marker_offsets[0]
     names = list(dict.fromkeys(sessions))
     of_session = np.array([names.index(session) for session in sessions])
-    means = np.array([_compute_nanmedian(residuals[of_session == s]) for s in range(len(names))])
+    means = np.array([compute_known_medians(residuals[of_session == s]) for s in range(len(names))])
     within = residuals - means[of_session]
     in_large = np.isin(of_session, np.flatnonzero(np.bincount(of_session) > 1))
     noise_m = max(_compute_rms(within[in_large]), MIN_PLACE_SD_M) if in_large.any() else MIN_PLACE_SD_M
@@ -304,7 +304,7 @@ def find_moved_markers(
         for place in np.unique(places[:, k]):
             rows = np.flatnonzero(places[:, k] == place)
             if len(rows) > 1:
-                deviations[rows, k] = residuals[rows, k] - _compute_nanmedian(residuals[rows, k])
+                deviations[rows, k] = residuals[rows, k] - compute_known_medians(residuals[rows, k])
     place_sd_m = max(MEDIAN_DEVIATIONS_PER_SD * float(np.nanmedian(np.abs(deviations))), MIN_PLACE_SD_M)
     noise_ratio = np.sqrt(max(1.0, LONG_TAKE_S / max(shortest_s, MIN_TAKE_S)))
     threshold_m = max(noise_ratio * MIN_MOVE_M, MIN_MOVE_SD * np.sqrt(3) * place_sd_m)
@@ -361,14 +361,6 @@ def _split_places(
         for group in groups
     ]
     return [move for move in moves if move.distance_m > threshold_m]
-
-
-def _compute_nanmedian(values: Float[np.ndarray, "R ..."]) -> Float[np.ndarray, "..."]:
-    """Return the median over the first axis, NaN where all values are NaN."""
-    is_seen = ~np.isnan(values).all(0)
-    median = np.full(values.shape[1:], np.nan)
-    median[is_seen] = np.nanmedian(values[:, is_seen], axis=0)
-    return median
 
 
 def _compute_rms(differences: Float[np.ndarray, "... 3"]) -> float:
@@ -530,12 +522,7 @@ def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFram
 
 def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
     """Return at most `count` frames of a take: half of them the most different poses, half evenly spaced among the others."""
-    if len(take.times_s) <= count:
-        return take
-    flat = take.local_rotations[:, 1:].reshape(len(take.times_s), -1)
-    chosen = select_farthest_rows(flat, count // 2)
-    rest = np.setdiff1d(np.arange(len(flat)), chosen)
-    kept = np.sort(np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]])
+    kept = select_varied_poses(take.local_rotations, None, count)
     root, local = take.root_position[kept], take.local_rotations[kept]
     return replace(take, times_s=take.times_s[kept], markers=take.markers[kept], root_position=root, local_rotations=local)
 

@@ -160,7 +160,7 @@ def refine_subject(
         unknowns: The first values of the calibration parameters, by default 0.
         times_s: Of the frames: those near each other have similar errors.
     """
-    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start, body.skeleton)
+    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start)
 
     def fit(unknowns: np.ndarray, poses: Poses) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))

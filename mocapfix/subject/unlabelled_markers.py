@@ -18,7 +18,7 @@ from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import assign_points, sample_evenly
 from mocapfix.subject import refinement
 from mocapfix.subject.average_body import PosedBody, build_average_subject
 from mocapfix.subject.calibration import scale_average_subject, select_candidate_frames
@@ -42,7 +42,6 @@ MATCHING_MARKER_SD_M = 0.04  # standard deviation of a person's markers about th
 MAX_TRIED_BODIES = 9  # best bodies that are tested on more frames
 MAX_TRIAL_FRAMES = 60  # frames they are tested on
 TRIAL_ROUNDS = 6  # rounds of assignment and solve in this test
-UNMATCHED_GATE_SHARE = 0.95  # share of the gate: a marker whose capped mean distance reaches it is not assigned
 
 
 class MarkerAssignment(NamedTuple):
@@ -107,14 +106,9 @@ def assign_nearest(distance: Float[np.ndarray, "M A"], max_distance: float) -> M
     Markers farther than about `max_distance` from every free position are not assigned, and count with `max_distance` in the
     mean misfit of the visible markers.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
     indices, visible = np.full(len(distance), -1), np.flatnonzero(~np.isnan(distance[:, 0]))
-    capped = np.minimum(distance[visible], max_distance)
-    rows, columns = linear_sum_assignment(capped)
-    is_near = capped[rows, columns] < UNMATCHED_GATE_SHARE * max_distance
-    indices[visible[rows[is_near]]] = columns[is_near]
-    total = capped[rows, columns].sum() + max_distance * (len(visible) - len(rows))
+    indices[visible], costs = assign_points(distance[visible], max_distance)
+    total = costs.sum() + max_distance * (len(visible) - len(costs))
     return MarkerAssignment(indices, total / max(len(visible), 1))
 
 
@@ -126,9 +120,9 @@ def refine_assignment(
     for _ in range(TRIAL_ROUNDS):
         guess = build_guessed_marker_set(assignment.indices, tuple(map(str, range(len(indices)))), known)
         take = Take(markers[:, [int(label) for label in guess.labels]], guess.labels, 1.0)
-        subject = scale_average_subject(take, guess, body)
+        subject = scale_average_subject(take, guess)
         poses = refinement.pose_frames(subject, body, prior, take.markers)
-        scaled = build_average_subject(known, subject.skeleton.total_length_m / body.skeleton.total_length_m)
+        scaled = build_average_subject(known, subject.skeleton.size_ratio)
         predicted = kinematics.predict_markers(scaled, poses)
         distance = np.full((len(indices), predicted.shape[1]), np.nan)
         for m in np.flatnonzero(~np.isnan(markers[..., 0]).all(0)):

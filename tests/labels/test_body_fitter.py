@@ -12,11 +12,11 @@ from mocapfix.subject.average_body import (
 from tests.detect.people import CMU41, compose_person
 
 SKELETON = load_cmu31_body().skeleton
-RESTING = compute_rest_marker_positions(SKELETON, CMU41)
+RESTING = compute_rest_marker_positions(CMU41)
 
 
 def fitted(markers):
-    size = estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1)
+    size = estimate_body_size_ratio(CMU41, markers, min_frames=1)
     return mislabelled.fit_markers(build_posed_body(build_average_subject(CMU41, size)), markers)
 
 
@@ -31,13 +31,13 @@ def test_rest_markers_are_symmetric_in_a_t_pose():
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.3])
 def test_size_ratio_from_distances_within_segments(scale):
     markers = np.tile(RESTING * scale, (3, 1, 1))
-    assert estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1) == pytest.approx(scale)
+    assert estimate_body_size_ratio(CMU41, markers, min_frames=1) == pytest.approx(scale)
     markers[0, 5] = markers[1, 7] = np.nan
-    assert estimate_body_size_ratio(SKELETON, CMU41, markers, min_frames=1) == pytest.approx(scale)
+    assert estimate_body_size_ratio(CMU41, markers, min_frames=1) == pytest.approx(scale)
 
 
 def test_size_ratio_is_one_without_visible_distances():
-    assert estimate_body_size_ratio(SKELETON, CMU41, np.full((2, 41, 3), np.nan), min_frames=1) == 1.0
+    assert estimate_body_size_ratio(CMU41, np.full((2, 41, 3), np.nan), min_frames=1) == 1.0
 
 
 def test_predicted_markers_match_the_measured_ones():

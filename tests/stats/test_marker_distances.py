@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.label_evidence import compute_contradiction, compute_own_contradictions
-from mocapfix.labels.trajectory_segments import RigidSignatures, _compute_known_medians, compute_plane_heights
+from mocapfix.labels.trajectory_segments import RigidSignatures, compute_plane_heights
 from mocapfix.stats import marker_distances
 from mocapfix.stats.marker_distances import MarkerDistances
 from tests.detect.bodies import hidden, turning
@@ -218,14 +218,3 @@ def test_distances_of_hundreds_of_markers_are_those_of_each_body():
 def test_plane_heights_are_signed_and_in_metres():
     corners = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]]] * 2)
     np.testing.assert_allclose(compute_plane_heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])
-
-
-@pytest.mark.parametrize("shape", [(1,), (2,), (7, 3), (60, 4), (8, 1)])
-def test_known_medians_are_those_of_numpy(shape):
-    random = np.random.default_rng(0)
-    for missing in (0.0, 0.3, 0.6):
-        values = random.normal(size=shape)
-        values[random.random(shape) < missing] = np.nan
-        values[0] = 1.0
-        np.testing.assert_array_equal(_compute_known_medians(values), np.nanmedian(values, axis=0))
-    assert np.isnan(_compute_known_medians(np.full(shape, np.nan))).all()

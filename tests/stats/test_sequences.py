@@ -1,6 +1,7 @@
-"""Statistics of sequences: rows that differ most."""
+"""Statistics of sequences: rows that differ most, medians of what is known."""
 
 import numpy as np
+import pytest
 
 from mocapfix.stats import sequences
 
@@ -10,3 +11,14 @@ def test_farthest_rows_begin_at_the_mean_and_do_not_repeat() -> None:
     assert sequences.select_farthest_rows(values, 3) == [3, 0, 1]
     assert sorted(sequences.select_farthest_rows(values, 5)) == [0, 1, 2, 3, 4]
     assert len(set(sequences.select_farthest_rows(np.zeros((4, 2)), 4))) == 4
+
+
+@pytest.mark.parametrize("shape", [(1,), (2,), (7, 3), (60, 4), (8, 1)])
+def test_known_medians_are_those_of_numpy(shape: tuple[int, ...]) -> None:
+    random = np.random.default_rng(0)
+    for missing in (0.0, 0.3, 0.6):
+        values = random.normal(size=shape)
+        values[random.random(shape) < missing] = np.nan
+        values[0] = 1.0
+        np.testing.assert_array_equal(sequences.compute_known_medians(values), np.nanmedian(values, axis=0))
+    assert np.isnan(sequences.compute_known_medians(np.full(shape, np.nan))).all()

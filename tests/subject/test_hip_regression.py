@@ -37,13 +37,13 @@ def start_of(name: str, ratio: float = 1.0) -> Subject:
 
 def parameters_of(start: Subject) -> CalibrationParameters:
     prior = load_mean_pose_prior("mean-pose", BODY.skeleton)
-    return add_hip_regression(build_calibration_parameters(start, BODY, prior), start, BODY.skeleton)
+    return add_hip_regression(build_calibration_parameters(start, BODY, prior), start)
 
 
 def compute_error(start: Subject, parameters: CalibrationParameters, unknowns: np.ndarray) -> np.ndarray:
     """Return the hip joints of a body, relative to those predicted from its landmarks, in metres."""
     offsets, markers, _ = parameters.compute_body(unknowns)
-    landmarks = find_pelvis_landmarks(start, BODY.skeleton)
+    landmarks = find_pelvis_landmarks(start)
     assert landmarks is not None
     hips = offsets[[BODY.skeleton.find_joint(name) for name in ("LeftUpLeg", "RightUpLeg")]]
     left, right = landmarks[:2]
@@ -75,7 +75,7 @@ def test_prediction_turns_with_the_pelvis():
 def test_landmarks_are_found_at_any_size(name, labels):
     for ratio in (0.6, 1.1):
         subject = start_of(name, ratio)
-        landmarks = find_pelvis_landmarks(subject, BODY.skeleton)
+        landmarks = find_pelvis_landmarks(subject)
         found = landmarks and tuple(subject.labels[k] for k in (*landmarks[:2], *landmarks.posterior))
         assert found == labels
 
@@ -84,13 +84,13 @@ def test_sets_without_landmarks_keep_their_prior():
     start = start_of("cmu41")
     parameters = parameters_of(start)
     assert not parameters.expected.any()
-    assert add_hip_regression(parameters, start, BODY.skeleton) is parameters
+    assert add_hip_regression(parameters, start) is parameters
 
 
 def test_derivatives_are_those_of_the_error():
     start = start_of("plug-in-gait39", 0.9)
     parameters = parameters_of(start)
-    evidence = build_hip_evidence(start, BODY.skeleton, parameters)
+    evidence = build_hip_evidence(start, parameters)
     assert evidence is not None
     np.testing.assert_allclose(evidence.error, compute_error(start, parameters, np.zeros(len(parameters.information))))
     rng = np.random.default_rng(0)
@@ -122,7 +122,7 @@ def test_expected_body_agrees_better_with_the_prediction():
 def test_narrow_pelvis_has_near_hip_joints():
     """0.33 of the distance by which the iliac spines are nearer, or less: the joints have a prior of their own, too."""
     start, left = start_of("plug-in-gait39"), BODY.skeleton.find_joint("LeftUpLeg")
-    landmarks, parameters = find_pelvis_landmarks(start, BODY.skeleton), parameters_of(start)
+    landmarks, parameters = find_pelvis_landmarks(start), parameters_of(start)
     assert landmarks is not None
     first_shift = len(parameters.deformations.marker_offsets)
     left_x, right_x = (first_shift + 3 * k for k in landmarks[:2])
@@ -137,4 +137,4 @@ def test_marker_of_another_joint_is_no_landmark():
     start = start_of("plug-in-gait39")
     moved = start.joints.copy()
     moved[start.labels.index("LASI")] = BODY.skeleton.find_joint("LowerBack")
-    assert find_pelvis_landmarks(replace(start, joints=moved), BODY.skeleton) is None
+    assert find_pelvis_landmarks(replace(start, joints=moved)) is None
