@@ -94,7 +94,7 @@ def run_batch(
 ) -> int:
     """Clean all takes of a session, on all cores or on a cluster, and write a page on them.
 
-    Every take is cleaned in a process of its own, with limits. Takes that fail do not stop the others. An interrupted batch
+    Takes are cleaned in processes with limits of time and memory. Takes that fail do not stop the others. An interrupted batch
     goes on where it was.
     """
     from mocapfix.output_formats import list_output_formats
