@@ -321,7 +321,8 @@ def run_bench_batch_kills(
 
     with TemporaryDirectory(prefix="mocapfix-") as folder, show_progress("batch", needs_kernels=True) as progress:
         result = measure_chaos(Path(folder), takes, kills, workers, seed, progress)
-    print_results(asdict(result) | {"is_sound": result.is_sound}, as_json)
+    errors = "; ".join(result.client_errors)
+    print_results(asdict(result) | {"client_errors": errors, "is_sound": result.is_sound}, as_json)
     return EXIT_DONE if result.is_sound else EXIT_FAILED
 
 
