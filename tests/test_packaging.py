@@ -119,7 +119,7 @@ def test_addresses_are_those_of_the_project():
 def test_sdist_is_complete(built: tuple[Path, Path]):
     with tarfile.open(built[0]) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames()}
-    assert {"LICENSE", "CHANGELOG.md", "Makefile", "constraints.txt", "build_readme.py", "tests/test_packaging.py"} <= names
+    assert {"LICENSE", "CHANGELOG.md", "Makefile", "constraints.txt", "docs/build_readme.py", "tests/test_packaging.py"} <= names
     assert not any(name.startswith((".venv", "shared")) for name in names)
 
 
