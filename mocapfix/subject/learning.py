@@ -417,11 +417,8 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
     grouped = None if like else guess_from_groups(take, labels)
     if grouped and len(grouped.marker_set.labels) >= MIN_GROUPED_SHARE * sum(map(bool, visible_labels)):
         return grouped
-    body = load_cmu31_body()
-    prior, limits = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton), load_joint_limits(body.skeleton)
-    guess = guess_from_marker_cloud(take, tuple(labels), body, prior, limits)
     return InitialGuess(
-        guess,
+        guess_from_marker_cloud(take, tuple(labels)),
         POSITION_LOG_ODDS,
         "The labels do not locate a body: all markers were located by their positions and motion. Check the result.",
     )

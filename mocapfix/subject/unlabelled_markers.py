@@ -14,13 +14,13 @@ from jaxtyping import Float
 
 from mocapfix.errors import TakeError
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import BodyModel
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
-from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.stats.sequences import assign_points, sample_evenly
 from mocapfix.subject import refinement
-from mocapfix.subject.average_body import PosedBody, build_average_subject
+from mocapfix.subject.average_body import PosedBody, build_average_subject, build_posed_body
 from mocapfix.subject.calibration import scale_average_subject, select_candidate_frames
 from mocapfix.subject.library import load_marker_set
 
@@ -51,9 +51,7 @@ class MarkerAssignment(NamedTuple):
     misfit_m: np.ndarray
 
 
-def guess_from_marker_cloud(
-    take: Take, labels: tuple[str, ...], body: BodyModel, prior: MeanPosePrior, limits: JointLimits
-) -> MarkerSet:
+def guess_from_marker_cloud(take: Take, labels: tuple[str, ...]) -> MarkerSet:
     """Return a set of those markers of the take for which the body has a position, under the names `labels`."""
     candidates = select_candidate_frames(take.markers)
     trial = take.markers[candidates[sample_evenly(len(candidates), MAX_TRIAL_FRAMES)]]
@@ -64,16 +62,14 @@ def guess_from_marker_cloud(
     standing = np.argsort(height)[[round(quantile * (len(height) - 1)) for quantile in HEIGHT_QUANTILES]]
     hypotheses: list[tuple[float, np.ndarray, MarkerSet]] = []
     for marker_set in map(load_marker_set, FITTED_SET_NAMES):
-        average = PosedBody(build_average_subject(marker_set), body, prior, limits)
+        average = build_posed_body(build_average_subject(marker_set))
         for frame in standing:
             fits = fit_bodies_to_markers(trial[frame], average.fit_height(float(height[frame])))
             hypotheses += [
                 (float(misfit), indices, marker_set) for indices, misfit in zip(fits.indices, fits.misfit_m, strict=True)
             ]
     hypotheses.sort(key=lambda hypothesis: hypothesis[0])
-    tested = [
-        (known, refine_assignment(indices, trial, known, body, prior)) for _, indices, known in hypotheses[:MAX_TRIED_BODIES]
-    ]
+    tested = [(known, refine_assignment(indices, trial, known)) for _, indices, known in hypotheses[:MAX_TRIED_BODIES]]
     known, best = min(tested, key=lambda each: float(each[1].misfit_m))
     return build_guessed_marker_set(best.indices, labels, known)
 
@@ -112,11 +108,10 @@ def assign_nearest(distance: Float[np.ndarray, "M A"], max_distance: float) -> M
     return MarkerAssignment(indices, total / max(len(visible), 1))
 
 
-def refine_assignment(
-    indices: np.ndarray, markers: Float[np.ndarray, "N M 3"], known: MarkerSet, body: BodyModel, prior: MeanPosePrior
-) -> MarkerAssignment:
+def refine_assignment(indices: np.ndarray, markers: Float[np.ndarray, "N M 3"], known: MarkerSet) -> MarkerAssignment:
     """Return the assignment that fits all frames, starting from the assignment `indices` (M,) in one frame."""
-    assignment, gate = MarkerAssignment(indices, np.array(np.inf)), MATCHING_GATES_M[1]
+    body, assignment, gate = load_cmu31_body(), MarkerAssignment(indices, np.array(np.inf)), MATCHING_GATES_M[1]
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
     for _ in range(TRIAL_ROUNDS):
         guess = build_guessed_marker_set(assignment.indices, tuple(map(str, range(len(indices)))), known)
         take = Take(markers[:, [int(label) for label in guess.labels]], guess.labels, 1.0)

@@ -9,13 +9,12 @@ from mocapfix.errors import TakeError
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import mean_pose
-from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.subject import label_words, marker_set_fit, unlabelled_markers
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import compose_take
 
 BODY, CMU = load_cmu31_body(), load_marker_set("cmu41")
-POSES, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_joint_limits(BODY.skeleton)
+POSES = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 NAMELESS = tuple(f"P{m}" for m in range(41))
 HIDDEN = ("LUPA", "RBAC", "LTHI", "RSHN", "RTOE", "LBHD", "RFIN", "LBWT")
 
@@ -78,7 +77,7 @@ def test_labels_alone_determine_the_body(truth, take):
 
 
 def test_unnamed_markers_determine_the_body(truth, take):
-    guess = unlabelled_markers.guess_from_marker_cloud(take, NAMELESS, BODY, POSES, LIMITS)
+    guess = unlabelled_markers.guess_from_marker_cloud(take, NAMELESS)
     rode = dict(zip(NAMELESS, truth.subject.joints, strict=True))
     assert sum(rode[label] == joint for label, joint in zip(guess.labels, guess.joints, strict=True)) > 0.9 * len(NAMELESS)
 
@@ -86,7 +85,7 @@ def test_unnamed_markers_determine_the_body(truth, take):
 def test_too_few_markers_are_rejected(take):
     few = replace(take, markers=take.markers[:, :12], labels=take.labels[:12])
     with pytest.raises(TakeError, match=r"shows fewer than 20 markers at once.*--like"):
-        unlabelled_markers.guess_from_marker_cloud(few, NAMELESS[:12], BODY, POSES, LIMITS)
+        unlabelled_markers.guess_from_marker_cloud(few, NAMELESS[:12])
 
 
 def test_guess_with_which_no_marker_moves_is_rejected(truth, take, monkeypatch):
