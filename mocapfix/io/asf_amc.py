@@ -322,16 +322,11 @@ def _build_animation(
     parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in skeleton.bones])
     tips = np.array([bone.tip_offset for bone in skeleton.bones])
     is_leaf = [joint not in parents for joint in range(len(names))]
-    return Animation(
-        names=names,
-        parents=parents,
-        offsets=np.vstack([skeleton.root_position, tips[parents[1:]]]),
-        end_sites=tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, is_leaf, strict=True)),
-        channels=tuple(bone.channels for bone in skeleton.bones),
-        values=values,
-        rate=rate,
-        path=path,
-        first_frame=first_frame,
+    offsets, channels = np.vstack([skeleton.root_position, tips[parents[1:]]]), tuple(bone.channels for bone in skeleton.bones)
+    end_sites = tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, is_leaf, strict=True))
+    animation = Animation(names, parents, offsets, end_sites, channels, values, rate, path, first_frame)
+    return replace(
+        animation,
         unit_m=skeleton.unit_m,
         rest_rotations=np.array([bone.rotation_world_bone for bone in skeleton.bones]),
         is_position_added=np.ones(len(names), bool),

@@ -209,18 +209,12 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     notes = list(timing.notes)
     if timing.declared_frame_count != frame_count:
         notes.append(f"It declares {timing.declared_frame_count} frames and has {frame_count}; all of these are read.")
-    animation = Animation(
-        names=tuple(joint.name for joint in joints),
-        parents=np.array([joint.parent for joint in joints]),
-        offsets=np.array([joint.offset for joint in joints], float),
-        end_sites=tuple(np.array(joint.end_sites, float).reshape(-1, 3) for joint in joints),
-        channels=tuple(joint.channels for joint in joints),
-        values=tokens.values.reshape(frame_count, width),
-        rate=timing.rate,
-        path=path,
-        wrong_rate_bytes=timing.wrong_bytes,
-        value_byte_offsets=tokens.start_bytes.reshape(frame_count, width),
-    )
+    names, channels = tuple(joint.name for joint in joints), tuple(joint.channels for joint in joints)
+    parents, offsets = np.array([joint.parent for joint in joints]), np.array([joint.offset for joint in joints], float)
+    end_sites = tuple(np.array(joint.end_sites, float).reshape(-1, 3) for joint in joints)
+    values, starts = (each.reshape(frame_count, width) for each in (tokens.values, tokens.start_bytes))
+    animation = Animation(names, parents, offsets, end_sites, channels, values, timing.rate, path)
+    animation = replace(animation, wrong_rate_bytes=timing.wrong_bytes, value_byte_offsets=starts)
     is_added, displacement_notes = _find_displacements(animation)
     animation = replace(animation, is_position_added=is_added, notes=(*notes, *displacement_notes))
     animation = infer_conventions(animation, options)

@@ -53,17 +53,8 @@ class SampleBlocks(NamedTuple):
 
     def build_layout(self, processor_type: int, scale_factor: float = 1.0, unit_m: float = 1.0) -> C3dLayout:
         """Return the layout without a rotation."""
-        return C3dLayout(
-            processor_type=processor_type,
-            is_float=self.is_float,
-            scale_factor=scale_factor,
-            data_start_byte=self.start_byte,
-            frame_stride_bytes=self.frame_bytes,
-            point_count=self.point_count,
-            frame_count=self.frame_count,
-            unit_m=unit_m,
-            rotation_y_up_file=np.eye(3),
-        )
+        counts = self.start_byte, self.frame_bytes, self.point_count, self.frame_count
+        return C3dLayout(processor_type, self.is_float, scale_factor, *counts, unit_m, np.eye(3))
 
 
 class _Source(NamedTuple):

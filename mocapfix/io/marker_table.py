@@ -346,14 +346,6 @@ def _build_table_layout(table: MarkerTable, decimal_sign: str, visible: Bool[np.
             if x < len(line):
                 cells[is_present].append(line[x].strip(CELL_PADDING))
     number_format, missing_text = infer_number_format(cells[True], cells[False], table.unit_m)
-    return TableLayout(
-        encoding=document.encoding,
-        newline=document.newline,
-        delimiter=table.delimiter,
-        decimal_sign=decimal_sign,
-        unit_m=table.unit_m,
-        line_indices=np.asarray(table.line_indices, int),
-        field_indices=table.field_indices,
-        number_format=number_format,
-        missing_text=missing_text.replace(".", decimal_sign),
-    )
+    lines, missing_text = np.asarray(table.line_indices, int), missing_text.replace(".", decimal_sign)
+    layout = TableLayout(document.encoding, document.newline, table.delimiter, decimal_sign, table.unit_m, lines)
+    return replace(layout, field_indices=table.field_indices, number_format=number_format, missing_text=missing_text)

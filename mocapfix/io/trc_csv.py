@@ -12,6 +12,7 @@ and axis are separated by "_", ".", ":", "-" or a blank, fields by commas, semic
 import csv
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,23 +78,12 @@ def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
     declared, notes = parse_whole_number(header.get("nummarkers", "")), unit_notes
     if declared is not None and not len(names) <= declared <= point_count:
         notes = (*unit_notes, f"The header declares {declared} markers; {len(names)} are named.")
-    return read_marker_table(
-        MarkerTable(
-            document=document,
-            delimiter=delimiter,
-            line_indices=line_indices,
-            frame_field=0,
-            field_indices=FIRST_MARKER_FIELD + np.arange(3 * point_count).reshape(-1, 3),
-            labels=[*names, *(f"*{i}" for i in range(len(names), point_count))],
-            unit_m=unit_m,
-            rate_text=header.get("datarate", ""),
-            rate_line=keys_index + 1,
-            time_field=1,
-            declared_frame_count=header.get("numframes", ""),
-            notes=notes,
-        ),
-        options,
-    )
+    field_indices = FIRST_MARKER_FIELD + np.arange(3 * point_count).reshape(-1, 3)
+    labels = [*names, *(f"*{i}" for i in range(len(names), point_count))]
+    table = MarkerTable(document, delimiter, line_indices, 0, field_indices, labels, unit_m, header.get("datarate", ""))
+    declared = header.get("numframes", "")
+    table = replace(table, rate_line=keys_index + 1, time_field=1, declared_frame_count=declared, notes=notes)
+    return read_marker_table(table, options)
 
 
 def _parse_header(document: TextDocument, names_index: int) -> tuple[int, dict[str, str]]:
@@ -163,22 +153,10 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         notes = (note,)
     unit_of_time = TIME_UNIT_PATTERN.fullmatch(cells[time_field]) if time_field is not None else None
     times_s = zip(unit_of_time.groups() if unit_of_time else (), TIME_PATTERN_UNITS_S, strict=False)
-    return read_marker_table(
-        MarkerTable(
-            document=document,
-            delimiter=delimiter,
-            line_indices=line_indices,
-            frame_field=frame_field,
-            field_indices=field_indices,
-            labels=[label for _, label, _ in points],
-            unit_m=METRES_PER_UNIT[unit],
-            rate_line=names_index,
-            time_field=time_field,
-            time_unit_s=next((unit_s for group, unit_s in times_s if group), None),
-            notes=notes,
-        ),
-        options,
-    )
+    time_unit_s = next((unit_s for group, unit_s in times_s if group), None)
+    labels, unit_m = [label for _, label, _ in points], METRES_PER_UNIT[unit]
+    table = MarkerTable(document, delimiter, line_indices, frame_field, field_indices, labels, unit_m, rate_line=names_index)
+    return read_marker_table(replace(table, time_field=time_field, time_unit_s=time_unit_s, notes=notes), options)
 
 
 def _find_points(cells: list[str]) -> list[tuple[int, str, str]]:

@@ -17,6 +17,7 @@ formats").
 """
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -77,24 +78,10 @@ def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
         document, header_index, options.unit or header.get("length units", ""), "m"
     )
     rate = header.get("export frame rate") or header.get("capture frame rate", "")
-    return marker_table.read_marker_table(
-        marker_table.MarkerTable(
-            document=document,
-            delimiter=delimiter,
-            line_indices=line_indices,
-            frame_field=0,
-            field_indices=field_indices,
-            labels=labels,
-            unit_m=unit_m,
-            rate_text=rate,
-            rate_line=header_index,
-            time_field=1,
-            default_up_axis="Y",
-            declared_frame_count=header.get("total exported frames", ""),
-            notes=(*notes, *unit_notes),
-        ),
-        options,
-    )
+    declared, notes = header.get("total exported frames", ""), (*notes, *unit_notes)
+    table = marker_table.MarkerTable(document, delimiter, line_indices, 0, field_indices, labels, unit_m, rate, header_index)
+    table = replace(table, time_field=1, default_up_axis="Y", declared_frame_count=declared, notes=notes)
+    return marker_table.read_marker_table(table, options)
 
 
 def is_motive_rows_csv(head: bytes) -> bool:
@@ -238,20 +225,10 @@ def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     marker_table.check_decimal_commas(document, line_indices, delimiter, len(axes))
     unit = next((cell for cell in units[first_fields[0] :] if cell), "mm")
     rate = re.sub(r"[^\d.]+.*", "", document.split_cells(start + 1, delimiter)[0])
-    return marker_table.read_marker_table(
-        marker_table.MarkerTable(
-            document=document,
-            delimiter=delimiter,
-            line_indices=line_indices,
-            frame_field=0,
-            field_indices=np.array(first_fields)[:, None] + np.arange(3),
-            labels=[names[i] for i in first_fields],
-            unit_m=marker_table.parse_unit(document, axes_index + 1, options.unit or unit),
-            rate_text=rate,
-            rate_line=start + 1,
-        ),
-        options,
-    )
+    field_indices, labels = np.array(first_fields)[:, None] + np.arange(3), [names[i] for i in first_fields]
+    unit_m = marker_table.parse_unit(document, axes_index + 1, options.unit or unit)
+    table = marker_table.MarkerTable(document, delimiter, line_indices, 0, field_indices, labels, unit_m, rate, start + 1)
+    return marker_table.read_marker_table(table, options)
 
 
 def _find_axes_line(document: TextDocument, start: int) -> tuple[int, str]:
@@ -319,22 +296,13 @@ def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
     if frame_field is None:  # a line of tabs only is a frame without visible markers
         line_indices = [index for index in range(body + has_column_names, len(document.lines)) if document.get_line(index)]
-    return marker_table.read_marker_table(
-        marker_table.MarkerTable(
-            document=document,
-            delimiter=TAB,
-            line_indices=line_indices,
-            frame_field=frame_field,
-            field_indices=first_field + np.arange(3 * len(labels)).reshape(-1, 3),
-            labels=labels,
-            unit_m=QUALISYS_UNIT_M,
-            rate_text=frequency.values[0],
-            rate_line=frequency.line_index,
-            time_field=first_field - 1 if first_field > (frame_field is not None) else None,
-            declared_frame_count=header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0],
-        ),
-        options,
-    )
+    field_indices = first_field + np.arange(3 * len(labels)).reshape(-1, 3)
+    time_field = first_field - 1 if first_field > (frame_field is not None) else None
+    declared = header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0]
+    table = marker_table.MarkerTable(document, TAB, line_indices, frame_field, field_indices, labels, QUALISYS_UNIT_M)
+    rate, rate_line = frequency.values[0], frequency.line_index
+    table = replace(table, rate_text=rate, rate_line=rate_line, time_field=time_field, declared_frame_count=declared)
+    return marker_table.read_marker_table(table, options)
 
 
 def _parse_header(document: TextDocument) -> tuple[dict[str, _HeaderValue], int]:

@@ -354,10 +354,8 @@ def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPo
     is_certain = (labels.marker_indices >= 0) & (labels.confidence >= CERTAIN_LABEL_CONFIDENCE)
     share = float(is_certain.sum() / max(1, (tracklets.tracklet_indices >= 0).sum()))
     if share < MIN_CERTAIN_SHARE:
-        return (
-            None,
-            f"The nearest shipped marker set is {marker_set.name}, but only {share:.0%} of the points get certain labels.",
-        )
+        nearest = f"The nearest shipped marker set is {marker_set.name}"
+        return None, f"{nearest}, but only {share:.0%} of the points get certain labels."
     labelled = _apply_labels_of_set(take, points, labels, marker_set)
     return replace(labelled, notes=(reason, *labelled.notes)), reason
 

@@ -317,10 +317,8 @@ def label_points_of_tracklets(
     confidence: Float[np.ndarray, " N"],
 ) -> PointLabels:
     """Return the labels of the points, given those of tracklets (see `label_single_points`) and their confidence."""
-    marker_indices, point_confidence = (
-        label_single_points(points, sampled, predicted, markers),
-        assign_to_tracklets(points, confidence, 0.0),
-    )
+    marker_indices = label_single_points(points, sampled, predicted, markers)
+    point_confidence = assign_to_tracklets(points, confidence, 0.0)
     if not are_points_unordered(points.positions):
         before, marker_indices = marker_indices, continue_labels(points, marker_indices)
         point_confidence[marker_indices != before] = CONTINUED_LABEL_CONFIDENCE

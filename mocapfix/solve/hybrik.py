@@ -354,10 +354,7 @@ def solve_hybrik(
         [int(FrameStatus.GUESSED), int(FrameStatus.OUT_OF_REACH), int(FrameStatus.TOO_NEAR)],
         int(FrameStatus.PLACED),
     )
-    marker_sd, predicted_joint_sd = (
-        np.full((frame_count, len(subject.joints)), np.nan),
-        np.full((frame_count, joint_count), np.nan),
-    )
+    marker_sd, predicted_joint_sd = (np.full((frame_count, n), np.nan) for n in (len(subject.joints), joint_count))
     return Motion(root_position, local_rotations, status, np.zeros(frame_count, int), marker_sd, predicted_joint_sd)
 
 

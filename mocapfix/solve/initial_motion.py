@@ -59,11 +59,8 @@ def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> J
     prior = mean_pose.load_mean_pose_prior("mean-pose", subject.skeleton)
     rigid = build_rigid_skeleton(subject.skeleton, body.free_joints, prior)
     order = np.argsort(rigid.carrier_segment[subject.joints], kind="stable")
-    positions, variance = (
-        np.empty((take.frame_count, len(body.free_joints), 3)),
-        np.empty((take.frame_count, len(body.free_joints))),
-    )
-    trust = np.empty(take.visible.shape)
+    joint_count, trust = len(body.free_joints), np.empty(take.visible.shape)
+    positions, variance = np.empty((take.frame_count, joint_count, 3)), np.empty((take.frame_count, joint_count))
     run_over_frames(
         propagate_segment_frames,
         take.frame_count,

@@ -100,19 +100,9 @@ def check_ik_network(network: IkNetwork) -> IkNetwork:
     return network
 
 
+SIDE_CHAINS = (("UpLeg", "Leg", "Foot", "ToeBase"), ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandIndex1"))
 BONE_ENDS = {"LowerBack": "Spine", "Spine": "Spine1", "Neck": "Neck1", "Neck1": "Head"} | {
-    side + name: side + end
-    for side in ("Left", "Right")
-    for name, end in (
-        ("UpLeg", "Leg"),
-        ("Leg", "Foot"),
-        ("Foot", "ToeBase"),
-        ("Shoulder", "Arm"),
-        ("Arm", "ForeArm"),
-        ("ForeArm", "Hand"),
-        ("Hand", "FingerBase"),
-        ("FingerBase", "HandIndex1"),
-    )
+    side + name: side + end for side in ("Left", "Right") for chain in SIDE_CHAINS for name, end in pairwise(chain)
 }
 """joints that one bone leaves, and the joint at its end"""
 REGISTERED_JOINT_SD_M = {

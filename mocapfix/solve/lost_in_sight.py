@@ -114,16 +114,8 @@ def find_lost_parts(
     for name, joint_names in BODY_PARTS.items():
         columns = np.flatnonzero(np.isin(subject.joints, _find_joints(subject.skeleton, joint_names)))
         if len(columns) >= MIN_CONSISTENT_MARKERS:
-            parts[name] = _find_lost_frames(
-                name,
-                columns,
-                markers,
-                inlier_mask,
-                subject,
-                distance_m,
-                min_distance_m=min_distance_m,
-                min_off_share=min_off_share,
-            )
+            samples, limit_m = (markers, inlier_mask, subject, distance_m), min_distance_m
+            parts[name] = _find_lost_frames(name, columns, *samples, min_distance_m=limit_m, min_off_share=min_off_share)
     for chain in LIMB_CHAINS:
         _assign_frames([parts[name] for name in chain if name in parts], subject, distance_m)
     return tuple(part.restrict() for part in parts.values() if part.frames.any())

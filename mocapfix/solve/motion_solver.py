@@ -70,10 +70,8 @@ def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvide
     for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
         pose = motion.root_position[block], motion.local_rotations[block]
         weight = problem.is_uncertain[block] / actual_variance[block]
-        tracking, part = (
-            TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block]),
-            problem.pose_problem.select_frames(block),
-        )
+        tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block])
+        part = problem.pose_problem.select_frames(block)
         of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
         marker_sd[block], joint_sd[block] = compute_pose_sd(part, pose, *of_body, tracking, scale_m)
     return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)

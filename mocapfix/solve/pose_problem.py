@@ -183,12 +183,8 @@ class MotionProblem:
     conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
-        part, unobserved, uncertain = (
-            self.pose_problem.select_frames(frames),
-            self.is_unobserved[frames],
-            self.is_uncertain[frames],
-        )
-        return replace(self, pose_problem=part, is_unobserved=unobserved, is_uncertain=uncertain)
+        part, unobserved = self.pose_problem.select_frames(frames), self.is_unobserved[frames]
+        return replace(self, pose_problem=part, is_unobserved=unobserved, is_uncertain=self.is_uncertain[frames])
 
     def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
         return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))

@@ -395,15 +395,9 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
     tracking = smoothing.smooth_poses(root_position, local_rotations.copy(), known, window.is_uncertain, problem.tree.free, rate)
     tracked = np.where(window.is_unobserved[..., None, None], tracking.rotations, local_rotations)
     solution = problem.minimise((root_position, tracked), options.robust_scales_m[-1:], tracking)
+    body, is_uncertain = (window.subject, window.prior), window.is_uncertain
     recover_lost_limbs(
-        problem,
-        window.subject,
-        window.prior,
-        solution.poses,
-        own_pose=own_pose,
-        tracking=tracking,
-        is_uncertain=window.is_uncertain,
-        options=options,
+        problem, *body, solution.poses, own_pose=own_pose, tracking=tracking, is_uncertain=is_uncertain, options=options
     )
     root_position, local_rotations = solution.poses
     anchor_position = root_position + kinematics.compute_anchor_offset(problem.tree, local_rotations)
@@ -417,18 +411,10 @@ def solve_window(window: MotionProblem, start: Poses, is_restarted: Bool[np.ndar
 
 def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: Poses) -> MotionProblem:
     """Return the window with the trained prior in every frame, from the poses of each frame's own solution."""
-    frame_count, rate, options = len(pose[0]), window.rate, window.options
-    sample_count = 1 + math.ceil((frame_count - 1) / (MAX_SAMPLE_INTERVAL_S * rate))
-    term = build_frame_prior_term(
-        conditioner.load_pose_model(),
-        conditioner.prior_scale**-2,
-        window.pose_problem,
-        window.prior,
-        pose,
-        window.is_unobserved,
-        frames=sample_evenly(frame_count, sample_count),
-        robust_scale_m=options.robust_scales_m[-1],
-    )
+    model, weight, scale_m = conditioner.load_pose_model(), conditioner.prior_scale**-2, window.options.robust_scales_m[-1]
+    sample_count = 1 + math.ceil((len(pose[0]) - 1) / (MAX_SAMPLE_INTERVAL_S * window.rate))
+    frames, start = sample_evenly(len(pose[0]), sample_count), (window.prior, pose, window.is_unobserved)
+    term = build_frame_prior_term(model, weight, window.pose_problem, *start, frames=frames, robust_scale_m=scale_m)
     return window.set_pose_prior(term)
 
 

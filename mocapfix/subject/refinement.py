@@ -127,10 +127,8 @@ def build_calibration_problem(
     skeleton = replace(start.skeleton, offsets=calibrated.offsets)
     subject = replace(start, skeleton=skeleton, marker_offsets=calibrated.marker_offsets)
     prior_term = build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT))
-    prior_term, limits = (
-        prior_term._replace(mean_vectors=calibrated.mean_pose_vectors),
-        build_no_joint_limits(len(calibrated.offsets)),
-    )
+    prior_term = prior_term._replace(mean_vectors=calibrated.mean_pose_vectors)
+    limits = build_no_joint_limits(len(calibrated.offsets))
     return build_marker_problem(subject, body.free_joints, markers, CALIBRATION_MARKER_SD_M, prior_term, limits)
 
 
