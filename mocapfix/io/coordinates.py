@@ -25,18 +25,8 @@ from mocapfix.stats.sequences import sample_evenly
 
 METRES_PER_UNIT = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 # Names of units, of which a file may have the first letters only: the field for POINT:UNITS often has four characters.
-UNIT_NAMES = {
-    "millimeters": "mm",
-    "millimetres": "mm",
-    "centimeters": "cm",
-    "centimetres": "cm",
-    "meters": "m",
-    "metres": "m",
-    "mtrs": "m",
-    "inches": "in",
-    "foot": "ft",
-    "feet": "ft",
-}
+LONG_NAMES = "millimeters millimetres", "centimeters centimetres", "meters metres mtrs", "inches", "foot feet"
+UNIT_NAMES = {name: unit for unit, names in zip(METRES_PER_UNIT, LONG_NAMES, strict=True) for name in names.split()}
 MIN_UNIT_LETTERS = 3  # of a name that was cut off
 
 INVALID_COORDINATE_LIMIT = 9_000_000  # file units; a coordinate from here on is missing: Cortex writes 9999999

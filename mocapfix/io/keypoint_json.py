@@ -70,18 +70,8 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     unit_m = get_metres_per_unit(unit) if isinstance(unit, str) else None
     if unit_m is None:
         raise ReadError(f"{path}: unit: is {unit!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
-    return build_take(
-        path,
-        points,
-        labels,
-        unit_m=unit_m,
-        rate=rate,
-        first_frame=1,
-        layout=TableLayout(encoding, "\n", ",", ".", unit_m=unit_m),
-        default_up_axis="Y",
-        options=options,
-        notes=notes,
-    )
+    layout = TableLayout(encoding, "\n", ",", ".", unit_m)
+    return build_take(path, points, labels, layout, rate, 1, "Y", notes=notes, options=options)
 
 
 def _parse_frames(path: Path, content: dict[str, Any], frames: list[Any]) -> tuple[list[str], Float[np.ndarray, "T P 3"]]:

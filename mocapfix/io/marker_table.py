@@ -242,18 +242,9 @@ def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
     layout = _build_table_layout(table, decimal_sign, visible)
     counted = parse_whole_number(table.declared_frame_count) == frames.frame_count
     count_notes = () if counted else check_frame_count(table.declared_frame_count, len(line_indices))
-    take = build_take(
-        document.path,
-        frames.spread_rows(rows_file),
-        table.labels,
-        unit_m=table.unit_m,
-        rate=frames.rate,
-        first_frame=frames.first_frame,
-        layout=replace(layout, line_indices=frames.spread_rows(layout.line_indices, -1)),
-        options=options,
-        default_up_axis=table.default_up_axis,
-        notes=(*table.notes, *count_notes, *frames.notes),
-    )
+    points, layout = frames.spread_rows(rows_file), replace(layout, line_indices=frames.spread_rows(layout.line_indices, -1))
+    known, notes = (frames.rate, frames.first_frame, table.default_up_axis), (*table.notes, *count_notes, *frames.notes)
+    take = build_take(document.path, points, table.labels, layout, *known, notes=notes, options=options)
     assert isinstance(take.layout, TableLayout)
     if take.layout.unit_m == table.unit_m:
         return take
@@ -265,23 +256,21 @@ def build_take(
     path: Path,
     points_file: Float[np.ndarray, "T P 3"],
     labels: Sequence[str],
-    *,
-    unit_m: float,
+    layout: TableLayout,
     rate: float,
     first_frame: int,
-    layout: TableLayout,
-    default_up_axis: str = "Z",
-    notes: tuple[str, ...] = (),
+    default_up_axis: str,
+    *,
+    notes: tuple[str, ...],
     options: ReadOptions,
 ) -> Take:
     """Build a take from the trajectories of P points.
 
     Args:
         points_file: Coordinates in file units and axes; points that `find_valid_points` rejects are missing.
-        unit_m: Metres per file unit.
+        layout: Where the samples lie in the file, and its unit; its rotation is set here.
         rate: Frames per second.
         first_frame: Number that the file gives to frame index 0.
-        layout: Where the samples lie in the file; its rotation is set here.
         default_up_axis: Up axis of most files of the format, "Y" or "Z".
         notes: Sentences about assumptions made so far.
         options: What is known about the file.
@@ -296,8 +285,8 @@ def build_take(
     ) -> Float[np.ndarray, "F K 3"]:
         return convention.apply(points_file[frames][:, columns])
 
-    declared = DeclaredConvention(unit_m, default_up_axis)
-    in_file = partial(convert_from, Convention(unit_m, np.eye(3), UpAxis("Y", "")))
+    declared = DeclaredConvention(layout.unit_m, default_up_axis)
+    in_file = partial(convert_from, Convention(layout.unit_m, np.eye(3), UpAxis("Y", "")))
     convention = decide_convention(path, inspect_points(types, len(points_file), rate, in_file), declared, options)
     convert = partial(convert_from, convention)
 

@@ -119,18 +119,10 @@ def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     )
     info = [document.split_cells(index, ",") for index, row_type in enumerate(row_types) if row_type == "info"]
     declared = next((row[2] for row in info if row[1:2] == ["framecount"] and len(row) > 2), "")
-    return marker_table.build_take(
-        path,
-        frames.spread_rows(points),
-        labels,
-        unit_m=MOTIVE_ROWS_UNIT_M,
-        rate=frames.rate,
-        first_frame=frames.first_frame,
-        layout=TableLayout(document.encoding, document.newline, ",", ".", unit_m=MOTIVE_ROWS_UNIT_M),
-        default_up_axis="Y",
-        options=options,
-        notes=(*frames.notes, *marker_table.check_frame_count(declared, len(line_indices))),
-    )
+    layout = TableLayout(document.encoding, document.newline, ",", ".", MOTIVE_ROWS_UNIT_M)
+    points, known = frames.spread_rows(points), (frames.rate, frames.first_frame, "Y")
+    notes = (*frames.notes, *marker_table.check_frame_count(declared, len(line_indices)))
+    return marker_table.build_take(path, points, labels, layout, *known, notes=notes, options=options)
 
 
 def _find_marker_columns(

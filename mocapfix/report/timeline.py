@@ -263,9 +263,8 @@ def build_contact_strip(contacts: BodyContacts, joints: list[str], first: int, s
             for event in contacts.events
             if event.side == side and first <= event.time_s * contacts.rate < stop
         ]
-        lanes.append(
-            ContactLane(CONTACT_NAMES[joint], _draw_runs(is_contact & is_known), _draw_runs(is_contact & ~is_known), tuple(marks))
-        )
+        seen, inferred = (_draw_runs(is_contact & each) for each in (is_known, ~is_known))
+        lanes.append(ContactLane(CONTACT_NAMES[joint], seen, inferred, tuple(marks)))
     return ContactStrip(tuple(lanes), tuple(build_time_ticks(take, first, stop)))
 
 

@@ -52,16 +52,10 @@ def guess_marker_set_from_words(labels: Sequence[str]) -> MarkerSet:
     places_of_label = {label: places - ({"last letter"} if _is_lateral(label, names) else set()) for label in labels}
     locations = {label: location for label in labels if (location := locate_label(label, places_of_label[label]))}
     joint_names = load_cmu31_body().skeleton.names
-    return MarkerSet(
-        name="words",
-        title="words",
-        skeleton="cmu31",
-        labels=tuple(locations),
-        joints=np.array([joint_names.index(joint_name) for joint_name, _ in locations.values()], int),
-        marker_offsets=np.array([offset for _, offset in locations.values()], float).reshape(-1, 3),
-        marker_spread=np.full(len(locations), WORD_MARKER_SPREAD_M),
-        aliases=((),) * len(locations),
-    )
+    joints = np.array([joint_names.index(joint_name) for joint_name, _ in locations.values()], int)
+    offsets = np.array([offset for _, offset in locations.values()], float).reshape(-1, 3)
+    spread, aliases = np.full(len(locations), WORD_MARKER_SPREAD_M), ((),) * len(locations)
+    return MarkerSet("words", "words", "cmu31", tuple(locations), joints, offsets, spread, aliases)
 
 
 def locate_label(label: str, side_places: Collection[str] = ALL_SIDE_PLACES) -> tuple[str, Float[np.ndarray, "3"]] | None:
