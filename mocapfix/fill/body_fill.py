@@ -15,13 +15,13 @@ from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTak
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.solve import kinematics
-from mocapfix.stats.gaussian_process import compute_residual_correlation, estimate_roughness
+from mocapfix.stats.gaussian_process import estimate_roughness, map_residual
 
 BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
 MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
 MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
 STEP_NOISE_M = 0.001  # standard deviation per axis of the measured step at an edge
-BODY_ERROR_RATIO = 1.5
+BODY_ERROR_RATIO = 1.3
 """Ratio of the errors in gaps to what the residual and the pose predict: a body does not fit as well as its markers say."""
 MAX_EDGE_RESIDUAL_M = 0.05
 """Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
@@ -123,21 +123,17 @@ def _map_residual(
     wanted_excess: Float[np.ndarray, " n"],
     rate: float,
 ) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
-    """Return the map from the residual at known offsets (frames) to that at wanted ones, and its variance per axis there.
-
-    The variance of the pose, `known_excess` and `wanted_excess`, is that of a smooth process.
-    """
-
-    def compute_covariance(a: np.ndarray, excess_a: np.ndarray, b: np.ndarray, excess_b: np.ndarray) -> np.ndarray:
-        lag_s = (a[:, None] - b) / rate
-        own = on_body.power * compute_residual_correlation(lag_s, BODY_RESIDUAL_FADE_S, on_body.roughness)
-        return own + np.sqrt(excess_a[:, None] * excess_b) * compute_residual_correlation(lag_s, BODY_RESIDUAL_FADE_S, 0.0)
-
-    noise = SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0)
-    among = compute_covariance(known, known_excess, known, known_excess) + np.diag(noise)
-    across = compute_covariance(wanted, wanted_excess, known, known_excess)
-    weights = np.linalg.solve(among, across.T).T
-    return weights, np.maximum(on_body.power + wanted_excess - (weights * across).sum(1), 0.0)
+    """Return the map from the residual at known offsets (frames) to that at wanted ones, and its variance per axis there."""
+    return map_residual(
+        known / rate,
+        wanted / rate,
+        power=on_body.power,
+        time_scale_s=BODY_RESIDUAL_FADE_S,
+        roughness=on_body.roughness,
+        noise_variance=SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0),
+        known_excess=known_excess,
+        wanted_excess=wanted_excess,
+    )
 
 
 def _measure_steps(axes: MovingAxes, first: int, length: int) -> Float[np.ndarray, "2 3"]:

@@ -1,7 +1,7 @@
 """Estimates from a marker's own trajectory: splines through short gaps, and lines or splines between the edges of any gap.
 
-Each method is a linear map from the samples beside a gap to positions in it, so that it can be applied to many hidden stretches
-at once. A marker at rest is interpolated exactly in the world, one on a rigid body exactly in axes that move with this body.
+Each is a linear map from the samples beside a gap to positions in it, so that it can be applied to many hidden stretches at once.
+A marker at rest is interpolated exactly in the world, one on a rigid body exactly in axes that move with this body.
 
 Position and velocity at each edge of a spline come from a parabola through several samples, so that one noisy sample beside the
 gap has little influence. `fill_with_splines` fills the many short gaps of a take at once, without other estimates; its error is
@@ -9,7 +9,6 @@ measured by applying the map to complete stretches of the same marker.
 """
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -152,115 +151,18 @@ def find_complete_stretches(
     return starts[is_complete]
 
 
-DAMPED_VELOCITY_S = 0.12  # time in which the velocity at an edge decays, in the damped method
 WORLD_ERROR_RATIO = 0.155
-"""Expected error of the straight method in the world, relative to the path of the marker's varying velocity in a gap of 1 s."""
+"""Expected error of the straight line in the world, relative to the path of the marker's varying velocity in a gap of 1 s."""
 WORLD_ERROR_GROWTH = 1.1  # power of the gap's duration with which this error grows
-CLUSTER_ERROR_RATIO = 1.2  # expected error of the straight method in moving axes, relative to the marker's variation in them
+CLUSTER_ERROR_RATIO = 1.2  # expected error of the straight line in moving axes, relative to the marker's variation in them
 CLUSTER_ERROR_TIME_S = 0.5  # duration of a gap for which it holds; the error grows with the square root of the duration
 MAX_CLUSTER_ERROR_GROWTH = 2.0  # largest growth of this error with the duration
-DAMPED_ERROR_RATIO = 1.1  # expected error of the damped method, relative to the straight one
-DAMPED_ERROR_TIME_S = 5.0  # duration of a gap in which this ratio is larger by one, in moving axes
-CUBIC_ERROR_TIME_S = 1.0  # duration of a gap in which the expected error of the cubic method is twice that of the straight one
-WORLD_RATIO_POWER = 0.6  # power with which the neighbours' errors in the gap determine the expected error in the world
-LIMB_RATIO_POWER = 0.4  # the same for the straight method in moving axes, where a limb is lost
-LIMB_METHOD_POWER = 0.5  # the same for the errors of the other methods there, relative to the straight one
+SPLINE_ERROR_TIME_S = 1.0  # duration of a gap in which the expected error of the spline is twice that of the straight line
 ACTIVITY_POWER = 0.5  # power with which the motion relative to neighbours grows with their own
 ONE_EDGE_ERROR_RATIO = 2.0  # expected error in a gap with one edge, relative to a gap with two
 WORLD_SATURATION_S = 0.8
 """Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
-
-
-class _EdgeMethod(NamedTuple):
-    """A method of `build_edge_maps`: its name in reports, and the power of the duration, until then, with which errors grow."""
-
-    fill_method: FillMethod
-    growth_power: float
-
-
-EDGE_METHODS = (_EdgeMethod(FillMethod.LINE, 1.0), _EdgeMethod(FillMethod.LINE, 1.2), _EdgeMethod(FillMethod.SPLINE, 2.0))
-"""The straight, the damped and the cubic one."""
-
-
-MAX_RATIO_NEIGHBOURS = 8  # number of neighbours, the steadiest first, whose errors are compared with the expected ones
-COMPARED_ERROR_MARGIN_M = 0.001  # length that is added to both errors: smaller ones count as equal
-
-
-def build_edge_maps(
-    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"], rate: float
-) -> list[Float[np.ndarray, "P BA"]]:
-    """Return the straight, the damped and, with enough samples at both edges, the cubic map to some points in a gap.
-
-    Samples and points are offsets in frames from the first frame of the gap, which is `length` frames long.
-    """
-    distances = [-1 - before[::-1], after - length]  # of the samples from their edge, nearest first
-    columns = [np.arange(len(before))[::-1], len(before) + np.arange(len(after))]
-    steps = [points + 1.0, length - points * 1.0]
-    share = steps[0] / (length + 1)
-    weights = [1 - share, share] if len(before) and len(after) else [np.ones(len(points))] * 2
-    straight, damped = np.zeros((2, len(points), len(before) + len(after)))
-    reach = rate * DAMPED_VELOCITY_S
-    for side in (0, 1):
-        if not len(distances[side]):
-            continue
-        straight[:, columns[side][0]] += weights[side]
-        damped[:, columns[side][0]] += weights[side]
-        if len(distances[side]) >= MIN_EDGE_SAMPLES:
-            _, velocity = fit_edge_parabola(tuple(distances[side].tolist()))
-            travel = reach * (1 - np.exp(-steps[side] / reach))
-            damped[:, columns[side]] += (weights[side] * travel)[:, None] * velocity
-    maps = [straight, damped]
-    if min(len(before), len(after)) >= MIN_EDGE_SAMPLES:
-        maps.append(build_hermite_map(length, distances[0], distances[1], points)[:, np.r_[columns[0], columns[1]]])
-    return maps
-
-
-def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluster_sd_m: float | None) -> Float[np.ndarray, " S"]:
-    """Return the expected standard deviation per axis of the straight method at the points of a gap.
-
-    Args:
-        speed_m_s: Variation of the marker's velocity in the world.
-        cluster_sd_m: Variation of its position in moving axes; None in the world.
-    """
-    gap_s, share = window.length / rate, (window.points + 1) / (window.length + 1)
-    if cluster_sd_m is None:
-        middle_sd = WORLD_ERROR_RATIO * speed_m_s * gap_s**WORLD_ERROR_GROWTH
-    else:
-        middle_sd = CLUSTER_ERROR_RATIO * cluster_sd_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
-    middle_sd = max(middle_sd, MIN_FILL_SD_M)
-    if len(window.before) and len(window.after):
-        return middle_sd * 2 * np.sqrt(share * (1 - share))
-    return middle_sd * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)
-
-
-def measure_neighbour_errors(
-    markers: Float[np.ndarray, "T M 3"], window: GapWindow, rate: float, velocity_sd: Float[np.ndarray, " M"]
-) -> Float[np.ndarray, "methods M"]:
-    """Return the logarithms of the errors of the methods in a gap for the markers that are visible at its points and beside it.
-
-    Hidden stretches are few in a short take, and often those in which the marker rests; its neighbours show how the person moves
-    in this gap. Errors are relative to that expected of the straight method; NaN where a marker is not visible.
-
-    Args:
-        markers: Metres, NaN if not visible.
-        window: The gap.
-        rate: Frame rate in Hz.
-        velocity_sd: Variation of each marker's velocity in m/s.
-    """
-    w = window
-    maps = np.stack(build_edge_maps(w.before, w.after, w.length, w.points, rate))
-    error = np.einsum("kpc,cma->kpma", maps, markers[w.context_frames]) - markers[w.first + w.points]
-    size = np.sqrt((error**2).sum(-1).mean(1))
-    expected = np.sqrt(3 * (compute_expected_sd(w, rate, 1.0, None) ** 2).mean()) * velocity_sd
-    return np.log((size + COMPARED_ERROR_MARGIN_M) / (expected + COMPARED_ERROR_MARGIN_M))
-
-
-def average_neighbour_errors(
-    log_errors: Float[np.ndarray, "methods M"], neighbours: Int[np.ndarray, " N"]
-) -> tuple[Float[np.ndarray, " methods"], int] | None:
-    """Return the mean of `measure_neighbour_errors` over the first neighbours that have errors, and their number."""
-    known = neighbours[~np.isnan(log_errors[:, neighbours]).any(0)][:MAX_RATIO_NEIGHBOURS]
-    return (log_errors[:, known].mean(1), len(known)) if len(known) else None
+SPLINE_ERROR_GROWTH = 2.0  # power of the duration, until then, with which the errors of a spline grow; 1 for a line
 
 
 class WorldInterpolation:
@@ -270,13 +172,13 @@ class WorldInterpolation:
         self.take = take
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        return interpolate_in_axes(self.take.markers[:, gap.marker], None, gap, self.take.rate, "world")
+        path, rate, gap_s = self.take.markers[:, gap.marker], self.take.rate, gap.window.length / self.take.rate
+        line_sd_m = WORLD_ERROR_RATIO * gap.speed_m_s * gap.activity * gap_s**WORLD_ERROR_GROWTH
+        return _interpolate(path, gap.window, rate, line_sd_m, WORLD_SATURATION_S, "world")
 
 
-def interpolate_in_axes(
-    path: Float[np.ndarray, "T 3"], axes: MovingAxes | None, gap: Gap, rate: float, name: str
-) -> list[GapEstimate]:
-    """Return the estimates of all methods in some axes, or in the world where `axes` is None.
+def interpolate_in_axes(path: Float[np.ndarray, "T 3"], axes: MovingAxes, gap: Gap, rate: float, name: str) -> list[GapEstimate]:
+    """Return the estimates between the edges of a gap in moving axes, none if the axes are known at neither edge.
 
     Args:
         path: Metres in the world, NaN if not visible.
@@ -285,45 +187,82 @@ def interpolate_in_axes(
         rate: Frame rate in Hz.
         name: Name of the axes.
     """
-    local = axes.transform_from_world(path) if axes else path
-    w = gap.window.keep_known_context(~np.isnan(local[:, 0]))
+    w, gap_s, local = gap.window, gap.window.length / rate, axes.transform_from_world(path)
+    shown = local[~np.isnan(local[:, 0])]
+    if not len(shown):
+        return []
+    variation_m = float(np.sqrt(((shown - shown.mean(0)) ** 2).mean())) * gap.activity**ACTIVITY_POWER
+    variation_m *= compute_variation_growth(~np.isnan(path[:, 0]), gap_s, rate)
+    line_sd_m = CLUSTER_ERROR_RATIO * variation_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
+    return [
+        each._replace(
+            method=FillMethod.CLUSTER,
+            position=axes.transform_to_world(each.position, w.gap_frames),
+            error=axes.rotate_to_world(each.error, w.hidden_frames),
+        )
+        for each in _interpolate(local, w, rate, line_sd_m, CLUSTER_SATURATION_S, name)
+    ]
+
+
+def _interpolate(
+    path: Float[np.ndarray, "T 3"], window: GapWindow, rate: float, line_sd_m: float, saturation_s: float, name: str
+) -> list[GapEstimate]:
+    """Return the estimates between the edges of a gap, on a line and on a spline, in the axes in which the path is given.
+
+    Args:
+        path: Metres, NaN if unknown.
+        window: The gap.
+        rate: Frame rate in Hz.
+        line_sd_m: Expected standard deviation of the line per axis, in the middle of the gap.
+        saturation_s: Duration above which errors no longer grow with it.
+        name: Name of the axes.
+    """
+    w = window.keep_known_context(~np.isnan(path[:, 0]))
     if not len(w.context_frames):
         return []
-    gap_s, cluster_sd = w.length / rate, None
-    if axes:
-        shown = local[~np.isnan(local[:, 0])]
-        shown_sd = float(np.sqrt(((shown - shown.mean(0)) ** 2).mean()))
-        growth = compute_variation_growth(~np.isnan(path[:, 0]), gap_s, rate)
-        cluster_sd = shown_sd * gap.activity**ACTIVITY_POWER * growth
-    expected_sd = compute_expected_sd(w, rate, gap.speed_m_s * gap.activity, cluster_sd)
-    saturation = rate * (CLUSTER_SATURATION_S if axes else WORLD_SATURATION_S)
+    line_sd, saturation = shape_expected_sd(w, line_sd_m), saturation_s * rate
     growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
-    gap_maps = build_edge_maps(w.before, w.after, w.length, np.arange(w.length), rate)
-    hidden_maps = build_edge_maps(w.before, w.hidden_after, w.hidden_length, w.hidden_points, rate)
-    factors = compute_method_factors(gap, gap_s, len(gap_maps), is_world=axes is None)
-    context, hidden_context, hidden = local[w.context_frames], local[w.hidden_context_frames], local[w.hidden_frames]
+    methods = [(FillMethod.LINE, build_line_map, line_sd, growth)]
+    if min(len(w.before), len(w.after)) >= MIN_EDGE_SAMPLES:
+        spline_sd = line_sd * (1 + w.length / rate / SPLINE_ERROR_TIME_S)
+        methods.append((FillMethod.SPLINE, build_spline_map, spline_sd, growth**SPLINE_ERROR_GROWTH))
     estimates: list[GapEstimate] = []
-    for method, gap_map, hidden_map, factor in zip(EDGE_METHODS, gap_maps, hidden_maps, factors.tolist(), strict=False):
-        position, error = gap_map @ context, (hidden_map @ hidden_context - hidden) * growth**method.growth_power
-        if axes:
-            position, error = axes.transform_to_world(position, w.gap_frames), axes.rotate_to_world(error, w.hidden_frames)
-        noise = SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
-        fill_method = FillMethod.CLUSTER if axes else method.fill_method
-        estimates.append(GapEstimate(fill_method, position, error, np.hypot(expected_sd * factor, noise), name))
+    for method, build_map, expected_sd, error_growth in methods:
+        gap_map = build_map(w.before, w.after, w.length, np.arange(w.length))
+        hidden_map = build_map(w.before, w.hidden_after, w.hidden_length, w.hidden_points)
+        error = (hidden_map @ path[w.hidden_context_frames] - path[w.hidden_frames]) * error_growth
+        noise_sd = SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
+        position = gap_map @ path[w.context_frames]
+        estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd, noise_sd), name))
     return estimates
 
 
-def compute_method_factors(gap: Gap, gap_s: float, method_count: int, *, is_world: bool) -> Float[np.ndarray, " methods"]:
-    """Return the expected errors of the methods relative to that of the straight one, as it is usual.
+def build_line_map(
+    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"]
+) -> Float[np.ndarray, "P BA"]:
+    """Return the map from the samples beside a gap to points on the line between its edges, at one place if it has only one.
 
-    Those that they have for the neighbours in this gap count too, in the world and, where a limb is lost, in moving axes.
+    All are offsets in frames from the first frame of the gap, which is `length` frames long.
     """
-    damped_factor = DAMPED_ERROR_RATIO + (0.0 if is_world else gap_s / DAMPED_ERROR_TIME_S)
-    factors = np.array([1.0, damped_factor, 1 + gap_s / CUBIC_ERROR_TIME_S])[:method_count]
-    if gap.method_ratios is None or not (is_world or gap.is_limb):
-        return factors
-    log_ratio, neighbour_count = gap.method_ratios
-    straight, each = log_ratio[0], log_ratio[:method_count]
-    shown = WORLD_RATIO_POWER * each if is_world else LIMB_RATIO_POWER * straight + LIMB_METHOD_POWER * (each - straight)
-    share = neighbour_count / (neighbour_count + 1)
-    return np.exp(share * shown + (1 - share) * np.log(factors))
+    line_map, share = np.zeros((len(points), len(before) + len(after))), (points + 1) / (length + 1)
+    if len(before):
+        line_map[:, len(before) - 1] = 1 - share if len(after) else 1.0
+    if len(after):
+        line_map[:, len(before)] = share if len(before) else 1.0
+    return line_map
+
+
+def build_spline_map(
+    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"]
+) -> Float[np.ndarray, "P BA"]:
+    """Return the map from the samples beside a gap, at least MIN_EDGE_SAMPLES on either side, to points on a spline."""
+    columns = np.concatenate([np.arange(len(before))[::-1], len(before) + np.arange(len(after))])
+    return build_hermite_map(length, -1 - before[::-1], after - length, points)[:, columns]
+
+
+def shape_expected_sd(window: GapWindow, middle_sd_m: float) -> Float[np.ndarray, " S"]:
+    """Return the expected standard deviation per axis at the points of a gap, from that in its middle."""
+    middle_sd_m, share = max(middle_sd_m, MIN_FILL_SD_M), (window.points + 1) / (window.length + 1)
+    if len(window.before) and len(window.after):
+        return middle_sd_m * 2 * np.sqrt(share * (1 - share))
+    return middle_sd_m * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)

@@ -17,12 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from mocapfix.fill.body_fill import BodyPlacement
-from mocapfix.fill.edge_interpolation import (
-    WorldInterpolation,
-    average_neighbour_errors,
-    fill_with_splines,
-    measure_neighbour_errors,
-)
+from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
 from mocapfix.fill.gap_windows import (
     MIN_FILL_SD_M,
     Estimator,
@@ -38,13 +33,13 @@ from mocapfix.fill.gap_windows import (
 )
 from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses
 from mocapfix.fill.neighbour_clusters import (
-    CLUSTER_SIZES,
     ChangingClusterInterpolation,
     ClusterInterpolation,
     NeighbourRegression,
     measure_distance_changes,
 )
 from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
+from mocapfix.io.changes_file import RequestedFill
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.sequences import find_runs, sample_evenly
@@ -61,20 +56,19 @@ ESTIMATORS: tuple[EstimatorClass, ...] = (
 )
 LATER_ESTIMATORS: tuple[EstimatorClass, ...] = (MarkerProcesses,)
 
-MIN_LIMB_MARKERS = 3  # markers lost together among the steadiest neighbours that count as a lost limb
 MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
 MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
 MAX_LONE_SPLINE_SD_M = 0.0005  # standard deviation of a spline up to which nothing else is tried
 MAX_KNOWN_SD_M = 0.003  # standard deviation of a filled gap below which it serves as visible for longer gaps
 
 
-class MarkerFill(NamedTuple):
-    """The fill of a marker over the frames first..last by one method, as a reviewer requested it."""
+class FillRequest(NamedTuple):
+    """A request to fill the samples of a column of a take, over the frames first..last, by one method."""
 
-    marker: int
+    column: int
     first: int
     last: int
-    method: FillMethod
+    method: RequestedFill
 
 
 def estimate_missing_samples(
@@ -83,7 +77,7 @@ def estimate_missing_samples(
     *,
     body: BodyFit | None = None,
     rigid_groups: Sequence[RigidGroup] = (),
-    requests: Sequence[MarkerFill] = (),
+    requests: Sequence[FillRequest] = (),
 ) -> MarkerEstimate:
     """Return the estimates of all missing samples.
 
@@ -92,7 +86,7 @@ def estimate_missing_samples(
         rate: Frame rate in Hz.
         body: The solved body; None without one.
         rigid_groups: Groups of markers that are rigid and not on the body.
-        requests: Samples that are estimated by one method only; NaN where it gives no estimate.
+        requests: Samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
     """
     settled = _fill_short_gaps(markers, rate, requests)
     is_settled = ~np.isnan(settled.sd)
@@ -108,13 +102,13 @@ def estimate_missing_samples(
     return take.estimate
 
 
-def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[MarkerFill]) -> MarkerEstimate:
+def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[FillRequest]) -> MarkerEstimate:
     """Return the estimates of the gaps that splines fill precisely, and of which none is requested by another method."""
     position, sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
     is_unsettled = ~(sd <= MAX_LONE_SPLINE_SD_M)
     for request in requests:
-        for first, last in find_runs(np.isnan(markers[:, request.marker, 0])):
-            is_unsettled[first : last + 1, request.marker] |= first <= request.last and last >= request.first
+        for first, last in find_runs(np.isnan(markers[:, request.column, 0])):
+            is_unsettled[first : last + 1, request.column] |= first <= request.last and last >= request.first
     position[is_unsettled], sd[is_unsettled] = np.nan, np.nan
     return MarkerEstimate(position, sd, np.full(sd.shape, FillMethod.SPLINE, np.int8))
 
@@ -176,18 +170,18 @@ def _remember(take: MarkersInTake, window: GapWindow, lost_markers: Int[np.ndarr
             take.is_known[samples] = True
 
 
-def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request: MarkerFill) -> None:
+def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request: FillRequest) -> None:
     """Set the requested samples to the estimates of one method."""
     wanted = np.arange(request.first, request.last + 1)
-    wanted = wanted[~take.is_visible[wanted, request.marker]]
-    take.estimate.sd[wanted, request.marker] = np.nan
+    wanted = wanted[~take.is_visible[wanted, request.column]]
+    take.estimate.sd[wanted, request.column] = np.nan
     for each in gaps:
-        chosen = [estimate for estimate in each.estimates if estimate.method == request.method]
+        chosen = [estimate for estimate in each.estimates if estimate.method.name.lower() == request.method]
         frames = np.intersect1d(each.gap.window.gap_frames, wanted)
-        if each.gap.marker == request.marker and chosen and len(frames):
+        if each.gap.marker == request.column and chosen and len(frames):
             combined = combine_gap_estimates(chosen, each.gap.window, each.similarity)
             for values, new in zip(take.estimate, combined, strict=True):
-                values[frames, request.marker] = new[frames - each.gap.window.first]
+                values[frames, request.column] = new[frames - each.gap.window.first]
 
 
 MAX_ACTIVITY_NEIGHBOURS = 8  # number of neighbours, the steadiest first, whose speeds are compared
@@ -205,37 +199,30 @@ class NeighbourActivity:
         self.lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
         square = (((markers[self.lag :] - markers[: -self.lag]) * (rate / self.lag)) ** 2).sum(-1)
         self.is_known, self.square = ~np.isnan(square), np.nan_to_num(square)
-        self.is_visible = ~np.isnan(markers[self.lag // 2 :, :, 0][: len(square)])
-        self._square_with_marker: dict[int, np.ndarray] = {}
+        is_visible = (~np.isnan(markers[self.lag // 2 :, :, 0][: len(square)])).T.astype(float)
+        count = is_visible @ self.is_known
+        # of all markers while one is visible
+        self.square_with = _divide(is_visible @ self.square, count, count >= MIN_COMPARED_STEPS)
 
     def compare(self, marker: int, window: GapWindow, neighbours: Int[np.ndarray, " N"]) -> float:
-        """Return how many times as fast neighbours are in a gap as while the marker is visible, at least one."""
+        """Return how many times as fast neighbours, the steadiest first, are in a gap as while the marker is visible, or one."""
         if not len(self.square):
             return 1.0
         first = min(max(0, window.first - self.lag // 2), len(self.square) - 1)
         steps = slice(first, max(first + 1, window.first + window.length - self.lag // 2))
-        in_gap = self._average(neighbours, self.square[steps][:, neighbours], self.is_known[steps][:, neighbours])
-        with_marker = self._compute_squares_with(marker)[neighbours]
-        both = np.stack([in_gap, with_marker])[:, ~np.isnan(in_gap + with_marker)][:, :MAX_ACTIVITY_NEIGHBOURS]
+        is_known = self.is_known[steps][:, neighbours]
+        in_gap = _divide(self.square[steps][:, neighbours].sum(0), is_known.sum(0), is_known.mean(0) > MIN_KNOWN_GAP_SHARE)
+        both = np.stack([in_gap, self.square_with[marker, neighbours]])
+        both = both[:, ~np.isnan(both).any(0)][:, :MAX_ACTIVITY_NEIGHBOURS]
         if not both.size:
             return 1.0
         difference = np.diff(np.log(both + MIN_COMPARED_SPEED_M_S**2), axis=0).mean()
         return float(np.exp(np.clip(-difference / 2, 0, np.log(MAX_ACTIVITY_RATIO))))
 
-    @staticmethod
-    def _average(neighbours: np.ndarray, square: np.ndarray, is_known: np.ndarray) -> np.ndarray:
-        mean = np.full(len(neighbours), np.nan)
-        return np.divide(square.sum(0), is_known.sum(0), out=mean, where=is_known.mean(0) > MIN_KNOWN_GAP_SHARE)
 
-    def _compute_squares_with(self, marker: int) -> np.ndarray:
-        """Return the mean square speed of all markers while one is visible; NaN where unknown."""
-        if marker not in self._square_with_marker:
-            weight = self.is_visible[:, marker].astype(float)
-            count = weight @ self.is_known
-            mean = np.full(len(count), np.nan)
-            np.divide(weight @ self.square, count, out=mean, where=count >= MIN_COMPARED_STEPS)
-            self._square_with_marker[marker] = mean
-        return self._square_with_marker[marker]
+def _divide(values: np.ndarray, count: np.ndarray, is_enough: np.ndarray) -> np.ndarray:
+    """Return the quotients, NaN where they are not known well enough."""
+    return np.divide(values, count, out=np.full(values.shape, np.nan), where=is_enough)
 
 
 MAX_SPEED_RATIO = 3.0  # speed of an estimate, relative to the fastest visible motion, above which it is rejected
@@ -263,9 +250,6 @@ class _Surroundings:
         used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
         frames = np.unique(np.concatenate(used))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        is_lost = take.is_common & ~known[w.first + w.length // 2]
-        has_context = len(w.context_frames) > 0
-        errors = measure_neighbour_errors(take.markers, w, take.rate, self.velocity_sd) if has_context else None
         for marker in lost_markers.tolist():
             change = take.distance_change_m[marker]
             order = np.argsort(change, kind="stable")
@@ -277,18 +261,10 @@ class _Surroundings:
                 lost_markers,
                 neighbours,
                 frames,
-                is_limb=self._is_in_lost_limb(marker, is_lost),
                 activity=self.activity.compare(marker, w, neighbours),
                 speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), w.length / take.rate),
-                method_ratios=None if errors is None else average_neighbour_errors(errors, neighbours),
             )
             yield gap, edges.similarity
-
-    def _is_in_lost_limb(self, marker: int, is_lost: Bool[np.ndarray, " M"]) -> bool:
-        """Return whether a lost marker is one of several on the same limb."""
-        change = np.where(self.take.is_common, self.take.distance_change_m[marker], np.inf)
-        steadiest = np.argsort(change, kind="stable")[: CLUSTER_SIZES[0]]
-        return 1 + int(is_lost[steadiest].sum()) >= MIN_LIMB_MARKERS
 
     def is_plausible(self, estimate: GapEstimate, gap: Gap) -> bool:
         """Return whether an estimate is nowhere faster than the limit, edges included.

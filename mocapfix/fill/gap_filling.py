@@ -4,36 +4,27 @@ The estimates and their weights: `gap_estimates`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.fill.gap_estimates import MarkerFill, estimate_missing_samples
+from mocapfix.fill.gap_estimates import FillRequest, estimate_missing_samples
 from mocapfix.fill.gap_windows import FillMethod
-from mocapfix.io.changes_file import Correction, RequestedFill
+from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
-from mocapfix.model.changes import Filled, UnfilledRun, compute_editable_mask, expand_unfilled_reasons
+from mocapfix.model.changes import Filled, compute_editable_mask
 from mocapfix.model.detected import Detected, MarkerEpochs
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
+NEVER_VISIBLE_REASON = "the marker is never visible in this take"
+EXCLUDED_REASON = "excluded from editing by --keep or --frames"
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"
-
-
-@dataclass(frozen=True)
-class FillRequest:
-    """A request to fill the samples of a column of a take, over the frames first..last, by one method."""
-
-    column: int
-    first: int
-    last: int
-    method: RequestedFill
 
 
 class FilledTake(NamedTuple):
@@ -41,12 +32,12 @@ class FilledTake(NamedTuple):
 
     Attributes:
         take: the take with its missing and faulty samples filled or emptied.
-        unfilled: the runs of samples that stay empty.
+        unfilled_reasons: why each sample stays empty, "" for the others.
         method: for each sample its FillMethod, -1 where it was not filled.
     """
 
     take: Take
-    unfilled: tuple[UnfilledRun, ...]
+    unfilled_reasons: Shaped[np.ndarray, "T M"]
     method: Int[np.ndarray, "T M"]
 
 
@@ -88,7 +79,7 @@ def fill_gaps(
     sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
     proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))
-    reasons = epochs.merge_columns(expand_unfilled_reasons(filled.unfilled, filled.take.visible.shape))
+    reasons = epochs.merge_columns(filled.unfilled_reasons)
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
     return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, groups)
@@ -151,18 +142,17 @@ def fill_take(
         take.rate,
         body=body,
         rigid_groups=rigid_groups,
-        requests=[MarkerFill(r.column, r.first, r.last, FillMethod[r.method.upper()]) for r in requests if r.method != "empty"],
+        requests=requests,
     )
-    for request in requests:
-        if request.method == "empty":
-            sd[request.first : request.last + 1, request.column] = np.nan
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)
     reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
-    return FilledTake(after, list_unfilled_runs(after, take, is_editable, reasons), np.where(is_filled, method, -1))
+    reasons[~is_editable] = EXCLUDED_REASON
+    reasons[:, ~take.visible.any(0)] = NEVER_VISIBLE_REASON
+    return FilledTake(after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1))
 
 
 def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -> None:
@@ -208,7 +198,7 @@ def explain_unfilled_samples(
     is_uncertain = is_wanted & (sd_m > options.max_sd_m)
     reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:.0f} mm"
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
-    reasons[is_wanted & ~take.visible.any(0)] = "the marker is never visible in this take"
+    reasons[is_wanted & ~take.visible.any(0)] = NEVER_VISIBLE_REASON
     return reasons
 
 
@@ -251,18 +241,3 @@ def explain_requested_fills(
         samples = slice(each.first, each.last + 1), each.column
         reasons[samples] = np.where(is_without_estimate[samples], reason, reasons[samples])
     return reasons
-
-
-def list_unfilled_runs(
-    after: Take, before: Take, is_editable: Bool[np.ndarray, "T M"], reasons: Shaped[np.ndarray, "T M"]
-) -> tuple[UnfilledRun, ...]:
-    """Return the runs of samples that are still missing, each with one reason."""
-    unfilled: list[UnfilledRun] = []
-    for m in range(len(after.labels)):
-        for first, last in find_runs(~after.visible[:, m]):
-            given = [reason for reason in dict.fromkeys(reasons[first : last + 1, m]) if reason]
-            reason = "; ".join(given) or "excluded from editing by --keep or --frames"
-            if not before.visible[:, m].any():
-                reason = "the marker is never visible in this take"
-            unfilled.append(UnfilledRun(m, first, last, reason))
-    return tuple(unfilled)

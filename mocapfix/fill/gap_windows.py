@@ -211,11 +211,8 @@ class Gap(NamedTuple):
         lost_markers: All markers with this gap.
         neighbours: Markers that are known throughout, those with the most constant distance to the marker first.
         frames: Frames in which it is compared with them: of the gap, of the stretches, and others.
-        is_limb: Whether it is one of several lost markers of a limb.
         activity: How many times as fast the neighbours are in the gap as while the marker is visible, at least one.
         speed_m_s: Variation of the marker's velocity that is expected in the gap.
-        method_ratios: Logarithms of the errors that straight, damped and cubic interpolation have for the neighbours in this gap,
-            relative to that expected of the straight one, and the number of neighbours; None if none is visible there.
     """
 
     marker: int
@@ -223,10 +220,8 @@ class Gap(NamedTuple):
     lost_markers: Int[np.ndarray, " L"]
     neighbours: Int[np.ndarray, " N"]
     frames: Int[np.ndarray, " F"]
-    is_limb: bool
     activity: float
     speed_m_s: float
-    method_ratios: tuple[Float[np.ndarray, " methods"], int] | None
 
 
 Estimator = Callable[[Gap], list[GapEstimate]]

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
 from mocapfix.fill.gap_windows import (
     FillMethod,
     Gap,
@@ -123,10 +122,7 @@ class MarkerProcesses:
         key = (w.first, w.length, *uncertain.tolist())
         if key != self._latest[0]:
             self._latest = key, dict(zip(uncertain.tolist(), self.estimate_gap(w, uncertain), strict=False))
-        if gap.marker not in self._latest[1]:
-            return []
-        estimate, growth = self._latest[1][gap.marker], 1.0 if gap.is_limb else gap.activity**ACTIVITY_POWER
-        return [estimate._replace(expected_sd=estimate.expected_sd * growth)]
+        return [self._latest[1][gap.marker]] if gap.marker in self._latest[1] else []
 
     def estimate_gap(self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> list[GapEstimate]:
         """Return the estimates of the markers that are lost throughout a gap; none if too little is visible."""

@@ -27,7 +27,8 @@ from mocapfix.fill.gap_windows import (
     MovingAxes,
 )
 from mocapfix.model.take import SAMPLE_NOISE_M
-from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, build_residual_map, estimate_roughness
+from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, estimate_roughness, map_residual
+from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.stats.rigid_alignment import (
     MIN_ALIGNMENT_MARKERS,
     align_to_shape,
@@ -54,14 +55,11 @@ MIN_DISTANCE_FRAMES = 9  # frames that show how constant a distance is
 MAX_EXAMINED_FRAMES = 600  # evenly spaced frames among which those with different configurations are selected
 RESTING_FRAME_WEIGHT = 0.1  # weight of a frame at rest in this selection, relative to a frame with average motion
 UNKNOWN_CHANGE_RATIO = 0.1  # expected variation of a distance, relative to it, where too few frames show it
-DISTANCE_PERCENTILES = (0.05, 0.95)  # quantiles of a distance, between which it varies
-DISTANCE_RANGE_SD = 3.29  # their difference for a normal distribution, in standard deviations
 HIDDEN_FOLDS = 4
 """Groups of hidden stretches, each predicted by a regression without it, and stretches of the take that give its error."""
 MAX_HIDDEN_SHARE = 0.7  # share of the training frames above which a group of hidden stretches leaves too few
 MAX_NOVELTY = 3.0
 """Largest factor by which the variance of a learned estimate grows for gaps that are long relative to what was learned."""
-MAX_RESIDUAL_SAMPLES = 6  # samples at each edge of a gap from which the residual is interpolated
 
 
 def select_configurations(markers: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray, " N"]:
@@ -79,30 +77,10 @@ def select_configurations(markers: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray
 
 def measure_distance_changes(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "M M"]:
     """Return the variation of the distance of each pair of markers in metres, while they move; infinite where unknown."""
-    sampled = markers[select_configurations(markers)]
-    change = np.full((markers.shape[1],) * 2, np.inf)
-    visible_count = (~np.isnan(sampled[..., 0])).sum(0)
-    enough = np.flatnonzero(visible_count >= min(MIN_DISTANCE_FRAMES, len(sampled)))
-    for n, i in enumerate(enough[1:], start=1):
-        distance = np.sort(np.linalg.norm(sampled[:, i, None] - sampled[:, enough[:n]], axis=-1), axis=0)  # NaN comes last
-        low, high = (compute_column_percentiles(distance, share) for share in DISTANCE_PERCENTILES)
-        is_known = np.isfinite(high) & ((~np.isnan(distance)).sum(0) >= min(MIN_DISTANCE_FRAMES, len(sampled)))
-        others = enough[:n][is_known]
-        change[i, others] = change[others, i] = (high[is_known] - low[is_known]) / DISTANCE_RANGE_SD
+    change = measure_distance_spread(markers[select_configurations(markers)])
     for i in np.flatnonzero(~np.isfinite(change).any(1) & ~np.isnan(markers[..., 0]).all(0)):
         change[i] = guess_distance_changes(markers, int(i))
     return change
-
-
-def compute_column_percentiles(ordered: Float[np.ndarray, "T N"], share: float) -> Float[np.ndarray, " N"]:
-    """Return the quantile `share` of each column, which must ascend and end with its NaN; infinite for fewer than two values."""
-    count = (~np.isnan(ordered)).sum(0)
-    last, columns = np.maximum(count - 1, 0), np.arange(ordered.shape[1])
-    position = share * last
-    below = position.astype(int)
-    above = np.minimum(below + 1, last)
-    quantile = ordered[below, columns] + (position - below) * (ordered[above, columns] - ordered[below, columns])
-    return np.where(count >= 2, quantile, np.inf)
 
 
 def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> Float[np.ndarray, " M"]:
@@ -177,41 +155,21 @@ def select_regression_cluster(
 
 
 class ClusterInterpolation:
-    """Estimates a marker between the edges of a gap, in axes of its neighbours.
-
-    These are few of the steadiest neighbours, and all markers where a limb is lost.
-    """
+    """Estimates a marker on a line between the edges of a gap, in axes of its steadiest neighbours."""
 
     def __init__(self, take: MarkersInTake) -> None:
         self.take = take
-        self._axes_of_others: tuple[tuple[int, ...], MovingAxes | None] = ((), None)  # of the latest gap
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        take, path = self.take, self.take.markers[:, gap.marker]
-        axes_by_name: dict[str, MovingAxes | None] = {}
+        take, estimates = self.take, list[GapEstimate]()
         for size in CLUSTER_SIZES:
             cluster = gap.neighbours[:size]
             if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(gap.neighbours) > CLUSTER_SIZES[0]):
                 change = take.distance_change_m[gap.marker, cluster]
-                axes_by_name[f"{size} neighbours"] = build_cluster_axes(take.markers, cluster, change, gap.frames)
-        if gap.is_limb:
-            axes_by_name["all markers"] = self._get_axes_of_others(gap)
-        return [
-            each for name, axes in axes_by_name.items() if axes for each in interpolate_in_axes(path, axes, gap, take.rate, name)
-        ]
-
-    def _get_axes_of_others(self, gap: Gap) -> MovingAxes | None:
-        """Return axes fixed to all markers that are known throughout a gap; None if they are few."""
-        key = (gap.window.first, gap.window.length, *gap.lost_markers.tolist())
-        if key != self._axes_of_others[0]:
-            around = slice(max(gap.window.first - 1, 0), gap.window.first + gap.window.length + 1)
-            cluster = np.setdiff1d(np.flatnonzero(self.take.is_known[around].all(0)), gap.lost_markers)
-            change = np.median(self.take.distance_change_m[np.ix_(cluster, cluster)], axis=1)
-            change = np.where(np.isfinite(change), change, 1.0)
-            is_enough = len(cluster) > CLUSTER_SIZES[-1]
-            axes = build_cluster_axes(self.take.markers, cluster, change, gap.frames) if is_enough else None
-            self._axes_of_others = key, axes
-        return self._axes_of_others[1]
+                axes = build_cluster_axes(take.markers, cluster, change, gap.frames)
+                if axes:
+                    estimates += interpolate_in_axes(take.markers[:, gap.marker], axes, gap, take.rate, f"{size} neighbours")
+        return estimates
 
 
 class NeighbourRegression:
@@ -262,15 +220,15 @@ def estimate_by_regression(
     residual = np.full((len(markers), 3), np.nan)
     predicted = regression.predict(np.zeros(0, int), np.arange(len(frames)))
     residual[frames] = local - predicted
-    maps = _build_residual_maps(residual, w, rate)
-    rows, context = row[w.gap_frames], w.context_frames[maps.used]
-    position = predicted[rows] + maps.gap @ residual[context]
+    gap_map, hidden_map = _build_residual_maps(residual, w, rate)
+    rows, context = row[w.gap_frames], w.context_frames
+    position = predicted[rows] + gap_map @ residual[context]
     position = np.einsum("tab,tb->ta", aligned.rotation[rows], position) + aligned.centre[rows]
     independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
     inflation = regression.measure_inflation(rows[w.points], len(training) / independent_count)
     error = np.full((*w.hidden_frames.shape, 3), np.nan)
     for group in np.array_split(np.arange(len(w.starts)), HIDDEN_FOLDS):
-        hidden = row[np.concatenate([w.hidden_context_frames[group][:, maps.used], w.hidden_frames[group]], axis=1)]
+        hidden = row[np.concatenate([w.hidden_context_frames[group], w.hidden_frames[group]], axis=1)]
         complete, hidden = group[(hidden >= 0).all(1)], hidden[(hidden >= 0).all(1)]
         is_out = (training >= w.starts[group, None]) & (training < w.starts[group, None] + w.hidden_length)
         held_out = np.flatnonzero(is_out.any(0))
@@ -278,7 +236,7 @@ def estimate_by_regression(
             continue
         misfit = local[hidden] - regression.predict(held_out, hidden)
         split = len(context)
-        local_error = (maps.hidden @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
+        local_error = (hidden_map @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
         error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[hidden[:, split:]], local_error)
     novelty = np.sqrt(min(1 + 2 * w.length / (~np.isnan(path[:, 0])).sum(), MAX_NOVELTY))
     decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
@@ -287,30 +245,24 @@ def estimate_by_regression(
     return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
 
 
-class _ResidualMaps(NamedTuple):
-    """Linear maps from the residual at the samples `used` of a window's context to the gap and to the hidden points."""
-
-    used: np.ndarray
-    gap: np.ndarray
-    hidden: np.ndarray
-
-
-def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> _ResidualMaps:
-    """Return the maps that interpolate a residual across the gap and across its hidden stretches."""
+def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> list[np.ndarray]:
+    """Return the maps that interpolate a residual from the samples beside a gap and beside its hidden stretches."""
     w = window
     known = residual[~np.isnan(residual[:, 0])]
     power = max(float(np.median(known**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
     roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
-    sides = (np.arange(len(w.before))[::-1], len(w.before) + np.arange(len(w.after)))
-    used = np.concatenate([side[sample_evenly(len(side), MAX_RESIDUAL_SAMPLES)] if len(side) else side for side in sides])
-    maps = [
-        build_residual_map(
-            np.concatenate([w.before, after])[used] / rate, points / rate,
-            time_scale_s=CLUSTER_RESIDUAL_FADE_S, roughness=roughness, noise_ratio=SAMPLE_NOISE_M**2 / power,
-        )
+    noise_variance = np.full(len(w.before) + len(w.after), SAMPLE_NOISE_M**2)
+    return [
+        map_residual(
+            np.concatenate([w.before, after]) / rate,
+            points / rate,
+            power=power,
+            time_scale_s=CLUSTER_RESIDUAL_FADE_S,
+            roughness=roughness,
+            noise_variance=noise_variance,
+        )[0]
         for after, points in ((w.after, np.arange(w.length)), (w.hidden_after, w.hidden_points))
-    ]  # fmt: skip
-    return _ResidualMaps(used, *maps)
+    ]
 
 
 class _Regression:

@@ -245,20 +245,12 @@ class UnfilledRun:
     reason: str
 
 
-def expand_unfilled_reasons(unfilled: Iterable[UnfilledRun], shape: tuple[int, int]) -> Shaped[np.ndarray, "T M"]:
-    """Return an object array of `shape` (T, M) with the reason why each sample is not filled, "" without one."""
-    reasons = np.full(shape, "", object)
-    for run in unfilled:
-        reasons[run.first : run.last + 1, run.marker] = run.reason
-    return reasons
-
-
 def find_unfilled_runs(take: Take, reasons: Shaped[np.ndarray, "T M"]) -> tuple[UnfilledRun, ...]:
     """Find the runs of missing samples with the same reason, ordered by marker and first frame.
 
     Args:
         take: The cleaned take.
-        reasons: The reason of each sample, as `expand_unfilled_reasons` returns them.
+        reasons: The reason of each sample, "" without one.
     """
     unfilled: list[UnfilledRun] = []
     for m in range(len(take.labels)):

@@ -13,9 +13,7 @@ long gap.
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-from mocapfix.stats.sequences import find_runs, sample_evenly
+from jaxtyping import Float, Int
 
 MIN_VALUE_VARIANCE = 1e-12  # of the values, in their unit squared; a smaller variance is taken as this
 
@@ -146,70 +144,46 @@ def fit_gaussian_process(
     return GaussianProcess(covariance, state_mean, states, times_s, value_mean, precision, weights, power)
 
 
-MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
+MIN_ROUGHNESS_STEPS = 6  # changes over this lag that show the roughness
 ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness
 MEDIAN_DEVIATIONS_PER_SD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 CHI2_MEDIAN_3_DOF = 2.366  # median of the chi-squared distribution with three degrees of freedom
 NORMAL_MEDIAN_FACTOR = 2.2  # mean square over median square of a normal residual; the median ignores outliers
 
 
-def interpolate_residual(
-    residual: Float[np.ndarray, "T 3"],
-    is_gap: Bool[np.ndarray, " T"],
-    rate: float,
-    *,
-    time_scale_s: float,
-    margin_s: float,
-    noise_sd: float,
-    min_sd: float,
-) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"], float]:
-    """Return the process of a residual, in any unit and NaN where unknown, in gaps: mean, variance per axis, and that far away.
-
-    Args:
-        time_scale_s: Of the residual's correlation.
-        margin_s: On either side of a gap that is used.
-        noise_sd: Of a single sample, in the residual's unit.
-        min_sd: Least standard deviation of the process, likewise.
-    """
-    is_known = ~np.isnan(residual[:, 0])
-    mean, variance = np.zeros_like(residual), np.zeros(len(residual))
-    median_square = float(np.median(residual[is_known] ** 2)) if is_known.any() else 0.0
-    power = max(median_square * NORMAL_MEDIAN_FACTOR, min_sd**2)
-    roughness = estimate_roughness(residual, rate, time_scale_s, noise_sd, power)
-    steps = max(1, round(margin_s * rate))
-    offsets = sample_evenly(steps, MAX_SAMPLES_PER_SIDE)
-    for first, last in find_runs(is_gap):
-        before, after = first - 1 - offsets, last + 1 + offsets
-        near = np.r_[before[before >= 0], after[after < len(residual)]]
-        near = near[is_known[near]]
-        gap = np.arange(first, last + 1)
-        if len(near) == 0:
-            variance[gap] = power
-            continue
-        among = power * compute_residual_correlation((near[:, None] - near[None]) / rate, time_scale_s, roughness)
-        among = among + noise_sd**2 * np.eye(len(near))
-        cross = power * compute_residual_correlation((gap[:, None] - near[None]) / rate, time_scale_s, roughness)
-        weight = np.linalg.solve(among, cross.T).T
-        mean[gap] = weight @ residual[near]
-        variance[gap] = np.maximum(power - (weight * cross).sum(1), 0.0)
-    return mean, variance, power
-
-
-def build_residual_map(
+def map_residual(
     known_s: Float[np.ndarray, " N"],
     wanted_s: Float[np.ndarray, " P"],
     *,
+    power: float,
     time_scale_s: float,
     roughness: float,
-    noise_ratio: float,
-) -> Float[np.ndarray, "P N"]:
-    """Return the linear map from a residual's known samples to its expectation at other times, in seconds.
+    noise_variance: Float[np.ndarray, " N"],
+    known_excess: Float[np.ndarray, " N"] | float = 0.0,
+    wanted_excess: Float[np.ndarray, " P"] | float = 0.0,
+) -> tuple[Float[np.ndarray, "P N"], Float[np.ndarray, " P"]]:
+    """Return the linear map from known samples of a residual to its expectation at wanted times, and its variance there.
 
     Args:
-        noise_ratio: Variance of a sample's noise relative to the power of the process.
+        known_s: Times of the known samples in seconds.
+        wanted_s: Times at which it is wanted.
+        power: Variance per axis of the process, in the residual's unit squared.
+        time_scale_s: Of its correlation.
+        roughness: Its rough part, as `estimate_roughness` returns it.
+        noise_variance: Of each sample.
+        known_excess: Variance at the known times of a further, smooth process.
+        wanted_excess: The same at the wanted times.
     """
-    among = compute_residual_correlation(known_s[:, None] - known_s, time_scale_s, roughness) + noise_ratio * np.eye(len(known_s))
-    return np.linalg.solve(among, compute_residual_correlation(known_s[:, None] - wanted_s, time_scale_s, roughness)).T
+
+    def compute_covariance(lag_s: np.ndarray, excess: np.ndarray) -> np.ndarray:
+        own = power * compute_residual_correlation(lag_s, time_scale_s, roughness)
+        return own + np.sqrt(excess) * compute_residual_correlation(lag_s, time_scale_s, 0.0)
+
+    known_excess, wanted_excess = np.broadcast_to(known_excess, len(known_s)), np.broadcast_to(wanted_excess, len(wanted_s))
+    among = compute_covariance(known_s[:, None] - known_s, np.outer(known_excess, known_excess)) + np.diag(noise_variance)
+    across = compute_covariance(wanted_s[:, None] - known_s, np.outer(wanted_excess, known_excess))
+    weights = np.linalg.solve(among, across.T).T
+    return weights, np.maximum(power + wanted_excess - (weights * across).sum(1), 0.0)
 
 
 def estimate_roughness(
@@ -222,7 +196,7 @@ def estimate_roughness(
     step = max(1, round(ROUGHNESS_LAG_S * rate))
     change = residual[step:] - residual[:-step]
     change = change[~np.isnan(change[:, 0])]
-    if len(change) < MAX_SAMPLES_PER_SIDE:
+    if len(change) < MIN_ROUGHNESS_STEPS:
         return 0.0
     lag_s = np.array([step / rate])
     smooth, rough = (float(compute_residual_correlation(lag_s, time_scale_s, part)[0]) for part in (0.0, 1.0))

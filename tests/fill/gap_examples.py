@@ -36,15 +36,4 @@ def build_gap(take: MarkersInTake, marker: int, first: int, last: int, **fields)
     is_neighbour: np.ndarray = np.all(take.is_known[first : last + 1], axis=0)
     neighbours = order[is_neighbour[order] & np.isfinite(change[order])]
     frames = np.arange(len(take.markers))
-    gap = Gap(
-        marker,
-        window,
-        np.array([marker]),
-        neighbours,
-        frames,
-        is_limb=False,
-        activity=1.0,
-        speed_m_s=1.0,
-        method_ratios=None,
-    )
-    return gap._replace(**fields)
+    return Gap(marker, window, np.array([marker]), neighbours, frames, activity=1.0, speed_m_s=1.0)._replace(**fields)

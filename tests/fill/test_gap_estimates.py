@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.fill import gap_estimates
 from mocapfix.fill.gap_estimates import (
     MAX_SPEED_RATIO,
-    MarkerFill,
+    FillRequest,
     NeighbourActivity,
     build_expected_correlation,
     combine_gap_estimates,
@@ -202,7 +202,7 @@ def test_requested_samples_have_the_estimate_of_one_method_or_none():
     truth = markers.copy()
     markers[20:30] = np.nan
     usual = estimate_missing_samples(markers, 60.0)
-    requests = [MarkerFill(0, 22, 27, FillMethod.SPLINE), MarkerFill(2, 20, 29, FillMethod.BODY)]
+    requests = [FillRequest(0, 22, 27, "spline"), FillRequest(2, 20, 29, "body")]
     changed = estimate_missing_samples(markers, 60.0, requests=requests)
     np.testing.assert_allclose(changed.position[22:28, 0], truth[22:28, 0], atol=1e-9)
     assert (changed.method[22:28, 0] == FillMethod.SPLINE).all()

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
 from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.changes import find_unfilled_runs
 from mocapfix.model.take import Take
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
@@ -43,14 +44,14 @@ def fill(take, options=ANYTHING, is_inlier=None):
     kept = take.visible if is_inlier is None else is_inlier
     durations, ends = gap_filling.compute_gap_durations(kept, take.rate), gap_filling.find_ends(kept)
     filled = gap_filling.fill_take(take, kept, durations, ends, None, options)
-    return filled.take, filled.unfilled
+    return filled.take, find_unfilled_runs(filled.take, filled.unfilled_reasons)
 
 
 def fill_with_body(take, body):
     durations = gap_filling.compute_gap_durations(take.visible, take.rate)
     ends = gap_filling.find_ends(take.visible)
     filled = gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions())
-    return filled.take, filled.unfilled
+    return filled.take, find_unfilled_runs(filled.take, filled.unfilled_reasons)
 
 
 def are_bits_equal(before, after, where):

@@ -15,7 +15,6 @@ from mocapfix.fill.neighbour_clusters import (
     NeighbourRegression,
     build_changing_axes,
     build_cluster_axes,
-    compute_column_percentiles,
     measure_distance_changes,
     remove_steps,
     select_changing_cluster,
@@ -139,17 +138,6 @@ def test_nearest_markers_count_as_the_steadiest_of_one_that_is_hardly_visible():
     assert np.isinf(measure_distance_changes(markers)[0]).all()
 
 
-@given(seed=st.integers(0, 99), share=st.floats(0, 1))
-def test_column_percentiles_equal_numpy(seed, share):
-    rng = np.random.default_rng(seed)
-    numbers = rng.normal(size=(20, 4))
-    numbers[rng.random((20, 4)) < 0.3] = np.nan
-    numbers[1:, 3] = np.nan  # too few
-    expected = [np.nanpercentile(column, 100 * share) for column in numbers.T[:3]]
-    found = compute_column_percentiles(np.sort(numbers, axis=0), share)
-    np.testing.assert_allclose(found, [*expected, np.inf], atol=1e-12)
-
-
 def test_a_deformation_that_was_not_learned_is_less_certain():
     """A marker that moves with another one, which moves ten times as far in the gap as where the marker is visible."""
     sds: list[float] = []
@@ -165,13 +153,14 @@ def test_a_deformation_that_was_not_learned_is_less_certain():
     assert sds[1] > 1.5 * sds[0]
 
 
-def test_markers_of_a_lost_limb_are_interpolated_in_axes_of_all_others():
-    take = build_take(without(tumbling(size=12), 5, 120, 219))
-    gap = build_gap(take, 5, 120, 219)
-    estimate = ClusterInterpolation(take)
-    names = [{each.axes for each in estimate(gap._replace(is_limb=is_limb))} for is_limb in (False, True)]
-    assert names[1] - names[0] == {"all markers"}
-    assert all(np.abs(each.error).max() < 1e-6 for each in estimate(gap))  # on one rigid body
+def test_markers_on_one_rigid_body_are_interpolated_exactly():
+    truth = tumbling(size=12)
+    take = build_take(without(truth, 5, 120, 219))
+    found = ClusterInterpolation(take)(build_gap(take, 5, 120, 219))
+    assert {each.axes for each in found} == {"4 neighbours", "8 neighbours"}
+    for each in found:
+        np.testing.assert_allclose(each.position, truth[120:220, 5], atol=1e-6)
+        assert np.abs(each.error).max() < 1e-6
 
 
 FIRST, LENGTH = 150, 100

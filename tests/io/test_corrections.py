@@ -8,7 +8,8 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.errors import SceneError
-from mocapfix.fill.gap_filling import EMPTY_REASON, FillRequest, explain_requested_fills
+from mocapfix.fill.gap_estimates import FillRequest
+from mocapfix.fill.gap_filling import EMPTY_REASON, explain_requested_fills
 from mocapfix.io.changes_file import (
     CorrectionKind,
     CorrectionModel,

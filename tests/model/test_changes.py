@@ -14,7 +14,6 @@ from mocapfix.model.changes import (
     build_affected_mask,
     build_changes,
     compare_samples,
-    expand_unfilled_reasons,
     find_unfilled_runs,
     list_affected_markers,
 )
@@ -164,9 +163,8 @@ def test_unfilled_runs_have_one_reason_each():
 def test_every_missing_sample_is_in_one_unfilled_run(visible, choices):
     reasons = np.array(["", "too far", "uncertain"], object)[choices]
     runs = find_unfilled_runs(build_visible_take(visible), reasons)
-    expanded = expand_unfilled_reasons(runs, (12, 3))
-    np.testing.assert_array_equal(expanded[~visible], reasons[~visible])
-    assert (expanded[visible] == "").all()
+    assert all((reasons[run.first : run.last + 1, run.marker] == run.reason).all() for run in runs)
+    assert not any(visible[run.first : run.last + 1, run.marker].any() for run in runs)
     assert sum(run.last - run.first + 1 for run in runs) == (~visible).sum()
     for run in runs:
         assert UnfilledRun(run.marker, run.last + 1, run.last + 1, run.reason) not in runs

@@ -1,5 +1,7 @@
 """Interpolated residuals against Gaussian process regression written out, and their limits."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from mocapfix.stats.gaussian_process import (
-    MAX_SAMPLES_PER_SIDE,
+    MIN_ROUGHNESS_STEPS,
     compute_residual_correlation,
     estimate_roughness,
-    interpolate_residual,
+    map_residual,
 )
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 RATE = 100.0
 TIME_SCALE_S = 0.3
@@ -31,10 +34,27 @@ def remove_gap(residual, is_gap):
     return np.where(is_gap[:, None], np.nan, residual)
 
 
-def interpolate(residual, is_gap, rate=RATE):
-    return interpolate_residual(
-        residual, is_gap, rate, time_scale_s=TIME_SCALE_S, margin_s=MARGIN_S, noise_sd=NOISE_SD, min_sd=MIN_SD
-    )[:2]
+def interpolate(residual, is_gap, rate=RATE, noise_sd=NOISE_SD):
+    """Return the mean and variance of a residual in gaps, from up to six samples within the margin on either side."""
+    known = ~np.isnan(residual[:, 0])
+    power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, MIN_SD**2)
+    roughness = estimate_roughness(residual, rate, TIME_SCALE_S, noise_sd, power)
+    offsets = sample_evenly(max(1, round(MARGIN_S * rate)), 6)
+    mean, variance = np.zeros_like(residual), np.zeros(len(residual))
+    for first, last in find_runs(is_gap):
+        near, gap = np.r_[first - 1 - offsets, last + 1 + offsets], np.arange(first, last + 1)
+        near = near[(near >= 0) & (near < len(residual))]
+        near = near[known[near]]
+        weights, variance[gap] = map_residual(
+            near / rate,
+            gap / rate,
+            power=power,
+            time_scale_s=TIME_SCALE_S,
+            roughness=roughness,
+            noise_variance=np.full(len(near), noise_sd**2),
+        )
+        mean[gap] = weights @ residual[near]
+    return mean, variance
 
 
 @given(seeds, st.integers(1, 60))
@@ -147,7 +167,7 @@ def test_roughness_of_random_walk_and_of_smooth_motion(rate):
     smooth = 0.004 * np.sin(3 * t + np.arange(3.0))
     assert estimate_roughness(smooth + rng.normal(0, NOISE_SD, smooth.shape), rate, TIME_SCALE_S, NOISE_SD, 0.004**2 / 2) < 0.05
     assert 0.3 < estimate_roughness((rough + smooth) / np.sqrt(2), rate, TIME_SCALE_S, 0.0, 0.75 * 0.004**2) < 0.9
-    assert estimate_roughness(rough[: MAX_SAMPLES_PER_SIDE // 2], rate, TIME_SCALE_S, NOISE_SD, 1e-6) == 0  # too few samples
+    assert estimate_roughness(rough[: MIN_ROUGHNESS_STEPS // 2], rate, TIME_SCALE_S, NOISE_SD, 1e-6) == 0  # too few samples
 
 
 def test_correlation_mixes_smooth_and_rough_parts():
@@ -162,12 +182,21 @@ def test_correlation_mixes_smooth_and_rough_parts():
 def test_variance_of_rough_residual_equals_its_error(length):
     rough = simulate_random_walk(5, 20000, RATE)
     is_gap = (np.arange(len(rough)) % 200 >= 100) & (np.arange(len(rough)) % 200 < 100 + length)
-    mean, variance, power = interpolate_residual(
-        remove_gap(rough, is_gap), is_gap, RATE, time_scale_s=TIME_SCALE_S, margin_s=MARGIN_S, noise_sd=0.0, min_sd=MIN_SD
-    )
+    mean, variance = interpolate(remove_gap(rough, is_gap), is_gap, noise_sd=0.0)
     error = ((mean - rough)[is_gap] ** 2).mean()
     assert 0.6 < variance[is_gap].mean() / error < 1.6
-    assert (variance <= power).all()
+    assert (variance <= 2.2 * np.median(rough[~is_gap] ** 2)).all()
+
+
+def test_a_smooth_excess_adds_to_the_variance_and_continues_the_samples():
+    known, wanted = np.array([-0.01]), np.array([0.0, 5.0])
+    build = partial(map_residual, known, wanted, power=1.0, time_scale_s=TIME_SCALE_S, roughness=1.0, noise_variance=np.zeros(1))
+    _, alone = build()
+    weights, variance = build(known_excess=np.array([9.0]), wanted_excess=np.array([9.0, 4.0]))
+    np.testing.assert_allclose(variance[1], 1.0 + 4.0, rtol=1e-6)
+    assert alone[0] < variance[0] < 0.2
+    assert weights[0, 0] > 0.99
+    assert abs(weights[1, 0]) < 1e-3
 
 
 def test_correlation_is_symmetric_and_decreases_from_one():
