@@ -21,7 +21,7 @@ BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residu
 MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
 MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
 STEP_NOISE_M = 0.001  # standard deviation per axis of the measured step at an edge
-BODY_ERROR_RATIO = 1.3
+BODY_ERROR_RATIO = 1.5
 """Ratio of the errors in gaps to what the residual and the pose predict: a body does not fit as well as its markers say."""
 MAX_EDGE_RESIDUAL_M = 0.05
 """Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
