@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
 from mocapfix.fill.gap_windows import (
     FillMethod,
     Gap,
@@ -45,6 +46,7 @@ MARKER_FILL_KERNEL = StateCovariance(
     time_scale_s=0.25, similarity_rate=1.2, time_power=0.02, recurrence_power=2.0, linear_power=1.2, noise_power=3e-5
 )
 """Covariance of marker positions between frames."""
+MIN_LIMB_MARKERS = 3  # markers lost together from which the activity of others says little about them
 PROCESS_SAMPLE_NOISE_M = 0.001  # noise of a sample
 
 
@@ -122,7 +124,11 @@ class MarkerProcesses:
         key = (w.first, w.length, *uncertain.tolist())
         if key != self._latest[0]:
             self._latest = key, dict(zip(uncertain.tolist(), self.estimate_gap(w, uncertain), strict=False))
-        return [self._latest[1][gap.marker]] if gap.marker in self._latest[1] else []
+        if gap.marker not in self._latest[1]:
+            return []
+        estimate = self._latest[1][gap.marker]
+        growth = gap.activity**ACTIVITY_POWER if len(gap.lost_markers) < MIN_LIMB_MARKERS else 1.0
+        return [estimate._replace(expected_sd=estimate.expected_sd * growth)]
 
     def estimate_gap(self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> list[GapEstimate]:
         """Return the estimates of the markers that are lost throughout a gap; none if too little is visible."""
