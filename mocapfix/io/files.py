@@ -178,6 +178,8 @@ def describe_write_failure(path: Path, error: OSError, advice: str) -> str:
         )
     if isinstance(error, PermissionError) and system.keeps_open_files and Path(file).is_file():
         return f"{file}: cannot be replaced while another program has it open; close it there, and repeat the command."
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return f"{path}: the folder cannot be created (it or one above it is a file){advice}."
     return f"{path}: cannot be written ({error.strerror or error}){advice}."
 
 

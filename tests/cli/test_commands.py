@@ -395,7 +395,7 @@ def test_unwritable_outputs_are_named(mocapfix, brief, tmp_path):
     taken.write_text("a file", encoding="utf-8")
     for where in (taken, taken / "deeper"):
         status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
-        check_refused(status, where.name, "the folder cannot be created .*; choose another with --out")
+        check_refused(status, where.name, "the folder cannot be created .*; choose another (folder )?with --out")
     check_refused(mocapfix("demo", "--out", taken), "taken", "the folder cannot be created")
     missing = tmp_path / "gone" / "person.yaml"
     check_refused(mocapfix("calibrate", brief.path, "-o", missing), "person.yaml", "cannot be written")
