@@ -302,8 +302,10 @@ def give_number() -> int:
 
 
 def use_memory() -> None:
-    """Use 350 MB for a moment."""
-    np.ones(int(350e6 / 8))
+    """Use 350 MB for half a second: memory is sampled twenty times a second."""
+    used = np.ones(int(350e6 / 8))
+    time.sleep(0.5)
+    del used
 
 
 def hold_memory() -> None:
