@@ -3,6 +3,7 @@
 An estimator is built once for a take and called for each lost marker of each gap, the short gaps first: what is filled precisely
 serves as visible for longer ones. `ESTIMATORS` lists them; those of `LATER_ESTIMATORS` need the estimates of all other gaps, and
 are called in the gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate.
+Without a body, or off it, that of the body returns nothing, and the others share the weight.
 
 The errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates &
 Granger 1969, "The combination of forecasts"). It is measured in the hidden stretches of the gap. Few stretches show little of it:
@@ -103,7 +104,7 @@ def estimate_missing_samples(
 
 
 def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[FillRequest]) -> MarkerEstimate:
-    """Return the estimates of the gaps that splines fill precisely, and of which none is requested by another method."""
+    """Return the estimates of the gaps that splines fill precisely, and of which a reviewer requests no sample."""
     position, sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
     is_unsettled = ~(sd <= MAX_LONE_SPLINE_SD_M)
     for request in requests:
