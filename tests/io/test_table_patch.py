@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -68,6 +68,8 @@ def test_only_fields_of_changed_samples_differ_and_they_read_back(tmp_path_facto
     before = write_and_read(folder, text)
     assert isinstance(before.layout, TableLayout)
     assert before.layout.missing_text == missing.replace(".", before.layout.decimal_sign)
+    step = 10.0 ** -int(before.layout.number_format[1:-1]) * before.layout.unit_m
+    assume(not np.isclose(np.abs(values), step / 2, rtol=1e-6, atol=0).any())  # rounds up or down
     markers = np.where((edits == 1)[..., None], values, before.markers)
     markers[edits == 2] = np.nan
     lost = patch_table(folder / "after.txt", before, before.replace_markers(markers))
@@ -79,7 +81,6 @@ def test_only_fields_of_changed_samples_differ_and_they_read_back(tmp_path_facto
     copy = capture.read_take(folder / "after.txt")
     was, wanted, became = (convert_to_file_axes(take) for take in (before, before.replace_markers(markers), copy))
     np.testing.assert_array_equal(became[edits == 0], was[edits == 0])
-    step = 10.0 ** -int(before.layout.number_format[1:-1]) * before.layout.unit_m
     is_zero = np.abs(markers).max(-1) <= step / 2  # rounds to all zeros, which read as missing
     assert lost == [(t, m) for t, m in np.argwhere((edits == 1) & is_zero).tolist()]
     filled = (edits == 1) & ~is_zero

@@ -150,6 +150,7 @@ def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: R
     page.locator('#dialog-export input[value="blender"]').check()
     page.locator("#dialog-export").press("Enter")
     expect(page.locator("#status")).to_have_text("Cleaned again. Written: blender.")
+    wait_until_ready(page)  # keys count once the samples of the new cleaning are drawn
     page.keyboard.press("q")
     expect(page.locator("#cover")).to_contain_text("The review has ended")
 
