@@ -129,7 +129,8 @@ def test_files_that_were_cut_off_are_refused_or_end_with_a_frame(tmp_path_factor
     except ReadError:
         pass
     else:
-        np.testing.assert_allclose(take.markers, right[: take.frame_count], atol=1e-6)
+        markers = [LABELS.index(label) for label in take.labels]  # without those that no frame shows
+        np.testing.assert_allclose(take.markers, right[: take.frame_count, markers], atol=1e-6)
 
 
 def test_contradictions_that_nothing_settles_are_refused(tmp_path):
