@@ -19,7 +19,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -39,13 +39,27 @@ from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
-from mocapfix.io.gltf import GLTF_ASSET, GlbContent, GltfBuffer, add_animation, add_test_skin, build_glb, parse_glb
+from mocapfix.io.gltf import (
+    GLTF_ASSET,
+    GlbContent,
+    GltfBuffer,
+    add_animation,
+    add_test_skin,
+    build_glb,
+    compute_bone_transforms,
+    parse_glb,
+    read_gltf_nodes,
+)
 from mocapfix.io.npz import write_character_npz
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 
 MIN_MOVED_ELEMENT = 1e-6
 """difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
+
+
+MIN_MOVED_OFFSET_M = 1e-5
+"""distance of a bone in the rest pose from its place in the file, relative to its parent, from which it gets positions"""
 
 
 def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
@@ -64,8 +78,8 @@ def get_parent_scale(character: Character, bone: int) -> float:
 def write_character_glb(target: Path, character: Character, motion: CharacterMotion, take_name: str) -> None:
     """Write the motion of a character as a GLB.
 
-    The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis. A
-    rotation that does not change has one key.
+    The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis and of
+    bones that have another parent in the file than in the body. A rotation that does not change has one key.
 
     Args:
         target: The file.
@@ -77,17 +91,14 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
         WriteError: If `target` is not writable.
     """
     content, nodes = _open_document(character)
-    bones = list_moving_bones(character, motion)
-    pelvis = character.mapping.bones["pelvis"][0]
+    curves = _compute_node_curves(character, motion, content, nodes)
     buffer = GltfBuffer(content.document, content.binary)
-    has_own_scale = character.source is not None and character.source.kind == "gltf"
-    position_scale = get_parent_scale(character, pelvis) if has_own_scale else 1.0
-    for bone in {pelvis, *bones}:
+    for bone in {*curves.positions, *curves.turning}:
         _replace_matrix(content.document["nodes"][nodes[bone]])
     name = _make_name_unique(take_name, content.document.get("animations", []))
-    moved_nodes = {bone: int(nodes[bone]) for bone in bones}
-    position = motion.pelvis_position / position_scale
-    add_animation(buffer, name, motion.local_rotations, position, moved_nodes, int(nodes[pelvis]), motion.rate)
+    positions = {int(nodes[bone]): position for bone, position in curves.positions.items()}
+    turned_nodes = {bone: int(nodes[bone]) for bone in curves.turning}
+    add_animation(buffer, name, curves.rotations, positions, turned_nodes, motion.rate)
     data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
@@ -104,6 +115,52 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     tails = positions + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
     add_test_skin(buffer, character.skeleton.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
     return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
+
+
+class NodeCurves(NamedTuple):
+    """The motion of the bones as the nodes of a glTF have it."""
+
+    rotations: Float[np.ndarray, "T J 3 3"]  # to the axes of the node above
+    turning: list[int]  # bones that get a curve of rotations
+    positions: dict[int, Float[np.ndarray, "T 3"]]  # bone to its positions in the unit of the node above
+
+
+def _compute_node_curves(
+    character: Character, motion: CharacterMotion, content: GlbContent, nodes: Int[np.ndarray, " J"]
+) -> NodeCurves:
+    """Return the curves that move the nodes of a document like the bones.
+
+    In the user's file a node may be below another one than in the body, such as a foot below the root, and in another pose than
+    the rest pose.
+    """
+    pelvis, turning = character.mapping.bones["pelvis"][0], list_moving_bones(character, motion)
+    if character.source is None or character.source.kind != "gltf":
+        return NodeCurves(motion.local_rotations, turning, {pelvis: motion.pelvis_position})
+    tree = read_gltf_nodes(Path(character.source.path), content.document)
+    place = {node: bone for bone, node in enumerate(nodes.tolist())}
+    ordered = [node for node in tree.ordered if node in place]
+    bones = [place[node] for node in ordered]
+    parents, at_rest = np.full(len(nodes), -1), compute_bone_transforms(tree, ordered)
+    parents[bones] = [place.get(int(tree.parents[node]), -1) for node in ordered]
+    rest_position, rest_rotation = np.empty((len(nodes), 3)), np.empty((len(nodes), 3, 3))
+    rest_position[bones], rest_rotation[bones] = at_rest.positions, at_rest.rotations
+    rotations, positions = motion.local_rotations, {pelvis: motion.pelvis_position}
+    if len(moved := np.flatnonzero(parents != character.skeleton.parents)):
+        place_world, axes_world = compute_character_poses(character, motion)
+        rotations = rotations.copy()
+        for bone in moved.tolist():
+            above = int(parents[bone])
+            axes = axes_world[:, above] if above >= 0 else np.eye(3)[None]
+            vector = place_world[:, bone] - (place_world[:, above] if above >= 0 else 0.0)
+            rotations[:, bone] = axes.swapaxes(1, 2) @ axes_world[:, bone]
+            positions[bone] = np.einsum("tba,tb->ta", axes, vector)
+    is_kept = np.abs(rest_position - character.skeleton.offsets).max(1) < MIN_MOVED_OFFSET_M
+    for bone in set(np.flatnonzero(~is_kept).tolist()).difference(positions):
+        positions[bone] = np.tile(character.skeleton.offsets[bone], (motion.frame_count, 1))
+    difference = np.abs(rotations - rest_rotation).max(axis=(0, 2, 3), initial=0.0)
+    scales = np.where(parents < 0, character.root_scale, character.scales[parents])
+    turning = sorted({*turning, *np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()})
+    return NodeCurves(rotations, turning, {bone: each / scales[bone] for bone, each in sorted(positions.items())})
 
 
 def _build_skinned_document(character: Character) -> dict[str, Any]:

@@ -334,20 +334,19 @@ def add_animation(
     buffer: GltfBuffer,
     name: str,
     local_rotations: Float[np.ndarray, "T J 3 3"],
-    position: Float[np.ndarray, "T 3"],
+    positions: Mapping[int, Float[np.ndarray, "T 3"]],
     nodes: Mapping[int, int],
-    position_node: int,
     rate: float,
 ) -> None:
     """Add an animation to the document, with a key in every frame, or a single one of a rotation that does not change.
 
     Args:
         local_rotations: Axes of each bone to its parent's.
-        position: Of `position_node`, in the unit of its parent.
-        nodes: Bone to node, of the bones that get a curve.
+        positions: Node to its positions in the unit of its parent, of the nodes that get such a curve.
+        nodes: Bone to node, of the bones that get a curve of rotations.
         rate: Frames per second.
     """
-    frame_count = len(position)
+    frame_count = len(local_rotations)
     times: dict[int, int] = {}
 
     def add_curve(node: int, path: str, kind: str, values: Float[np.ndarray, "K N"]) -> None:
@@ -359,7 +358,8 @@ def add_animation(
 
     channels: list[dict[str, Any]] = []
     samplers: list[dict[str, Any]] = []
-    add_curve(position_node, "translation", "VEC3", position)
+    for node, position in positions.items():
+        add_curve(node, "translation", "VEC3", position)
     for bone, node in nodes.items():
         rotation = lie.extract_joint_quaternions(local_rotations, bone, np.ones(frame_count, bool))
         is_constant = bool((np.linalg.norm(rotation - rotation[0], axis=1) <= MAX_CONSTANT_CHORD).all())
@@ -457,6 +457,6 @@ def write_gltf(target: Path, skeleton: Skeleton, motion: Motion, rate: float) ->
     buffer = GltfBuffer(document)
     add_test_skin(buffer, skeleton.parents, positions, np.tile(np.eye(3), (count, 1, 1)), positions + skeleton.ends)
     nodes_of_joints = dict(enumerate(range(count)))
-    add_animation(buffer, target.stem, motion.local_rotations, motion.root_position, nodes_of_joints, 0, rate)
+    add_animation(buffer, target.stem, motion.local_rotations, {0: motion.root_position}, nodes_of_joints, rate)
     with replace_atomically(Path(target)) as part:
         part.write_bytes(build_glb(GlbContent(document, buffer.finish())))
