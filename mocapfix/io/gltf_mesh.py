@@ -1,0 +1,212 @@
+"""The mesh of a glTF: its triangles, and the nodes that move their corners, for linear blend skinning.
+
+Source: Khronos, glTF 2.0, sections 3.6 (accessors) and 3.7.3 (skins). Skinned meshes and meshes that a node carries stiffly are
+one mesh here. Left out are meshes whose arrays are compressed or damaged, lines and points, and triangles whose texture is
+transparent. A material is one colour for each triangle.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Num
+from scipy.spatial.transform import Rotation
+
+from mocapfix.io.gltf import GlbContent, GltfNodes, are_numbers
+
+COMPONENT_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TRIANGLES = 4  # mode of a primitive
+MIN_OPACITY = 0.5  # a triangle with a more transparent texture is left out
+UNREADABLE = (KeyError, IndexError, TypeError, ValueError)  # what damaged or compressed arrays raise
+
+
+@dataclass(frozen=True)
+class GltfMesh:
+    """All triangles of a file; its V corners follow at most K of the S nodes in `nodes`, each by a weight."""
+
+    positions: Float[np.ndarray, "V 3"]  # in the axes of the mesh
+    slots: Int[np.ndarray, "V K"]  # indices in `nodes`
+    weights: Float[np.ndarray, "V K"]  # sum to 1
+    nodes: Int[np.ndarray, " S"]
+    inverse_bind: Float[np.ndarray, "S 4 4"]  # axes of the mesh to those of each node, in the bind pose
+    triangles: Int[np.ndarray, "F 3"]
+    colours: Float[np.ndarray, "F 3"]  # red, green and blue, 0 to 1, sRGB
+
+    def pose(self, node_matrices: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "V 3"]:
+        """Return the corners in the world, given the matrices of all nodes to the world."""
+        matrices = node_matrices[self.nodes] @ self.inverse_bind
+        posed = np.zeros_like(self.positions)
+        for slots, weights in zip(self.slots.T, self.weights.T, strict=True):
+            used = matrices[slots]
+            posed += weights[:, None] * (np.einsum("vij,vj->vi", used[:, :3, :3], self.positions) + used[:, :3, 3])
+        return posed
+
+
+def read_gltf_mesh(content: GlbContent, nodes: GltfNodes) -> GltfMesh:
+    """Read the mesh of a file, without any triangle if nothing can be read. Only the binary chunk is used."""
+    parts: list[GltfMesh] = []
+    for node, entry in enumerate(nodes.entries):
+        for primitive in _list_primitives(content.document, entry):
+            try:
+                parts.append(_read_primitive(content, node, entry, primitive))
+            except UNREADABLE:
+                continue
+    if not parts:
+        none = np.empty((0, 3))
+        slots = np.empty((0, 1), int)
+        return GltfMesh(none, slots, slots.astype(float), slots[:, 0], np.empty((0, 4, 4)), none.astype(int), none)
+    width = max(part.slots.shape[1] for part in parts)
+    first_slots = np.cumsum([0, *(len(part.nodes) for part in parts)])
+    first_corners = np.cumsum([0, *(len(part.positions) for part in parts)])
+
+    def widen(values: Num[np.ndarray, "V k"]) -> Num[np.ndarray, "V K"]:
+        return np.pad(values, ((0, 0), (0, width - values.shape[1])))
+
+    return GltfMesh(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate([widen(part.slots) + first for part, first in zip(parts, first_slots, strict=False)]),
+        np.concatenate([widen(part.weights) for part in parts]),
+        np.concatenate([part.nodes for part in parts]),
+        np.concatenate([part.inverse_bind for part in parts]),
+        np.concatenate([part.triangles + first for part, first in zip(parts, first_corners, strict=False)]),
+        np.concatenate([part.colours for part in parts]),
+    )
+
+
+def _list_primitives(document: Mapping[str, Any], entry: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    try:
+        yield from (each for each in document["meshes"][entry["mesh"]]["primitives"] if each.get("mode", TRIANGLES) == TRIANGLES)
+    except (AttributeError, *UNREADABLE):
+        return
+
+
+def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], primitive: Mapping[str, Any]) -> GltfMesh:
+    """Read one primitive of a node's mesh. Raises one of UNREADABLE."""
+    attributes = primitive["attributes"]
+    positions = read_array(content, attributes["POSITION"]).astype(float)
+    count = len(positions)
+    order = read_array(content, primitive["indices"])[:, 0].astype(int) if "indices" in primitive else np.arange(count)
+    triangles = order[: len(order) // 3 * 3].reshape(-1, 3)
+    nodes, inverse_bind = np.array([node]), np.eye(4)[None]
+    slots, weights = np.zeros((count, 1), int), np.ones((count, 1))
+    if "skin" in entry:
+        skin = content.document["skins"][entry["skin"]]
+        nodes = np.array(skin["joints"])
+        inverse_bind = np.tile(np.eye(4), (len(nodes), 1, 1))
+        if "inverseBindMatrices" in skin:
+            inverse_bind = read_array(content, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2).astype(float)
+        sets = range(sum(name.startswith("JOINTS_") for name in attributes))
+        slots = np.concatenate([read_array(content, attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(int)
+        weights = np.concatenate([read_array(content, attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(float)
+        weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(float).tiny)
+    is_sound = len(slots) == len(weights) == count and len(inverse_bind) >= len(nodes) and np.isfinite(positions).all()
+    if not is_sound or triangles.max(initial=0) >= count or slots.max(initial=0) >= len(nodes):
+        raise ValueError("an index of the mesh is out of range")
+    colours, is_opaque = _read_colours(content, primitive, triangles)
+    return GltfMesh(positions, slots, weights, nodes, inverse_bind[: len(nodes)], triangles[is_opaque], colours[is_opaque])
+
+
+def read_array(content: GlbContent, index: int) -> Num[np.ndarray, "N n"]:
+    """Read an accessor from the binary chunk, one element in each row; normalised integers become fractions.
+
+    Raises:
+        KeyError, IndexError, TypeError, ValueError: If its data are compressed, sparse, missing or damaged.
+    """
+    accessor = content.document["accessors"][index]
+    view = content.document["bufferViews"][accessor["bufferView"]]
+    if view["buffer"] != 0 or "extensions" in view or "sparse" in accessor:
+        raise ValueError("the array is not stored plainly")
+    dtype, size = np.dtype(COMPONENT_TYPES[accessor["componentType"]]), ELEMENT_SIZES[accessor["type"]]
+    strides = view.get("byteStride", dtype.itemsize * size), dtype.itemsize
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    values = np.ndarray((accessor["count"], size), dtype, content.binary, start, strides)
+    return values / np.iinfo(dtype).max if accessor.get("normalized") and dtype.kind != "f" else values.copy()
+
+
+def _read_colours(
+    content: GlbContent, primitive: Mapping[str, Any], triangles: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "F 3"], np.ndarray]:
+    """Return the colour of each triangle, and whether it is opaque: of its material, by the texture at the triangle's centre."""
+    materials = content.document.get("materials", [])
+    material = materials[primitive["material"]] if "material" in primitive else {}
+    surface = material.get("pbrMetallicRoughness", {})
+    factor = np.array(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), float) ** ([1 / 2.2] * 3 + [1.0])  # linear to sRGB
+    colours = np.tile(factor, (len(triangles), 1))
+    is_opaque = np.ones(len(triangles), bool)
+    if texture := surface.get("baseColorTexture"):
+        image = _read_image(content, content.document["textures"][texture["index"]]["source"])
+        if image is not None:
+            height, width = image.shape[:2]
+            place = read_array(content, primitive["attributes"][f"TEXCOORD_{texture.get('texCoord', 0)}"])[triangles].mean(1) % 1
+            colours *= image[(place[:, 1] * height).astype(int) % height, (place[:, 0] * width).astype(int) % width] / 255
+            if material.get("alphaMode", "OPAQUE") != "OPAQUE":
+                is_opaque = colours[:, 3] >= MIN_OPACITY
+    return colours[:, :3], is_opaque
+
+
+def _read_image(content: GlbContent, index: int) -> Num[np.ndarray, "h w 4"] | None:
+    """Return the pixels of an image in the binary chunk, None if it is in another file or of a kind that cannot be read."""
+    from PIL import Image  # only few outputs need it
+
+    entry = content.document["images"][index]
+    if "bufferView" not in entry:
+        return None
+    view = content.document["bufferViews"][entry["bufferView"]]
+    start = view.get("byteOffset", 0)
+    try:
+        with Image.open(BytesIO(content.binary[start : start + view["byteLength"]])) as image:
+            return np.asarray(image.convert("RGBA"))
+    except (OSError, Image.DecompressionBombError):
+        return None
+
+
+NODE_PROPERTIES = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+"""the parts of a node's transform, and their values where the file has none"""
+
+
+def compute_node_matrices(
+    content: GlbContent, nodes: GltfNodes, animation: Mapping[str, Any] | None = None, times_s: Sequence[float] = (0.0,)
+) -> Float[np.ndarray, "T N 4 4"]:
+    """Compute the matrices of all nodes to the world, in the rest pose or at some times of an animation.
+
+    Args:
+        animation: An entry of the document. The key nearest to each time is used.
+        times_s: In seconds after the beginning of the animation.
+    """
+    shape = (len(times_s), len(nodes.entries))
+    values = {
+        name: np.tile(np.array([_read_vector(entry, name, default) for entry in nodes.entries]), (shape[0], 1, 1))
+        for name, default in NODE_PROPERTIES.items()
+    }
+    animated = set[int]()
+    for channel in animation["channels"] if animation else ():
+        sampler, target = (animation or {})["samplers"][channel["sampler"]], channel["target"]
+        if "node" in target and target["path"] in values:
+            keys, output = (read_array(content, sampler[name]).astype(float) for name in ("input", "output"))
+            nearest = np.abs(keys[:, 0] - np.array(times_s)[:, None]).argmin(1)
+            values[target["path"]][:, target["node"]] = output[nearest]
+            animated.add(target["node"])
+    rotation = values["rotation"].reshape(-1, 4)
+    is_zero = np.linalg.norm(rotation, axis=1) == 0
+    rotation = Rotation.from_quat(np.where(is_zero[:, None], NODE_PROPERTIES["rotation"], rotation)).as_matrix()
+    matrices = np.tile(np.eye(4), (*shape, 1, 1))
+    matrices[..., :3, :3] = rotation.reshape(*shape, 3, 3) * values["scale"][..., None, :]
+    matrices[..., :3, 3] = values["translation"]
+    for node in nodes.ordered:
+        entry = nodes.entries[node]
+        if node not in animated and "matrix" in entry:
+            matrices[:, node] = np.reshape(
+                _read_vector(entry, "matrix", np.eye(4).ravel().tolist()), (4, 4)
+            ).T  # stored by columns
+        if nodes.parents[node] >= 0:
+            matrices[:, node] = matrices[:, nodes.parents[node]] @ matrices[:, node]
+    return matrices
+
+
+def _read_vector(entry: Mapping[str, Any], name: str, default: Sequence[float]) -> Sequence[float]:
+    """Return a property of a node, the default if it is missing or invalid."""
+    values = entry.get(name)
+    return values if isinstance(values, list) and len(values) == len(default) and are_numbers(values) else default
