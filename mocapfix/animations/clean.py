@@ -239,7 +239,7 @@ class AnimationBody:
             np.zeros((joint_take.frame_count, 0)),
             sd[:, self.alignment.carriers],
         )
-        return Subject(self.alignment.skeleton, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
+        return Subject(self.alignment.body, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
 
 
 def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tuple[AnimationBody | None, str]:

@@ -62,6 +62,16 @@ class SkeletonAlignment:
         return self.source_joints >= 0
 
     @property
+    def body(self) -> Skeleton:
+        """The skeleton with the wrists, which are its joints FingerBase, at the hands of a source that has no such joints."""
+        offsets, names = self.skeleton.offsets.copy(), self.skeleton.names
+        for joint in np.flatnonzero([name.endswith("FingerBase") for name in names]):
+            if not self.is_mapped[joint]:
+                offsets[self.skeleton.parents == joint] += offsets[joint]
+                offsets[joint] = 0.0
+        return replace(self.skeleton, offsets=offsets)
+
+    @property
     def carriers(self) -> Int[np.ndarray, " J"]:
         """The source's joint with which each joint moves: its counterpart, or that of the nearest joint above that has one."""
         count = len(self.source_joints)

@@ -13,12 +13,26 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import LIMB_ENDS, SIDE_SEGMENTS, SIDES, Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.character import (
+    LIMB_ENDS,
+    SIDE_SEGMENTS,
+    SIDES,
+    Character,
+    CharacterMotion,
+    compute_character_poses,
+    get_next_segment,
+)
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations, scale_rotations
 
 LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 """Directions of the arms in the standard pose."""
 DOWN = np.array([0.0, -1.0, 0.0])
+LIMB_AXES = {
+    f"{side}_{segment}": direction if segment in ("upper_arm", "forearm") else DOWN
+    for side, direction in LIMB_DIRECTIONS.items()
+    for segment in LIMB_ENDS
+}
+"""Directions in the standard pose of the limbs' segments: from where each begins to where it ends, in its own axes."""
 OUTER_BONE_SEGMENTS = ("upper_arm", "thigh")
 """Segments whose outermost bone has the twist of the whole; of the other limb segments it is the innermost bone."""
 MAX_FOOT_YAW_RAD = np.deg2rad(45.0)  # a foot that points more to the side in the rest pose is not turned straight ahead
@@ -172,9 +186,8 @@ def _compute_segment_turns(
     turns: dict[str, Float[np.ndarray, "3 3"]] = {}
     for side in SIDES:
         for start, end in LIMB_ENDS.items():
-            direction = DOWN if start in ("thigh", "shin") else LIMB_DIRECTIONS[side]
             vector = heads.get(f"{side}_{end}", tails[f"{side}_{start}"]) - heads[f"{side}_{start}"]
-            turns[f"{side}_{start}"] = compute_shortest_rotation(np.nan_to_num(vector), direction)
+            turns[f"{side}_{start}"] = compute_shortest_rotation(np.nan_to_num(vector), LIMB_AXES[f"{side}_{start}"])
         turns[f"{side}_hand"] = turns[f"{side}_forearm"]
         turn = np.eye(3) if has_feet_flat else turns[f"{side}_shin"]
         if f"{side}_toe" in heads:
@@ -199,7 +212,8 @@ class SegmentMotion:
     """The segments of a body in every frame."""
 
     position: Mapping[str, Float[np.ndarray, "T 3"]]  # segment to where it begins, in metres
-    # segment to S, from the segment's axes to the world's. "chest" is the outermost bone of the spine
+    # segment to S, from the segment's axes to the world's. "chest" is the outermost bone of the spine. A limb's segment points to
+    # where the next one begins, also where the bones of its chain bend relative to each other
     rotation: Mapping[str, Float[np.ndarray, "T 3 3"]]
     # (T, n, 3, 3) by segment of several bones: of pelvis and spine; of chest, neck and head
     chains: Mapping[str, Float[np.ndarray, "T _ 3 3"]]
@@ -226,6 +240,11 @@ def compute_segment_motion(frame: BodyFrame, motion: CharacterMotion) -> Segment
             parent = parent if parent in ("chest", "pelvis") else f"{side}_{parent}"
             rotations.setdefault(f"{side}_{segment}", rotations[parent])
     positions = {segment: position[:, chain[0]] for segment, chain in bones.items() if chain}
+    for segment, axis in LIMB_AXES.items():
+        end = get_next_segment(segment)
+        if len(bones[segment]) > 1 and end in positions:  # bones of a chain may bend relative to each other
+            line, pointed = positions[end] - positions[segment], rotations[segment] @ axis
+            rotations[segment] = compute_shortest_rotations(pointed, line) @ rotations[segment]
     return SegmentMotion(positions, rotations, {"spine": np.stack(spine, axis=1), "neck": np.stack(neck, axis=1)})
 
 

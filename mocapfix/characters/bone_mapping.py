@@ -215,9 +215,13 @@ def _find_missing_joints(file_joints: Int[np.ndarray, " 31"]) -> list[str]:
 
 
 SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() for joint in joints} | {
-    f"{side.capitalize()}{joint}": f"{side}_{segment}" for side in SIDES for segment, joint in SEGMENT_JOINTS.items()
+    f"{side.capitalize()}{joint}": f"{side}_{segment}"
+    for side in SIDES
+    for segment, joints in (SEGMENT_JOINTS | {"hand": ("Hand", *SEGMENT_JOINTS["hand"])}).items()
+    for joint in joints
 }
-"""the segments of the 31 joints that the naming conventions name; joints that are missing here have none"""
+"""The segments of the 31 joints that the naming conventions name; joints that are missing here have none. Hand is the wrist of a
+file without FingerBase, otherwise `_match_segments` gives it to the forearm."""
 
 
 def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> BoneMapping | None:
@@ -259,6 +263,11 @@ def _match_segments(
     for segment, bone in table.find_parts(spellings):
         segments.setdefault(segment, []).append(bone)
     chains = {segment: sorted(chain) for segment, chain in segments.items()}  # parents have lower indices
+    for side in SIDES:
+        *inner, wrist = chains.get(f"{side}_hand", [-1])
+        if inner and f"{side}_forearm" in chains:
+            chains[f"{side}_forearm"] += inner
+            chains[f"{side}_hand"] = [wrist]
     _correct_pelvis(chains, parents)
     _discard_misplaced_bones(chains, parents)
     _fill_chains(chains, parents)

@@ -113,10 +113,11 @@ def compute_tail(children: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
 
 
 SEGMENT_JOINTS = {
-    "clavicle": "Shoulder", "upper_arm": "Arm", "forearm": "ForeArm", "hand": "Hand",
-    "thigh": "UpLeg", "shin": "Leg", "foot": "Foot", "toe": "ToeBase",
+    "clavicle": ("Shoulder",), "upper_arm": ("Arm",), "forearm": ("ForeArm", "Hand"), "hand": ("FingerBase",),
+    "thigh": ("UpLeg",), "shin": ("Leg",), "foot": ("Foot",), "toe": ("ToeBase",),
 }  # fmt: skip
-"""The joint of each segment of a side, without the side."""
+"""The joints of each segment of a side, without the side. CMU's joint Hand lies in the forearm, at two thirds of the way from the
+elbow to the wrist, which is at FingerBase: the middle of the wrist's markers is beside it, not beside Hand."""
 TRUNK_JOINTS = {"pelvis": ("Hips",), "spine": ("LowerBack", "Spine", "Spine1"), "neck": ("Neck", "Neck1"), "head": ("Head",)}
 
 
@@ -124,8 +125,8 @@ def build_cmu31_character(skeleton: Skeleton) -> Character:
     """Return the 31-joint skeleton as a character. Its joints have the axes of the world in the rest pose."""
     bones = {segment: tuple(map(skeleton.find_joint, joints)) for segment, joints in TRUNK_JOINTS.items()}
     for side in SIDES:
-        for segment, joint in SEGMENT_JOINTS.items():
-            bones[f"{side}_{segment}"] = (skeleton.find_joint(side.capitalize() + joint),)
+        for segment, joints in SEGMENT_JOINTS.items():
+            bones[f"{side}_{segment}"] = tuple(skeleton.find_joint(side.capitalize() + joint) for joint in joints)
     ends = skeleton.ends.copy()
     for joint in np.flatnonzero(~skeleton.is_leaf):
         ends[joint] = skeleton.offsets[skeleton.parents == joint].mean(0)

@@ -29,7 +29,7 @@ from mocapfix.characters import kept_positions
 from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.characters.body_frames import (
     CHAIN_SEGMENTS,
-    LIMB_DIRECTIONS,
+    LIMB_AXES,
     OUTER_BONE_SEGMENTS,
     BodyFrame,
     SegmentMotion,
@@ -37,7 +37,7 @@ from mocapfix.characters.body_frames import (
     compute_segment_motion,
     fit_chain,
 )
-from mocapfix.characters.character import LIMB_ENDS, SIDES, TWISTING_SEGMENTS, Character, CharacterMotion
+from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion
 from mocapfix.characters.kept_positions import Points, Rotations
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, compute_local_rotations, find_ancestor
@@ -85,7 +85,8 @@ class SolveTree:
 def build_solve_tree(frame: BodyFrame) -> SolveTree:
     """Return the tree of a character's segments.
 
-    Limits of a limb's bones that share its twist are for their shares, so they do not apply to its joint.
+    Limits of the bones of an upper arm or thigh that share its twist are for their shares, so they do not apply to its joint. The
+    first bone of a forearm or shin takes no share.
     """
     skeleton, mapping = frame.character.skeleton, frame.character.mapping
     joints: list[tuple[str, tuple[int, ...], int]] = []  # segment, bones, and the bone that has the rotation
@@ -108,7 +109,7 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     segments = tuple(segment for segment, _, _ in joints)
     free = np.array([not segment.partition(".")[0].endswith(FIXED_SEGMENTS) for segment in segments])
     bones = np.array([bone for _, _, bone in joints])
-    is_shared = np.array([segment in TWISTING_SEGMENTS and len(chain) > 1 for segment, chain, _ in joints])
+    is_shared = np.array([segment.endswith(OUTER_BONE_SEGMENTS) and len(chain) > 1 for segment, chain, _ in joints])
     solved = Skeleton(
         segments,
         parents,
@@ -222,7 +223,6 @@ def _build_limit_term(tree: SolveTree) -> JointLimitTerm:
     return JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2)
 
 
-LEG_AXIS = np.array([0.0, 1.0, 0.0])
 NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "hand", "shin": "foot"}
 """The segment relative to which each limb segment twists."""
 
@@ -237,7 +237,7 @@ def compute_twisted_bones(frame: BodyFrame, rotation: dict[str, Rotations]) -> d
             chain, beside = mapping.bones.get(name, ()), mapping.twists.get(name, ())
             if len(chain) + len(beside) < 2 or other not in rotation:
                 continue
-            axis = LIMB_DIRECTIONS[side] if segment in ("upper_arm", "forearm") else LEG_AXIS
+            axis = LIMB_AXES[name]
             angle = compute_twist_angle(np.swapaxes(rotation[name], 1, 2) @ rotation[other], axis)
             shares = {bone: k / (len(chain) - 1) for k, bone in enumerate(chain)} if len(chain) > 1 else {}
             shares |= {bone: _find_share_along(frame, bone, name, f"{side}_{LIMB_ENDS[segment]}") for bone in beside}

@@ -232,3 +232,15 @@ def test_upright_frame_replaces_an_unusable_rest_pose():
     expected, found = (align(each).convert_poses(*each.compute_world_poses()) for each in (plain, other))
     np.testing.assert_allclose(found[0], expected[0], atol=1e-9)
     np.testing.assert_allclose(found[1], expected[1], atol=1e-6)
+
+
+def test_wrist_of_a_body_is_at_the_hand_of_a_file_without_cmus_finger_base():
+    """The body that characters and contacts follow has its wrists at the joints FingerBase."""
+    alignment = align(build_figure(3))
+    body, skeleton = alignment.body, alignment.skeleton
+    wrist, hand = (skeleton.find_joint(f"Left{joint}") for joint in ("FingerBase", "Hand"))
+    assert alignment.is_mapped[hand]
+    assert not alignment.is_mapped[wrist]
+    np.testing.assert_array_equal(body.rest_positions[wrist], skeleton.rest_positions[hand])
+    others = [not name.endswith("FingerBase") for name in skeleton.names]
+    np.testing.assert_allclose(body.rest_positions[others], skeleton.rest_positions[others], atol=1e-12)

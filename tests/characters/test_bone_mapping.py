@@ -14,7 +14,7 @@ from mocapfix.characters.bone_mapping import find_segments_by_name, map_bones
 from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import change_bones
 
@@ -328,3 +328,11 @@ def test_many_strands_of_hair_are_searched_quickly():
     found = find_segments_by_shape(np.array(figure.parents), np.array(figure.positions))
     assert time.perf_counter() - start < MAX_SEARCH_S
     assert found.bones == figure.bones
+
+
+def test_wrist_of_a_file_of_cmu_is_its_finger_base():
+    skeleton = load_cmu31_body().skeleton
+    mapping = find_segments_by_name(skeleton.names, skeleton.parents)
+    assert mapping
+    assert [skeleton.names[bone] for bone in mapping.bones["left_forearm"]] == ["LeftForeArm", "LeftHand"]
+    assert [skeleton.names[bone] for bone in mapping.bones["left_hand"]] == ["LeftFingerBase"]

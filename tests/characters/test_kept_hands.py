@@ -95,7 +95,7 @@ def test_hands_that_clap_clap_with_longer_arms():
     source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
     local = still.local_rotations.copy()
     for side, sign in (("left", -1), ("right", 1)):  # arms ahead, pointing inwards until the palms nearly touch
-        turn = Rotation.from_euler("y", sign * 115, degrees=True).as_matrix()
+        turn = Rotation.from_euler("y", sign * 110, degrees=True).as_matrix()
         local[:, character.mapping.bones[f"{side}_upper_arm"][0]] = turn
     segments = compute_segment_motion(source, CharacterMotion(still.pelvis_position, local, still.rate))
     hands = compute_hand_targets(source, target, segments, segments.position)

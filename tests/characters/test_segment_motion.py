@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import (
+    LIMB_AXES,
     build_body_frame,
     compute_segment_motion,
     keep_chain_direction,
@@ -78,3 +79,21 @@ def test_segments_do_not_depend_on_the_axes_of_the_bones():
         np.testing.assert_allclose(second.rotation[segment], expected, atol=1e-9, err_msg=segment)
     for segment, expected in first.position.items():
         np.testing.assert_allclose(second.position[segment], expected, atol=1e-9, err_msg=segment)
+
+
+def test_a_forearm_points_to_the_wrist_when_a_joint_within_it_bends():
+    """CMU's joint Hand lies in the forearm. A limb that bends there moves the wrist, and the segment points to it."""
+    character, motion = load_walk()
+    first = CharacterMotion(motion.pelvis_position[:1], motion.local_rotations[:1].copy(), motion.rate)
+    hand = character.skeleton.find_joint("LeftHand")
+    first.local_rotations[:, hand] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    position, rotation = compute_character_poses(character, first)
+    elbow, wrist = (position[0, character.skeleton.find_joint(joint)] for joint in ("LeftForeArm", "LeftFingerBase"))
+    segments = compute_segment_motion(build_body_frame(character), first)
+    np.testing.assert_allclose(
+        segments.rotation["left_forearm"][0] @ LIMB_AXES["left_forearm"],
+        (wrist - elbow) / np.linalg.norm(wrist - elbow),
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(segments.rotation["left_hand"][0], rotation[0, hand], atol=1e-9)
+    np.testing.assert_array_equal(segments.position["left_hand"][0], wrist)

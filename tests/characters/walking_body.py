@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion
+from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion, get_next_segment
 from mocapfix.synthetic import compose_take
 from tests.characters.character_files import change_bones
 
@@ -24,8 +24,10 @@ def scale_limbs(character: Character, legs: float = 1.0, arms: float = 1.0) -> C
     """Return the character with longer or shorter thighs and shins, upper arms and forearms."""
     bones, positions = character.mapping.bones, character.skeleton.offsets.copy()
     for side in ("left", "right"):
-        for segment, factor in (("shin", legs), ("foot", legs), ("forearm", arms), ("hand", arms)):
-            positions[bones[f"{side}_{segment}"][0]] *= factor
+        for segment, factor in (("thigh", legs), ("shin", legs), ("upper_arm", arms), ("forearm", arms)):
+            _, *others = bones[f"{side}_{segment}"]
+            for bone in (*others, bones[get_next_segment(f"{side}_{segment}")][0]):
+                positions[bone] *= factor
     return change_bones(character, offsets=positions)
 
 
