@@ -162,10 +162,11 @@ def build_rig_format(rig: Rig) -> OutputFormat:
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
     """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
-    from mocapfix.characters.character_files import CharacterFiles
+    from mocapfix.characters.character_files import GLB_CONVERTERS, CharacterFiles
     from mocapfix.characters.load_character import load_character  # few cleanings need it
 
-    files = CharacterFiles(load_character(name_or_path, options.character_map), has_fbx="fbx" in options.extra_formats)
+    converted = tuple(each for each in dict.fromkeys(options.extra_formats) if each in GLB_CONVERTERS)
+    files = CharacterFiles(load_character(name_or_path, options.character_map), converted)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
         return files.write(target, *content.motion.parts, content.exported_contacts)
@@ -174,10 +175,10 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     return OutputFormat(first, write_file, tuple(others), needs_body=True)
 
 
-def _write_fbx(target: Path, content: OutputContent) -> list[str]:
-    from mocapfix.characters.character_files import write_skeleton_fbx
+def _write_skeleton(target: Path, content: OutputContent) -> list[str]:
+    from mocapfix.characters.character_files import write_skeleton
 
-    return write_skeleton_fbx(target, *content.motion.parts)
+    return write_skeleton(target, *content.motion.parts)
 
 
 def _write_amc(target: Path, content: OutputContent) -> None:
@@ -257,7 +258,7 @@ OPTIONAL_FORMATS = {
     "csv": OutputFormat("csv", lambda target, content: write_csv(target, content.points)),
     "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
-    "fbx": OutputFormat("fbx", _write_fbx, needs_body=True),
+    "fbx": OutputFormat("fbx", _write_skeleton, needs_body=True),
 }
 
 

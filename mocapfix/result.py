@@ -4,6 +4,7 @@
 several subjects.
 """
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -139,7 +140,7 @@ class CleaningResult:
         make_output_folder(folder)
         with replace_together(targets, folder) as temporary:
             self._write_files(temporary, folder, options, report_progress)
-        paths = [path for result in results for path in result.get_output_paths(folder, options).values() if path.exists()]
+        paths = [path for result in results for path in result.get_written_paths(folder, options).values()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 
     def get_output_paths(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> dict[str, Path]:
@@ -150,6 +151,18 @@ class CleaningResult:
         unavailable -= set(get_source_suffixes(self.input_take.path))
         paths = build_output_paths(folder, self._stem, self.input_take.path, options, self.input_take.output_stem)
         return {suffix: path for suffix, path in paths.items() if suffix not in unavailable}
+
+    def get_written_paths(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> dict[str, Path]:
+        """Return those of the paths at which `write` has written a file."""
+        return {suffix: path for suffix, path in self.get_output_paths(folder, options).items() if path.exists()}
+
+    def describe_missing_outputs(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> list[str]:
+        """Return a sentence for each output of a take of at most one subject that `write` could not write, by the report."""
+        paths, written = self.get_output_paths(folder, options), self.get_written_paths(folder, options)
+        missing = [path for suffix, path in paths.items() if suffix not in written]
+        notes: list[str] = json.loads(written["report.json"].read_text(encoding="utf-8"))["notes"] if missing else []
+        found = [next((note for note in notes if note.startswith(path.name)), "") for path in missing]
+        return [note or f"{path} was not written; request it again." for path, note in zip(missing, found, strict=True)]
 
     def write_source_copy(self, target: Path) -> list[tuple[int, int]]:
         """Write a copy of the input file with the changed samples; return frame and marker of those that it cannot store."""

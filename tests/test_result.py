@@ -45,7 +45,7 @@ def without_report_files(monkeypatch):
 
 
 def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path, monkeypatch):
-    monkeypatch.setattr("mocapfix.characters.character_files.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.characters.fbx.find_blender", lambda: None)
     outputs = solved.write(tmp_path, options=ALL_FORMATS)
     assert set(outputs) == set(cleaned.outputs) | {
         "glb",

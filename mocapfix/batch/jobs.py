@@ -20,7 +20,7 @@ from mocapfix.batch.records import (
     read_record,
     write_record,
 )
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
 
@@ -123,6 +123,9 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         with omit_stage_times():
             result = pipeline.clean(request.path, request.options)
             outputs = result.write(folder, overwrite=True, options=request.options.output)
+        for each in result.subject_results or (result,):
+            for problem in each.describe_missing_outputs(folder, request.options.output):
+                raise WriteError(problem)
         record = build_record(
             request,
             input_sha256=input_sha256,

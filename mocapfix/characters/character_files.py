@@ -1,22 +1,16 @@
-"""Write the motion of a character beside the other outputs: GLB, BVH, NPZ, on request FBX, and its mapping of bones as YAML.
+"""Write the motion of a character beside the other outputs: GLB, BVH, NPZ, its mapping of bones as YAML, and on request others.
 
 The GLB is the user's own file, or has a test skin for a character without mesh. In the user's file, mesh, skin, materials,
 existing animations and everything unknown stay as they are: the animation is appended to the document, and its arrays to the
-binary chunk behind the old bytes. FBX is written by Blender in a process of its own: nothing else writes a current FBX from open
-source.
+binary chunk behind the old bytes. Other formats of the whole character are written from the GLB.
 
 The BVH has the character's own bones. BVH has no rest rotations. They are folded into the offsets: with all angles zero the bones
 are in the rest pose of the character, and their axes are those of the world. Y is up. The unit is that in which the character's
 file gives the position of the pelvis, or centimetres if that is none of metres, centimetres, millimetres and inches.
 """
 
-import importlib.util
-import os
 import re
-import shutil
-import subprocess
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,9 +28,9 @@ from mocapfix.characters.character import (
     convert_motion,
 )
 from mocapfix.characters.character_yaml import write_mapping_file
+from mocapfix.characters.fbx import write_fbx
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import (
@@ -47,6 +41,7 @@ from mocapfix.io.gltf import (
     add_test_skin,
     build_glb,
     compute_bone_transforms,
+    copy_last_animation,
     parse_glb,
     read_gltf_nodes,
 )
@@ -193,6 +188,21 @@ def _replace_matrix(node: dict[str, Any]) -> None:
     node["scale"] = scales.tolist()
 
 
+def write_clips(target: Path, paths: Sequence[Path]) -> None:
+    """Write the motions of one character in several GLBs of `write_character_glb` as animations of one file.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    first, *others = (parse_glb(path, path.read_bytes()) for path in paths)
+    buffer = GltfBuffer(first.document, first.binary)
+    for other in others:
+        name = _make_name_unique(other.document["animations"][-1]["name"], first.document["animations"])
+        copy_last_animation(buffer, name, other)
+    with replace_atomically(target) as part:
+        part.write_bytes(build_glb(GlbContent(first.document, buffer.finish(), first.other_chunks)))
+
+
 def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
     """Return the name, with a number behind it if an animation has that name."""
     names = [animation.get("name") for animation in animations]
@@ -286,115 +296,23 @@ def _choose_unit(character: Character) -> float:
     return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
-BLENDER_VARIABLE = "MOCAPFIX_BLENDER"  # names an executable of Blender, or of a Python that has the module bpy
-BLENDER_TIMEOUT_S = 300.0
-EXPORT_SCRIPT = Path(__file__).with_name("fbx_export.py")
-MAX_ERROR_CHARACTERS = 200  # of Blender's own message, in ours
-
-
-def find_blender() -> list[str] | None:
-    """Return the beginning of a command that runs a script in Blender; None without Blender.
-
-    In this order: what the variable MOCAPFIX_BLENDER names, this Python if it has bpy, `blender` on the search path.
-    """
-    given = os.environ.get(BLENDER_VARIABLE)
-    if given:
-        return _build_command(given)
-    if importlib.util.find_spec("bpy"):
-        return [sys.executable]
-    found = shutil.which("blender")
-    return _build_command(found) if found else None
-
-
-def _build_command(executable: str) -> list[str]:
-    if Path(executable).name.lower().startswith("python"):
-        return [executable]
-    return [executable, "--background", "--factory-startup", "--python-exit-code", "1", "--python"]
-
-
-def write_character_fbx(target: Path, glb_path: Path, rate: float) -> str | None:
-    """Write FBX from a GLB of `write_character_glb`: its mesh, bones and last animation, a key in every frame.
-
-    Args:
-        target: The file.
-        glb_path: The GLB.
-        rate: Frames per second.
-
-    Returns:
-        A sentence why no file was written, None if it was: an FBX that is missing is no reason to fail a whole cleaning.
-
-    Raises:
-        WriteError: If `target` is not writable.
-    """
-    command = find_blender()
-    if command is None:
-        remedy = f"install it, or set {BLENDER_VARIABLE} to its executable"
-        return f"{target.name} was not written, because FBX needs Blender and it was not found; {remedy}."
-    with make_scratch_folder() as folder:
-        source, exported = folder / "character.glb", folder / "character.fbx"
-        data, name = _select_last_animation(glb_path)
-        source.write_bytes(data)
-        problem = _run_blender(command, [str(source), str(exported), repr(float(rate)), name])
-        if problem is None and not exported.exists():
-            problem = "Blender wrote no file"
-        if problem:
-            return f"{target.name} was not written: {problem}."
-        with replace_atomically(target) as part:
-            part.write_bytes(exported.read_bytes())
-    return None
-
-
-def _select_last_animation(glb_path: Path) -> tuple[bytes, str]:
-    """Return the bytes of a GLB with its last animation alone, so that Blender does not choose another one, and its name."""
-    try:
-        content = parse_glb(glb_path, glb_path.read_bytes())
-    except OSError as error:
-        raise WriteError(f"{glb_path}: cannot be read ({error.strerror}), so no FBX can be written.") from error
-    animation = content.document["animations"][-1]
-    document = content.document | {"animations": [animation]}
-    return build_glb(GlbContent(document, content.binary, content.other_chunks)), animation["name"]
-
-
-def _run_blender(command: Sequence[str], arguments: Sequence[str]) -> str | None:
-    """Run the script in Blender. Return what went wrong as the end of a sentence, None if nothing did."""
-    separator = [] if len(command) == 1 else ["--"]
-    is_own_python = command[0] == sys.executable
-    environment = {key: value for key, value in os.environ.items() if is_own_python or not key.startswith("PYTHON")}
-    try:
-        done = subprocess.run(
-            [*command, str(EXPORT_SCRIPT), *separator, *arguments],
-            env=environment,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=BLENDER_TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"Blender did not end within {BLENDER_TIMEOUT_S:g} s"
-    except OSError as error:
-        return f"{command[0]} cannot be started ({error.strerror}); check {BLENDER_VARIABLE}"
-    if done.returncode == 0:
-        return None
-    lines = [line.strip() for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()]
-    return f"Blender failed ({(lines or ['no message'])[-1][:MAX_ERROR_CHARACTERS].rstrip('.')})"
-
-
 CHARACTER_SUFFIXES = ("glb", "bvh", "npz", "map.yaml")
-FBX_SUFFIX = "fbx"
+GLB_CONVERTERS: dict[str, Callable[[Path, Path, float], str | None]] = {"fbx": write_fbx}
+"""Formats of a whole character that are written from its GLB: suffix to a function of the file, the GLB and frames per second. It
+returns a sentence why no file was written: one that is missing is no reason to fail a whole cleaning."""
 
 
 @dataclass(frozen=True)
 class CharacterFiles:
-    """What is written of a character, and whether FBX is."""
+    """What is written of a character."""
 
     character: Character
-    has_fbx: bool = False
+    converted: tuple[str, ...] = ()  # suffixes among GLB_CONVERTERS
 
     @property
     def suffixes(self) -> tuple[str, ...]:
         """The suffixes of the files, after the stem of the take."""
-        endings = (*CHARACTER_SUFFIXES, *((FBX_SUFFIX,) if self.has_fbx else ()))
-        return tuple(f"{self.character.name}.{ending}" for ending in endings)
+        return tuple(f"{self.character.name}.{ending}" for ending in (*CHARACTER_SUFFIXES, *self.converted))
 
     def write(
         self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
@@ -415,15 +333,14 @@ class CharacterFiles:
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
         write_character_glb(target, character, retargeted, target.name.partition(".")[0])
-        if self.has_fbx and (problem := write_character_fbx(target.with_suffix(f".{FBX_SUFFIX}"), target, rate)):
-            notes.append(problem)
-        return notes
+        problems = [GLB_CONVERTERS[suffix](target.with_suffix(f".{suffix}"), target, rate) for suffix in self.converted]
+        return notes + [each for each in problems if each]
 
 
-def write_skeleton_fbx(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:
-    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError."""
+def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:
+    """Write the solved skeleton in one of GLB_CONVERTERS. Returns sentences for the report. Raises WriteError."""
     with make_scratch_folder() as folder:
         glb = folder / f"{target.stem}.glb"
         write_character_glb(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), target.name.partition(".")[0])
-        problem = write_character_fbx(target, glb, rate)
+        problem = GLB_CONVERTERS[target.suffix[1:]](target, glb, rate)
     return [problem] if problem else []

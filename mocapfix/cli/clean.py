@@ -39,12 +39,13 @@ from mocapfix.cli.console import (
     stdout_console,
 )
 from mocapfix.errors import MocapfixError, SceneError, WriteError
-from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX
+from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5  # runs of unfilled samples, or markers with unfilled samples, that the summary lists
 MAX_PRINTED_NOTES = 12  # notes that it prints
 MAX_LISTED_REASONS = 3  # reasons of unfilled samples that it lists
+CLIP_SUFFIXES = (".glb", ".vrm")  # files of characters that hold animations
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
 SOLVE_STAGE = "solve"  # the stage during which what writes the reports is imported
 REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")  # for the reports; they take a third of a second to import
@@ -68,6 +69,9 @@ def run_clean(
     as_json: Annotated[
         FlagOption, tyro.conf.arg(name="json", help="print the report only, as JSON (an array for several takes or subjects)")
     ] = False,
+    clips: Annotated[
+        Path | None, describe_option("FILE", "also write the --character with the motions of all takes as its animations", "none")
+    ] = None,
 ) -> int:
     """Clean takes: correct labels, replace spikes, fill gaps.
 
@@ -85,11 +89,29 @@ def run_clean(
             list_output_formats(parsed.output)
         except MocapfixError as error:
             return print_usage_error(str(error))
-    return clean_takes(takes, output_folder, parsed, overwrite=overwrite, as_json=as_json)
+    if clips is not None and (problem := find_clips_problem(clips, parsed.output.characters)):
+        return print_usage_error(problem)
+    check_outputs_absent([clips] if clips else [], overwrite)
+    return clean_takes(takes, output_folder, parsed, overwrite=overwrite, as_json=as_json, clips=clips)
+
+
+def find_clips_problem(target: Path, characters: Sequence[str | Path]) -> str:
+    """Return why the motions of all takes cannot be written into one file, "" if they can."""
+    if len(characters) != 1:
+        return f"--clips {target}: a file of clips is of one character; give exactly one --character."
+    if target.suffix.lower() not in CLIP_SUFFIXES:
+        return f"--clips {target}: is written as binary glTF; name a file that ends in {' or '.join(CLIP_SUFFIXES)}."
+    return ""
 
 
 def clean_takes(
-    takes: Sequence[Path], output_folder: Path | None, options: CleanOptions, *, overwrite: bool = False, as_json: bool = False
+    takes: Sequence[Path],
+    output_folder: Path | None,
+    options: CleanOptions,
+    *,
+    overwrite: bool = False,
+    as_json: bool = False,
+    clips: Path | None = None,
 ) -> int:
     """Clean takes one after the other and print a summary of each; a take that fails does not stop the others.
 
@@ -97,11 +119,13 @@ def clean_takes(
 
     Args:
         output_folder: Where the output files go; None for TAKE.mocapfix/ beside each take.
+        clips: File for the motions of all takes as animations of the character, if there is one.
     """
     from mocapfix.io.capture import read_capture
     from mocapfix.model.stage_timer import StageTimer
 
     reports: list[Report] = []
+    clip_paths: list[Path] = []
     written: set[Path] = set()
     laboratory: dict[str, str] = {}
     attempts = TakeAttempts()
@@ -117,16 +141,25 @@ def clean_takes(
                 from mocapfix import pipeline  # after a file that cannot be read is refused: this takes longer than reading it
                 from mocapfix.result import check_outputs_free
 
-                check_takes_kept(takes, check_outputs_free(folder, take.stem, overwrite, take, options.output))
+                targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
+                check_takes_kept(takes, [*targets, *([clips] if clips else [])])
                 result = pipeline.clean_capture(capture, options, timer)
                 result.write(folder, overwrite, progress, options.output)
             written.add(folder / take.stem)
             for each in result.subject_results or (result,):
-                outputs = each.get_output_paths(folder, options.output)
+                outputs = each.get_written_paths(folder, options.output)
                 reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
                 laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
+                clip_paths += [path for suffix, path in outputs.items() if suffix.endswith(CLIP_SUFFIXES)]
                 if not as_json:
                     print_summary(reports[-1], outputs, options.subject.subject_prefix)
+                for problem in each.describe_missing_outputs(folder, options.output):
+                    attempts.add_failure(take, problem)
+    if clips and clip_paths:
+        with attempts.attempt(clips):
+            from mocapfix.characters.character_files import write_clips
+
+            write_clips(clips, clip_paths)
     if not as_json and (note := describe_laboratory(laboratory, options)):
         print_line(escape(note))
     if as_json and reports:

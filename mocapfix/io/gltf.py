@@ -367,6 +367,27 @@ def add_animation(
     buffer.document.setdefault("animations", []).append({"name": name, "channels": channels, "samplers": samplers})
 
 
+def copy_last_animation(buffer: GltfBuffer, name: str, other: GlbContent) -> None:
+    """Add the last animation of another document with the same nodes, which `add_animation` wrote, under a name."""
+    accessors, views = other.document["accessors"], other.document["bufferViews"]
+    copied: dict[int, int] = {}
+
+    def copy_array(index: int) -> int:
+        if index not in copied:
+            view = views[accessors[index]["bufferView"]]
+            start, size = view.get("byteOffset", 0), view["byteLength"]
+            buffer.data += bytes(-len(buffer.data) % ELEMENT_ALIGNMENT)
+            buffer.document["bufferViews"].append(view | {"byteOffset": len(buffer.data)})
+            buffer.data += other.binary[start : start + size]
+            buffer.document["accessors"].append(accessors[index] | {"bufferView": len(buffer.document["bufferViews"]) - 1})
+            copied[index] = len(buffer.document["accessors"]) - 1
+        return copied[index]
+
+    animation = other.document["animations"][-1]
+    samplers = [each | {key: copy_array(each[key]) for key in ("input", "output")} for each in animation["samplers"]]
+    buffer.document["animations"].append(animation | {"name": name, "samplers": samplers})
+
+
 BONE_WAIST_FRACTION = 0.12  # of a bone's length: from its beginning to the widest place of its double pyramid
 BONE_WIDTH_FRACTION = 0.07  # of a bone's length: from its axis to the corners there
 # Corners of a double pyramid in units of the bone's length: beginning, four at the waist, end.

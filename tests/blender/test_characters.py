@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
-from mocapfix.characters.character_files import BLENDER_VARIABLE, write_character_bvh, write_character_fbx, write_character_glb
+from mocapfix.characters.character_files import write_character_bvh, write_character_glb
+from mocapfix.characters.fbx import BLENDER_VARIABLE, write_fbx
 from mocapfix.characters.load_character import load_character_preset, read_character
 from mocapfix.options import CHARACTER_PRESETS
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
@@ -71,7 +72,7 @@ def written(tmp_path_factory) -> dict[str, WrittenCharacter]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(BLENDER_VARIABLE, str(PYTHON))
         for name in FBX_CHARACTERS:
-            assert write_character_fbx(folder / f"{name}.fbx", folder / f"{name}.glb", RATE_HZ) is None
+            assert write_fbx(folder / f"{name}.fbx", folder / f"{name}.glb", RATE_HZ) is None
     return characters
 
 

@@ -30,7 +30,7 @@ def without_report_files(monkeypatch):
     monkeypatch.setattr(
         "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
     )
-    monkeypatch.setattr("mocapfix.characters.character_files.find_blender", lambda: None)
+    monkeypatch.setattr("mocapfix.characters.fbx.find_blender", lambda: None)
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
 
 
 def test_file_names_are_checked_before_anything_is_cleaned():
-    files = CharacterFiles(load_character("mixamo"), has_fbx=True)
+    files = CharacterFiles(load_character("mixamo"), ("fbx",))
     assert files.suffixes == ("mixamo.glb", "mixamo.bvh", "mixamo.npz", "mixamo.map.yaml", "mixamo.fbx")
     list_output_formats(OutputOptions(characters=("mixamo", "mixamo")))  # the same twice is written once
     with pytest.raises(WriteError, match=r"both have the suffix \.mixamo\.glb"):

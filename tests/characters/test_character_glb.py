@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix.characters.character import compute_character_poses
-from mocapfix.characters.character_files import write_character_glb
+from mocapfix.characters.character_files import write_character_glb, write_clips
 from mocapfix.characters.load_character import load_character_preset, read_character
 from mocapfix.errors import WriteError
 from mocapfix.io.gltf import write_gltf
@@ -222,3 +222,21 @@ def test_khronos_validator_reports_no_errors(tmp_path):
     )
     for path, report in zip(paths, json.loads(done.stdout), strict=True):
         assert not report["errors"], (path.name, report["messages"])
+
+
+def test_clips_of_several_takes_are_animations_of_one_file(tmp_path):
+    """Each has the keys of its own file, the user's animation stays the first, and a name that is used gets a number."""
+    character = read_figure(tmp_path)
+    motions = [build_motion(character, 20 + 10 * seed, seed=seed) for seed in range(3)]
+    paths = [tmp_path / f"{seed}.glb" for seed in range(3)]
+    assert character.source is not None
+    for path, motion, name in zip(paths, motions, ("run", "turn", "run"), strict=True):
+        write_character_glb(path, character, motion, name)
+    write_clips(tmp_path / "all.glb", paths)
+    text, binary = split_glb((tmp_path / "all.glb").read_bytes())
+    document = json.loads(text)
+    assert [each["name"] for each in document["animations"]] == ["walk", "run", "turn", "run.001"]
+    for motion, animation in zip(motions, document["animations"][1:], strict=True):
+        times = np.arange(motion.frame_count) / motion.rate
+        worlds = compute_worlds(document, binary, animation, times)[:, character.source.nodes]
+        np.testing.assert_allclose(worlds[..., :3, 3], compute_character_poses(character, motion)[0], atol=2e-6)

@@ -1,9 +1,12 @@
 """Options of `clean` about the output files."""
 
 import re
+import shutil
 
 import pytest
 
+from mocapfix.characters.fbx import BLENDER_VARIABLE
+from mocapfix.io.gltf import parse_glb
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
 from mocapfix.output_formats import OPTIONAL_FORMATS
 
@@ -58,3 +61,39 @@ def test_existing_output_is_not_overwritten(mocapfix, brief, tmp_path):
 
 def test_every_extra_format_can_be_requested():
     assert tuple(OPTIONAL_FORMATS) == EXTRA_FORMAT_NAMES
+
+
+def test_an_output_that_cannot_be_written_is_not_listed_and_fails(mocapfix, brief, tmp_path, monkeypatch):
+    """All other files of the take are written."""
+    monkeypatch.setenv(BLENDER_VARIABLE, "/nowhere/blender")
+    status, out, err = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--also", "fbx,npz")
+    assert status == 1
+    assert err.startswith("brief.fbx was not written: /nowhere/blender cannot be started")
+    assert "brief.npz" in out
+    assert "brief.fbx," not in out
+    assert not (tmp_path / "brief.fbx").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--clips", "all.glb"), "give exactly one --character"),
+        (("--clips", "all.fbx", "--character", "mixamo"), "name a file that ends in .glb or .vrm"),
+    ],
+)
+def test_clips_that_cannot_be_written_are_wrong_usage(mocapfix, brief, tmp_path, arguments, sentence):
+    status, out, err = mocapfix("clean", brief.path, "--out", tmp_path / "out", *arguments)
+    assert (status, out) == (2, "")
+    assert sentence in " ".join(err.split())
+
+
+def test_clips_hold_the_motions_of_all_takes(mocapfix, brief, tmp_path):
+    second = tmp_path / f"second{brief.path.suffix}"
+    shutil.copyfile(brief.path, second)
+    arguments = ("--subject", brief.subject, "--character", "mixamo", "--clips", tmp_path / "all.glb")
+    assert mocapfix("clean", brief.path, second, "--out", tmp_path / "out", *arguments)[0] == 0
+    document = parse_glb(tmp_path / "all.glb", (tmp_path / "all.glb").read_bytes()).document
+    assert [each["name"] for each in document["animations"]] == ["brief", "second"]
+    status, _, err = mocapfix("clean", brief.path, second, "--out", tmp_path / "other", *arguments)
+    assert status == 1
+    assert "all.glb: already exists; give --overwrite" in " ".join(err.split())

@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
-from mocapfix.characters import character_files
-from mocapfix.characters.character_files import BLENDER_VARIABLE, find_blender, write_character_fbx, write_character_glb
+from mocapfix.characters import fbx
+from mocapfix.characters.character_files import write_character_glb
+from mocapfix.characters.fbx import BLENDER_VARIABLE, find_blender, write_fbx
 from mocapfix.characters.fbx_export import split_rate
 from mocapfix.errors import WriteError
 from tests.characters.character_files import build_figure_character, build_motion
@@ -30,7 +31,7 @@ def test_without_blender_a_sentence_says_so(glb, monkeypatch):
     monkeypatch.delenv(BLENDER_VARIABLE, raising=False)
     monkeypatch.setenv("PATH", str(glb.parent))
     assert find_blender() is None
-    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    sentence = write_fbx(glb.with_suffix(".fbx"), glb, 60.0)
     assert sentence is not None
     assert "needs Blender" in sentence
     assert BLENDER_VARIABLE in sentence
@@ -50,26 +51,26 @@ def test_blender_on_the_search_path_is_found(tmp_path, monkeypatch):
 def test_a_failure_of_blender_is_one_sentence(glb, monkeypatch):
     blender = make_executable(glb.parent / "blender", "import sys; sys.exit('Error: no GPU.')")
     monkeypatch.setenv(BLENDER_VARIABLE, str(blender))
-    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    sentence = write_fbx(glb.with_suffix(".fbx"), glb, 60.0)
     assert sentence == "walk.fbx was not written: Blender failed (Error: no GPU)."
     assert sorted(path.name for path in glb.parent.iterdir()) == ["blender", "walk.glb"]
 
 
 def test_a_blender_that_writes_nothing_is_noticed(glb, monkeypatch):
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", "")))
-    assert write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0) == "walk.fbx was not written: Blender wrote no file."
+    assert write_fbx(glb.with_suffix(".fbx"), glb, 60.0) == "walk.fbx was not written: Blender wrote no file."
 
 
 def test_a_blender_that_does_not_end_is_stopped(glb, monkeypatch):
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", "import time; time.sleep(60)")))
-    monkeypatch.setattr(character_files, "BLENDER_TIMEOUT_S", 0.5)
-    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    monkeypatch.setattr(fbx, "BLENDER_TIMEOUT_S", 0.5)
+    sentence = write_fbx(glb.with_suffix(".fbx"), glb, 60.0)
     assert sentence == "walk.fbx was not written: Blender did not end within 0.5 s."
 
 
 def test_an_executable_that_is_missing_is_named(glb, monkeypatch):
     monkeypatch.setenv(BLENDER_VARIABLE, "/nowhere/blender")
-    sentence = write_character_fbx(glb.with_suffix(".fbx"), glb, 60.0)
+    sentence = write_fbx(glb.with_suffix(".fbx"), glb, 60.0)
     assert sentence is not None
     assert "/nowhere/blender cannot be started" in sentence
 
@@ -79,7 +80,7 @@ def test_the_file_that_blender_wrote_is_the_output(glb, monkeypatch):
     text = "import sys, pathlib; source, target, rate, name = sys.argv[-4:]; "
     text += "pathlib.Path(target).write_bytes(pathlib.Path(source).read_bytes() + f'{rate} {name}'.encode())"
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
-    assert write_character_fbx(glb.with_suffix(".fbx"), glb, 59.94) is None
+    assert write_fbx(glb.with_suffix(".fbx"), glb, 59.94) is None
     assert glb.with_suffix(".fbx").read_bytes().endswith(b"59.94 walk")
     assert os.listdir(glb.parent).count("walk.fbx") == 1  # noqa: PTH208
 
@@ -88,7 +89,7 @@ def test_a_missing_folder_is_refused(glb, monkeypatch):
     text = "import sys, pathlib; pathlib.Path(sys.argv[-3]).write_bytes(b'x')"
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
     with pytest.raises(WriteError, match="nowhere"):
-        write_character_fbx(glb.parent / "nowhere" / "walk.fbx", glb, 60.0)
+        write_fbx(glb.parent / "nowhere" / "walk.fbx", glb, 60.0)
 
 
 @pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 60.0, 120.0, 59.94, 60000 / 1001, 23.976, 12.5, 179.82])
