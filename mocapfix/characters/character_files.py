@@ -10,7 +10,7 @@ file gives the position of the pelvis, or centimetres if that is none of metres,
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -74,7 +74,8 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     """Write the motion of a character as a GLB.
 
     The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis and of
-    bones that have another parent in the file than in the body. A rotation that does not change has one key.
+    bones that have another parent in the file than in the body. A rotation that does not change has one key. So has what only
+    other animations of the file move, such as fingers: Blender and engines leave it where the animation before had it.
 
     Args:
         target: The file.
@@ -88,12 +89,16 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     content, nodes = _open_document(character)
     curves = _compute_node_curves(character, motion, content, nodes)
     buffer = GltfBuffer(content.document, content.binary)
-    for bone in {*curves.positions, *curves.turning}:
-        _replace_matrix(content.document["nodes"][nodes[bone]])
+    written = {(int(nodes[bone]), "translation") for bone in curves.positions}
+    written |= {(int(nodes[bone]), "rotation") for bone in curves.turning}
+    others = _list_animated_nodes(content.document, set(nodes.tolist())).difference(written)
+    for node, _ in written | others:
+        _replace_matrix(content.document["nodes"][node])
+    rest_values = {(node, path): content.document["nodes"][node].get(path, REST_VALUES[path]) for node, path in sorted(others)}
     name = _make_name_unique(take_name, content.document.get("animations", []))
     positions = {int(nodes[bone]): position for bone, position in curves.positions.items()}
     turned_nodes = {bone: int(nodes[bone]) for bone in curves.turning}
-    add_animation(buffer, name, curves.rotations, positions, turned_nodes, motion.rate)
+    add_animation(buffer, name, curves.rotations, positions, turned_nodes, motion.rate, rest_values)
     data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
@@ -110,6 +115,22 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     tails = positions + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
     add_test_skin(buffer, character.skeleton.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
     return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
+
+
+REST_VALUES = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+"""the values of a node that a document leaves out"""
+
+
+def _list_animated_nodes(document: Mapping[str, Any], nodes: Collection[int]) -> set[tuple[int, str]]:
+    """Return node and path of what the animations of a document move, of some nodes."""
+    found: set[tuple[int, str]] = set()
+    for animation in document.get("animations", []):
+        channels = animation.get("channels")
+        for channel in channels if isinstance(channels, list) else ():
+            target = channel.get("target") if isinstance(channel, dict) else None
+            if isinstance(target, dict) and target.get("node") in nodes and target.get("path") in REST_VALUES:
+                found.add((target["node"], target["path"]))
+    return found
 
 
 class NodeCurves(NamedTuple):
@@ -296,7 +317,7 @@ def _choose_unit(character: Character) -> float:
     return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
-CHARACTER_SUFFIXES = ("glb", "bvh", "npz", "map.yaml")
+OTHER_SUFFIXES = ("bvh", "npz", "map.yaml")  # of the files beside the GLB
 GLB_CONVERTERS: dict[str, Callable[[Path, Path, float], str | None]] = {"fbx": write_fbx}
 """Formats of a whole character that are written from its GLB: suffix to a function of the file, the GLB and frames per second. It
 returns a sentence why no file was written: one that is missing is no reason to fail a whole cleaning."""
@@ -312,12 +333,15 @@ class CharacterFiles:
     @property
     def suffixes(self) -> tuple[str, ...]:
         """The suffixes of the files, after the stem of the take."""
-        return tuple(f"{self.character.name}.{ending}" for ending in (*CHARACTER_SUFFIXES, *self.converted))
+        source = self.character.source
+        is_vrm = source is not None and source.kind == "gltf" and Path(source.path).suffix.lower() == ".vrm"
+        endings = ("vrm" if is_vrm else "glb", *OTHER_SUFFIXES, *self.converted)
+        return tuple(f"{self.character.name}.{ending}" for ending in endings)
 
     def write(
         self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
     ) -> list[str]:
-        """Write the motion of a solved skeleton, retargeted onto the character, into a GLB and files beside it.
+        """Write the motion of a solved skeleton, retargeted onto the character, into a GLB or VRM and files beside it.
 
         If the feet of the motion are locked in its contacts, so are the character's.
 

@@ -1,33 +1,39 @@
-"""Run by Blender: import a GLB with one animation and export it as FBX. `character_files.py` starts it in a process of its own.
+"""Run by Blender: import a GLB with one animation and export it as FBX. `fbx.py` starts it in a process of its own.
 
     python fbx_export.py IN.glb OUT.fbx RATE NAME
     blender --background --factory-startup --python fbx_export.py -- IN.glb OUT.fbx RATE NAME
 
-The motion is sampled in every frame, at the rate of the take. No bones are added at the ends of limbs.
+The motion of all bones is sampled in every frame, at the rate of the take. No bones are added at the ends of limbs. The FBX is
+imported again, and the heads of its bones are compared with those of the GLB.
 """
 
 import importlib
 import sys
 from fractions import Fraction
+from math import dist
 from typing import Any
 
 MAX_RATE_DENOMINATOR = 1001  # of a rate such as 60000/1001 Hz
 MAX_BLENDER_FPS = 32767
+MAX_DISTANCE_M = 1e-4  # of a bone's head in the FBX from that in the GLB
 
 
-def export_fbx(source: str, target: str, rate: float, name: str) -> None:
-    """Import a GLB into an empty scene at `rate` frames per second, and export it as FBX with an animation of a name."""
+def export_fbx(source: str, target: str, rate: float, name: str) -> str:
+    """Import a GLB into an empty scene at `rate` frames per second, and export it as FBX with an animation of a name.
+
+    Returns what is wrong with the FBX, imported again, as the end of a sentence; "" if nothing is.
+    """
     bpy: Any = importlib.import_module("bpy")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.preferences.addon_enable(module="io_scene_gltf2")
-    bpy.ops.preferences.addon_enable(module="io_scene_fbx")
-    scene = bpy.context.scene
-    scene.render.fps, scene.render.fps_base = split_rate(rate)
+    for addon in ("io_scene_gltf2", "io_scene_fbx"):
+        bpy.ops.preferences.addon_enable(module=addon)
+    scene = open_empty_scene(bpy, rate)
     bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True)
     scene.name = name  # the exporter names the animation after it
     ranges = [action.frame_range for action in bpy.data.actions]
     scene.frame_start = round(min((each[0] for each in ranges), default=0))
     scene.frame_end = round(max((each[1] for each in ranges), default=0))
+    frame_count = scene.frame_end - scene.frame_start + 1
+    expected = read_bone_heads(bpy, scene.frame_start, frame_count)
     bpy.ops.export_scene.fbx(
         filepath=target,
         add_leaf_bones=False,
@@ -39,6 +45,43 @@ def export_fbx(source: str, target: str, rate: float, name: str) -> None:
         bake_anim_step=1.0,
         bake_anim_simplify_factor=0.0,
     )
+    open_empty_scene(bpy, rate)
+    bpy.ops.import_scene.fbx(filepath=target)
+    first = min((action.frame_range[0] for action in bpy.data.actions), default=0.0)
+    return find_difference(expected, read_bone_heads(bpy, round(first), frame_count))
+
+
+def open_empty_scene(bpy: Any, rate: float) -> Any:
+    """Return a new scene without objects, at `rate` frames per second; the add-ons stay enabled."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = split_rate(rate)
+    return scene
+
+
+def read_bone_heads(bpy: Any, first: int, count: int) -> dict[str, list[tuple[float, ...]]]:
+    """Return where each bone's head is in the world in each of some frames, in metres."""
+    armatures = [each for each in bpy.context.scene.objects if each.type == "ARMATURE"]
+    heads: dict[str, list[tuple[float, ...]]] = {bone.name: [] for each in armatures for bone in each.pose.bones}
+    for frame in range(first, first + count):
+        bpy.context.scene.frame_set(frame)
+        for each in armatures:
+            for bone in each.pose.bones:
+                heads[bone.name].append(tuple(each.matrix_world @ bone.head))
+    return heads
+
+
+def find_difference(expected: dict[str, list[tuple[float, ...]]], found: dict[str, list[tuple[float, ...]]]) -> str:
+    """Return which bone is farthest from its place, as the end of a sentence; "" if all are near theirs."""
+    if missing := expected.keys() - found.keys():
+        return f"it lacks the bone {min(missing)}"
+    distances = [
+        (dist(*pair), name, frame)
+        for name in expected
+        for frame, pair in enumerate(zip(expected[name], found[name], strict=True))
+    ]
+    worst, name, frame = max(distances, default=(0.0, "", 0))
+    return f"its bone {name} is {1e3 * worst:.1f} mm from that of the GLB in frame {frame + 1}" if worst > MAX_DISTANCE_M else ""
 
 
 def split_rate(rate: float) -> tuple[int, float]:
@@ -52,4 +95,5 @@ def split_rate(rate: float) -> tuple[int, float]:
 
 if __name__ == "__main__":
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    export_fbx(arguments[0], arguments[1], float(arguments[2]), arguments[3])
+    if difference := export_fbx(arguments[0], arguments[1], float(arguments[2]), arguments[3]):
+        sys.exit(difference)

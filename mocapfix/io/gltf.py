@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -337,6 +338,7 @@ def add_animation(
     positions: Mapping[int, Float[np.ndarray, "T 3"]],
     nodes: Mapping[int, int],
     rate: float,
+    rest_values: Mapping[tuple[int, str], Sequence[float]] = MappingProxyType({}),
 ) -> None:
     """Add an animation to the document, with a key in every frame, or a single one of a rotation that does not change.
 
@@ -345,6 +347,7 @@ def add_animation(
         positions: Node to its positions in the unit of its parent, of the nodes that get such a curve.
         nodes: Bone to node, of the bones that get a curve of rotations.
         rate: Frames per second.
+        rest_values: Node and path ("translation", "rotation" or "scale") to the value of its only key.
     """
     frame_count = len(local_rotations)
     times: dict[int, int] = {}
@@ -364,6 +367,8 @@ def add_animation(
         rotation = lie.extract_joint_quaternions(local_rotations, bone, np.ones(frame_count, bool))
         is_constant = bool((np.linalg.norm(rotation - rotation[0], axis=1) <= MAX_CONSTANT_CHORD).all())
         add_curve(node, "rotation", "VEC4", rotation[:1] if is_constant else rotation)
+    for (node, path), value in rest_values.items():
+        add_curve(node, path, f"VEC{len(value)}", np.array([value], float))
     buffer.document.setdefault("animations", []).append({"name": name, "channels": channels, "samplers": samplers})
 
 

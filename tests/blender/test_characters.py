@@ -16,8 +16,17 @@ from mocapfix.characters.character import Character, CharacterMotion, compute_ch
 from mocapfix.characters.character_files import write_character_bvh, write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, write_fbx
 from mocapfix.characters.load_character import load_character_preset, read_character
+from mocapfix.io.gltf import GlbContent, GltfBuffer, add_animation, build_glb, parse_glb
 from mocapfix.options import CHARACTER_PRESETS
-from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
+from tests.characters.character_files import (
+    FIGURE,
+    build_figure_character,
+    build_mixamo_glb,
+    build_motion,
+    build_vrm,
+    map_figure,
+    node_of,
+)
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))
@@ -26,10 +35,23 @@ RATE_HZ = 50.0
 FRAME_COUNT = 25
 FRAMES = (0, 7, 24)
 MAX_HEAD_ERROR_M = 1e-4
-USER_FILES = {"user-mixamo": build_mixamo_glb, "user-vrm": lambda: build_vrm(1)}
+
+
+def build_glb_that_moves_a_finger() -> bytes:
+    """Return the GLB with an animation that moves the index finger, which the written motion leaves alone."""
+    content = parse_glb(Path("user.glb"), build_mixamo_glb())
+    buffer = GltfBuffer(content.document, content.binary)
+    node = node_of(FIGURE.names.index("LeftHandIndex1"))
+    places = np.array(content.document["nodes"][node]["translation"]) + [[2.0, 0.0, 0.0], [5.0, 1.0, 0.0]]
+    add_animation(buffer, "wave", np.tile(np.eye(3), (2, 1, 1, 1)), {node: places}, {}, 1.0)
+    content.document["animations"].reverse()  # Blender shows the first animation of a file
+    return build_glb(GlbContent(content.document, buffer.finish()))
+
+
+USER_FILES = {"user-mixamo": build_mixamo_glb, "user-fingers": build_glb_that_moves_a_finger, "user-vrm": lambda: build_vrm(1)}
 CHARACTERS = (*USER_FILES, "figure", *CHARACTER_PRESETS)
 FILES = [f"{name}.{suffix}" for name in CHARACTERS for suffix in ("glb", "bvh")]
-FBX_CHARACTERS = ("user-mixamo", "unreal")
+FBX_CHARACTERS = ("user-mixamo", "user-fingers", "unreal")
 
 
 @dataclass(frozen=True)

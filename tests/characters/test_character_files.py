@@ -13,12 +13,14 @@ from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.errors import WriteError
 from mocapfix.io.capture import read_capture
+from mocapfix.io.gltf import parse_glb
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import FEET_LOCK, FEET_SOFT, OutputOptions
 from mocapfix.output_formats import list_output_formats
+from tests.characters.character_files import build_vrm
 from tests.characters.walking_body import RATE, load_walk
 from tests.io.read_back import motion_of
 
@@ -108,3 +110,18 @@ def test_file_names_are_checked_before_anything_is_cleaned():
 def find_preset_path(name: str) -> str:
     """Return the path of a preset's file, which has the preset's name."""
     return str(find_shipped_folder("scenes") / "rigs" / f"{name}.yaml")
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_a_vrm_stays_one(solved, tmp_path, version):
+    """It has its suffix, and the extension with the same nodes; another program's extensions stay too."""
+    path = tmp_path / "hero.vrm"
+    path.write_bytes(build_vrm(version))
+    outputs = solved.write(tmp_path / "out", options=OutputOptions(characters=(path,)))
+    assert "hero.glb" not in outputs
+    before, after = (parse_glb(each, each.read_bytes()).document for each in (path, outputs["hero.vrm"]))
+    assert after["extensions"] == before["extensions"]
+    assert after["extensionsUsed"] == before["extensionsUsed"]
+    assert [each["name"] for each in after["animations"]] == ["walk", "walk.001"]
+    again = load_character(outputs["hero.vrm"])
+    assert again.mapping.bones == load_character(path).mapping.bones

@@ -26,6 +26,7 @@ from tests.characters.character_files import (
     build_vrm,
     edit_glb,
     map_figure,
+    node_of,
     read_accessor,
     split_glb,
 )
@@ -240,3 +241,26 @@ def test_clips_of_several_takes_are_animations_of_one_file(tmp_path):
         times = np.arange(motion.frame_count) / motion.rate
         worlds = compute_worlds(document, binary, animation, times)[:, character.source.nodes]
         np.testing.assert_allclose(worlds[..., :3, 3], compute_character_poses(character, motion)[0], atol=2e-6)
+
+
+def test_what_other_animations_move_returns_to_the_rest_pose(tmp_path):
+    """Fingers that another animation of the file bends are keyed once, so that no program leaves them bent."""
+
+    def move_finger(document):
+        animation = document["animations"][0]
+        node = node_of(FIGURE.names.index("LeftHandIndex1"))
+        for path in ("rotation", "translation"):
+            animation["channels"].append({"sampler": 0, "target": {"node": node, "path": path}})
+
+    character = read_figure(tmp_path, edit_glb(GLB, move_finger))
+    assert character.source is not None
+    motion = build_motion(character)
+    write_character_glb(tmp_path / "out.glb", character, motion, "take")
+    document = check_written_poses(tmp_path / "out.glb", character, motion, character.source.nodes)
+    node = node_of(FIGURE.names.index("LeftHandIndex1"))
+    keys = {
+        each["target"]["path"]: document["accessors"][document["animations"][-1]["samplers"][each["sampler"]]["output"]]["count"]
+        for each in document["animations"][-1]["channels"]
+        if each["target"]["node"] == node
+    }
+    assert keys == {"rotation": 1, "translation": 1}

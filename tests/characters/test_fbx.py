@@ -9,7 +9,7 @@ import pytest
 from mocapfix.characters import fbx
 from mocapfix.characters.character_files import write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, find_blender, write_fbx
-from mocapfix.characters.fbx_export import split_rate
+from mocapfix.characters.fbx_export import find_difference, split_rate
 from mocapfix.errors import WriteError
 from tests.characters.character_files import build_figure_character, build_motion
 
@@ -97,3 +97,13 @@ def test_blender_can_store_every_rate(rate):
     fps, base = split_rate(rate)
     assert isinstance(fps, int)
     assert fps / base == pytest.approx(rate, rel=1e-6)
+
+
+def test_the_bone_farthest_from_its_place_is_named():
+    """Distances up to a tenth of a millimetre are rounding of the formats."""
+    expected = {"hip": [(0.0, 1.0, 0.0), (0.0, 1.0, 0.1)], "finger": [(0.5, 1.0, 0.0), (0.5, 1.0, 0.1)]}
+    near = {**expected, "finger": [(0.5, 1.00009, 0.0), (0.5, 1.0, 0.1)]}
+    far = {**expected, "finger": [(0.5, 1.0, 0.0), (0.5, 1.003, 0.1)]}
+    assert find_difference(expected, near) == ""
+    assert find_difference(expected, far) == "its bone finger is 3.0 mm from that of the GLB in frame 2"
+    assert find_difference(expected, {"hip": expected["hip"]}) == "it lacks the bone finger"
