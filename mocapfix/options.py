@@ -289,13 +289,17 @@ class OutputOptions(StageOptions):
     )  # fmt: skip
     characters: tuple[str | Path, ...] = define_option(
         (), "--character", "PRESET|FILE",
-        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .bvh or .yaml file",
+        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .fbx, .bvh or .yaml file",
         job_key="write.character", default_text="none", is_file=True,
     )  # fmt: skip
     character_map: str | Path | None = define_option(
         None, "--character-map", "FILE", "YAML file with the bones of the character's body, as written beside its motion",
         job_key="write.character_map", default_text="by the names of the bones, or the shape of the skeleton",
         is_file=True,
+    )  # fmt: skip
+    rest_frame: int | None = define_option(
+        None, "--rest-frame", "N", "frame of the character's file, counted from 1, that is its rest pose: a T- or A-pose",
+        job_key="write.rest_frame", default_text="the bind pose, or the frame most like a T- or A-pose", at_least=1,
     )  # fmt: skip
 
 

@@ -166,7 +166,7 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     from mocapfix.characters.load_character import load_character  # few cleanings need it
 
     converted = tuple(each for each in dict.fromkeys(options.extra_formats) if each in GLB_CONVERTERS)
-    files = CharacterFiles(load_character(name_or_path, options.character_map), converted)
+    files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), converted)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
         return files.write(target, *content.motion.parts, content.exported_contacts)

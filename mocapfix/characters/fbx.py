@@ -1,7 +1,7 @@
-"""FBX, which Blender writes in a process of its own: nothing else writes a current FBX from open source.
+"""FBX, which Blender reads and writes in a process of its own: nothing else does this with a current FBX from open source.
 
 `fbx_export.py` is what that process runs. It imports the GLB of the character, exports it, imports the FBX again, and compares
-the heads of all bones in every frame.
+the heads of all bones in every frame. An FBX is read as the GLB to which it converts it.
 """
 
 import importlib.util
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mocapfix.errors import WriteError
+from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import GlbContent, build_glb, parse_glb
 
@@ -72,6 +72,25 @@ def write_fbx(target: Path, glb_path: Path, rate: float) -> str | None:
         with replace_atomically(target) as part:
             part.write_bytes(exported.read_bytes())
     return None
+
+
+def is_fbx(path: Path, head: bytes) -> bool:
+    """Return whether a file with this beginning is an FBX, binary or text."""
+    return head.startswith(b"Kaydara FBX Binary") or path.suffix.lower() == ".fbx"
+
+
+def convert_fbx(path: Path) -> bytes:
+    """Return the GLB to which Blender converts an FBX. Raises ReadError without Blender, or if that cannot read it."""
+    command = find_blender()
+    if command is None:
+        remedy = f"install it, set {BLENDER_VARIABLE} to its executable, or export the character as .glb"
+        raise ReadError(f"{path}: an FBX is read by Blender, and it was not found; {remedy}.")
+    with make_scratch_folder() as folder:
+        converted = folder / "character.glb"
+        problem = _run_blender(command, [str(path.resolve()), str(converted)])
+        if problem or not converted.exists():
+            raise ReadError(f"{path}: cannot be read: {problem or 'Blender wrote no file'}; export the character as .glb.")
+        return converted.read_bytes()
 
 
 def _select_last_animation(glb_path: Path) -> tuple[bytes, str]:

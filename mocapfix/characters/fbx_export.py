@@ -1,7 +1,8 @@
-"""Run by Blender: import a GLB with one animation and export it as FBX. `fbx.py` starts it in a process of its own.
+"""Run by Blender: import a GLB with one animation and export it as FBX, or convert an FBX to GLB. `fbx.py` starts it.
 
     python fbx_export.py IN.glb OUT.fbx RATE NAME
     blender --background --factory-startup --python fbx_export.py -- IN.glb OUT.fbx RATE NAME
+    python fbx_export.py IN.fbx OUT.glb
 
 The motion of all bones is sampled in every frame, at the rate of the take. No bones are added at the ends of limbs. The FBX is
 imported again, and the heads of its bones are compared with those of the GLB.
@@ -23,9 +24,7 @@ def export_fbx(source: str, target: str, rate: float, name: str) -> str:
 
     Returns what is wrong with the FBX, imported again, as the end of a sentence; "" if nothing is.
     """
-    bpy: Any = importlib.import_module("bpy")
-    for addon in ("io_scene_gltf2", "io_scene_fbx"):
-        bpy.ops.preferences.addon_enable(module=addon)
+    bpy = import_blender()
     scene = open_empty_scene(bpy, rate)
     bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True)
     scene.name = name  # the exporter names the animation after it
@@ -49,6 +48,22 @@ def export_fbx(source: str, target: str, rate: float, name: str) -> str:
     bpy.ops.import_scene.fbx(filepath=target)
     first = min((action.frame_range[0] for action in bpy.data.actions), default=0.0)
     return find_difference(expected, read_bone_heads(bpy, round(first), frame_count))
+
+
+def import_fbx(source: str, target: str) -> None:
+    """Convert an FBX to GLB: meshes, bones and animations."""
+    bpy = import_blender()
+    open_empty_scene(bpy, 30.0)
+    bpy.ops.import_scene.fbx(filepath=source)
+    bpy.ops.export_scene.gltf(filepath=target, export_format="GLB")
+
+
+def import_blender() -> Any:
+    """Return Blender's module with the add-ons for both formats."""
+    bpy: Any = importlib.import_module("bpy")
+    for addon in ("io_scene_gltf2", "io_scene_fbx"):
+        bpy.ops.preferences.addon_enable(module=addon)
+    return bpy
 
 
 def open_empty_scene(bpy: Any, rate: float) -> Any:
@@ -95,5 +110,7 @@ def split_rate(rate: float) -> tuple[int, float]:
 
 if __name__ == "__main__":
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    if difference := export_fbx(arguments[0], arguments[1], float(arguments[2]), arguments[3]):
+    if len(arguments) == 2:
+        import_fbx(*arguments)
+    elif difference := export_fbx(arguments[0], arguments[1], float(arguments[2]), arguments[3]):
         sys.exit(difference)

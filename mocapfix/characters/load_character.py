@@ -1,37 +1,40 @@
-"""Load the character that an option names, and check its rest pose: a shipped figure of scenes/rigs, or a file of any format.
+"""Load the character that an option names, and check its sides: a shipped figure of scenes/rigs, or a file of any format.
 
-The format of a file is detected from the content, only YAML from the extension. BVH has no rest rotations: in the rest pose the
-axes of all bones are the file's.
+The format of a file is detected from the content, only YAML from the extension. BVH has no rest rotations: with all angles zero
+the axes of all bones are the file's.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from mocapfix.characters.body_frames import compute_facing
 from mocapfix.characters.bone_mapping import map_bones
 from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
+from mocapfix.characters.fbx import convert_fbx, is_fbx
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
+from mocapfix.characters.rest_poses import build_bone_matrices, choose_rest_pose, open_gltf
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.bvh import is_bvh, read_bvh
 from mocapfix.io.capture import extract_head
 from mocapfix.io.file_content import read_file_bytes
+from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.model.skeleton import Skeleton, is_below, load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 MAX_BACKWARD_COSINE = -0.5  # cosine of the horizontal angle between a foot and the front, below which it points backwards
 MIN_HORIZONTAL_FOOT_SHARE = 0.3
 """horizontal length of a foot, as a share of its length, from which it points anywhere; on high heels it may not"""
-MAX_REST_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical in T- and A-poses
-MAX_REST_DIFFERENCE_DEG = 25.0  # angle between a limb and the mirrored one of the other side in T- and A-poses
 MIN_SPREAD_RAD, MAX_SPREAD_RAD = np.deg2rad(12.0), np.deg2rad(30.0)
 """of the shins from the vertical, in skeletons like those of CMU's recordings, whose legs are spread by 20 degrees"""
 MAX_SPREAD_DIFFERENCE_RAD = np.deg2rad(3.0)
@@ -42,10 +45,8 @@ def check_sides(character: Character, name: str) -> None:
     """Raise SceneError, which begins with `name`, if left and right are swapped.
 
     The front follows from left and right. They are swapped if both feet point backwards, or if the arms give another front than
-    the legs. Feet without toes point nowhere, and a rest pose that is not upright shows no front.
+    the legs. Feet without toes point nowhere.
     """
-    if _measure_trunk_tilt_deg(character) > MAX_REST_TILT_DEG:
-        return
     position, _ = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     what_to_do = "exchange the bones of both sides in a mapping file (--character-map) or in their names"
@@ -65,34 +66,6 @@ def check_sides(character: Character, name: str) -> None:
     if len(toes) == len(SIDES):
         problem = "point backwards, so the bones of left and right are swapped, or the feet are"
         raise SceneError(f"{name}: the toes {' and '.join(toes)} {problem}; {what_to_do}.")
-
-
-def describe_posed_limbs(character: Character) -> str:
-    """Return a sentence if the limbs of the rest pose are neither those of a T-pose nor of an A-pose, otherwise nothing.
-
-    The rest pose is then one of an animation, as exporters may write it, and rotations relative to it are wrong.
-    """
-    axes, vectors = compute_facing(character), _list_limb_vectors(character)
-    tilted: list[tuple[float, str]] = []
-    different: list[tuple[float, str]] = []
-    if (tilt := _measure_trunk_tilt_deg(character)) > MAX_REST_TILT_DEG:
-        tilted.append((tilt, f"trunk {tilt:.0f} degrees from the vertical"))
-    for segment in LIMB_ENDS:
-        pair = [axes.T @ vectors[f"{side}_{segment}"] for side in SIDES if f"{side}_{segment}" in vectors]
-        if len(pair) < len(SIDES):
-            continue
-        label = segment.replace("_", " ")
-        angle = _measure_angle_deg(pair[0], pair[1] * [-1, 1, 1])
-        if angle > MAX_REST_DIFFERENCE_DEG:
-            different.append((angle, f"{label}s differ by {angle:.0f} degrees"))
-        for side, vector in zip(SIDES, pair, strict=True):
-            angle = _measure_angle_deg(vector, np.array([0.0, -1.0, 0.0]))
-            if segment in ("thigh", "shin") and angle > MAX_REST_TILT_DEG:
-                tilted.append((angle, f"{side} {label} {angle:.0f} degrees from the vertical"))
-    if not (found := tilted or different):
-        return ""
-    worst = max(found, key=lambda limb: round(limb[0]))[1]
-    return f"Its bones are not in a T- or A-pose ({worst}), so its limbs may be turned wrongly: export it in its rest pose."
 
 
 def are_soles_flat(character: Character) -> bool:
@@ -121,16 +94,6 @@ def are_soles_flat(character: Character) -> bool:
     return bool(np.ptp(spreads) > MAX_SPREAD_DIFFERENCE_RAD)
 
 
-def _measure_trunk_tilt_deg(character: Character) -> float:
-    """Return the angle between the vertical and the direction from the hips to the shoulders."""
-    position, _ = character.skeleton.compute_rest_pose()
-    hips, shoulders = (
-        np.mean([position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES], axis=0)
-        for segment in ("thigh", "upper_arm")
-    )
-    return _measure_angle_deg(shoulders - hips, np.array([0.0, 1.0, 0.0]))
-
-
 def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"]]:
     """Return the vector along each segment of a limb in the world, of those that end at another segment."""
     position, _ = character.skeleton.compute_rest_pose()
@@ -141,10 +104,6 @@ def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"
         for segment, end in LIMB_ENDS.items()
         if bones.get(f"{side}_{end}")
     }
-
-
-def _measure_angle_deg(one: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> float:
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
 
 
 @cache
@@ -203,7 +162,7 @@ YAML_SUFFIXES = (".yaml", ".yml")
 
 
 def read_character(path: str | Path) -> Character:
-    """Read a character: glTF 2.0 (.glb, .gltf), VRM 0.x and 1.0 (.vrm), BVH, or YAML of the form of the presets.
+    """Read a character: glTF 2.0 (.glb, .gltf), VRM 0.x and 1.0 (.vrm), FBX, BVH, or YAML of the form of the presets.
 
     A VRM or YAML gives the bones of the segments of the body. The mapping of another file is empty. Of several skeletons in a
     glTF the one with the most joints is read.
@@ -223,24 +182,26 @@ def read_character_skeletons(path: str | Path) -> list[Character]:
         return [build_bvh_character(path, data, read_bvh(path, data))]
     if path.suffix.lower() in YAML_SUFFIXES:
         return [read_character_yaml(path)]
+    if is_fbx(path, data):
+        return read_gltf_skeletons(path, convert_fbx(path))
     if is_gltf(data):
         return read_gltf_skeletons(path, data)
-    raise ReadError(f"{path}: is no character that mocapfix reads; give a .glb, .gltf, .vrm, .bvh or .yaml file.")
+    raise ReadError(f"{path}: is no character that mocapfix reads; give a .glb, .gltf, .vrm, .fbx, .bvh or .yaml file.")
 
 
 UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")  # in the name of a character, which is part of the names of files
 MIN_LIMB_LENGTH_M = 1e-6
 
 
-def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None) -> Character:
-    """Load a preset by its name, or the character in a file, with all segments that retargeting needs.
+def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None, rest_frame: int | None = None) -> Character:
+    """Load a preset by its name, or the character in a file, in its rest pose and with all segments that retargeting needs.
 
     Of several skeletons in a file, the first is taken whose bones form a body, or are those of the mapping in a file, which
-    replaces the one that the character has.
+    replaces the one that the character has. The rest pose is frame `rest_frame` of the file, or as in `choose_rest_pose`.
 
     Raises:
         ReadError: If its file cannot be read.
-        SceneError: If there is no such character, or its bones do not form a body.
+        SceneError: If there is no such character, its bones do not form a body, or the file has no rest pose.
     """
     if str(name_or_path) in CHARACTER_PRESETS:
         skeletons = [load_character_preset(str(name_or_path))]
@@ -251,24 +212,27 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
             raise SceneError(f"There is no character {str(name_or_path)!r}; choose one of {choices}, or give a file.")
         name = UNUSABLE_CHARACTERS.sub("-", path.stem).strip("-") or "character"
         skeletons = [replace(character, name=name) for character in read_character_skeletons(path)]
-    character = _choose_skeleton(skeletons, None if mapping_path is None else Path(mapping_path))
+
+    def assign(character: Character) -> Character:
+        if mapping_path is not None:
+            return apply_mapping_file(mapping_path, character)
+        return replace(character, mapping=map_bones(character)) if character.mapping.missing_segments else character
+
+    character = _choose_skeleton(skeletons, assign, rest_frame)
     check_lengths(character, str(name_or_path))
     check_sides(character, str(name_or_path))
-    if posed := describe_posed_limbs(character):
-        reason = f"{character.mapping.reason} {posed}"
-        character = replace(character, mapping=replace(character.mapping, reason=reason))
+    if (stands := stand_on_soles(character)) is not None:
+        return stands
     is_given = mapping_path is not None and read_feet_flat(mapping_path) is not None
     return character if is_given else replace(character, has_feet_flat=character.has_feet_flat and are_soles_flat(character))
 
 
-def _choose_skeleton(skeletons: list[Character], mapping_path: Path | None) -> Character:
-    """Return the first skeleton of a file that has a mapping, with it. Raises what is wrong with the first if none has."""
+def _choose_skeleton(skeletons: list[Character], assign: Callable[[Character], Character], rest_frame: int | None) -> Character:
+    """Return the first skeleton of a file that has a mapping and a rest pose. Raises what is wrong with the first if none has."""
     first_error: SceneError | None = None
     for character in skeletons:
         try:
-            if mapping_path is not None:
-                return apply_mapping_file(mapping_path, character)
-            return replace(character, mapping=map_bones(character)) if character.mapping.missing_segments else character
+            return choose_rest_pose(character, assign, rest_frame)
         except SceneError as error:
             first_error = first_error or error
     raise first_error or SceneError("The file of the character has no skeleton; export it with its armature.")
@@ -287,3 +251,83 @@ def check_lengths(character: Character, name: str) -> None:
                     f"{name}: the bones {pair} ({side} {start.replace('_', ' ')}) are at one place, so the character cannot be "
                     "posed; correct its rest pose or the mapping (--character-map)."
                 )
+
+
+class SkinVertices(NamedTuple):
+    """The V vertices of the meshes that the bones of a character carry, skinned or fixed to a bone."""
+
+    positions: Float[np.ndarray, "V 3"]  # m: in the world, in the rest pose
+    bones: Int[np.ndarray, " V"]  # the bone of the greatest weight
+
+
+def compute_skin_vertices(character: Character) -> SkinVertices:
+    """Return the vertices that the bones carry in the rest pose, none for a character without a mesh."""
+    content, nodes, bone_of = open_gltf(character) or (None, None, {})
+    if content is None or nodes is None:
+        return SkinVertices(np.zeros((0, 3)), np.zeros(0, int))
+    mesh, posed, shown = read_gltf_mesh(content, nodes), build_bone_matrices(character), compute_node_matrices(content, nodes)[0]
+    matrices, carriers = shown.copy(), np.full(len(shown), -1)
+    for node in nodes.ordered:
+        above = int(nodes.parents[node])
+        if node in bone_of:
+            matrices[node], carriers[node] = posed[bone_of[node]], bone_of[node]
+        elif above >= 0 and carriers[above] >= 0:
+            carriers[node] = carriers[above]
+            bone_node = next(each for each in nodes.list_ancestors(node) if each in bone_of)
+            matrices[node] = matrices[bone_node] @ np.linalg.inv(shown[bone_node]) @ shown[node]
+    strongest = mesh.slots[np.arange(len(mesh.slots)), mesh.weights.argmax(1)]
+    bones = carriers[mesh.nodes[strongest]]
+    return SkinVertices(mesh.pose(matrices)[bones >= 0], bones[bones >= 0])
+
+
+SOLE_END_SHARE = 0.33  # of a foot's length: its heel, and its front, at whose lowest vertices it stands
+MIN_SOLE_DEPTH_SHARE = 0.02  # distance of a sole from the ankle, as a share of the leg's length; less is the mesh of a bare bone
+LEVEL_SOLE_RAD, MAX_SOLE_RAD = np.deg2rad(2.0), np.deg2rad(50.0)
+"""inclinations between which a sole is levelled: a smaller one is that of the shoe, a larger one is no sole"""
+
+
+def stand_on_soles(character: Character) -> Character | None:
+    """Return a character whose rest pose stands at height 0 on the soles of its mesh; None without a mesh of both feet.
+
+    The sole of a foot goes through the lowest vertices of its heel and of its front. A foot that is inclined is turned until it
+    lies flat, as feet are in the rest poses of bodies that stand on their toes or with spread legs. Then the body is lowered.
+    """
+    skeleton, bones = character.skeleton, character.mapping.bones
+    vertices, (place, world) = compute_skin_vertices(character), skeleton.compute_rest_pose()
+    rotations, heights = skeleton.rest_rotations.copy(), list[float]()
+    front = compute_facing(character)[:, 2]
+    leg = np.diff([place[bones[f"left_{segment}"][0]] for segment in ("thigh", "shin", "foot")], axis=0)
+    for side in SIDES:
+        foot = bones[f"{side}_foot"][0]
+        is_carried = np.array([bone == foot or is_below(bone, foot, skeleton.parents) for bone in range(len(place))])
+        points = vertices.positions[is_carried[vertices.bones]] - place[foot]
+        if not len(points):
+            return None
+        toe = bones.get(f"{side}_toe")
+        forward = (place[toe[0]] - place[foot] if toe else points.mean(0)) * [1, 0, 1]
+        forward = forward / np.linalg.norm(forward) if np.linalg.norm(forward) > MIN_LIMB_LENGTH_M else front
+        turn = np.eye(3)
+        for along in (forward, np.cross(forward, [0.0, 1.0, 0.0])):
+            turn = _level_sole(points @ turn.T, along) @ turn
+        lowest = float((points @ turn.T)[:, 1].min())
+        if -lowest < MIN_SOLE_DEPTH_SHARE * np.linalg.norm(leg, axis=1).sum():
+            return None
+        heights.append(place[foot, 1] + lowest)
+        rotations[foot] = rotations[foot] @ world[foot].T @ turn @ world[foot]
+    pelvis, offsets = bones["pelvis"][0], skeleton.offsets.copy()
+    above = int(skeleton.parents[pelvis])
+    lowered = np.array([0.0, -float(np.mean(heights)), 0.0])
+    offsets[pelvis] += lowered if above < 0 else world[above].T @ lowered
+    return replace(character, skeleton=replace(skeleton, offsets=offsets, rest_rotations=rotations), has_feet_flat=True)
+
+
+def _level_sole(points: Float[np.ndarray, "V 3"], along: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation that levels the sole of a foot, whose vertices are given, along a horizontal direction."""
+    share = points @ along
+    share = (share - share.min()) / max(float(np.ptp(share)), MIN_LIMB_LENGTH_M)
+    ends = [points[is_end] for is_end in (share <= SOLE_END_SHARE, share >= 1 - SOLE_END_SHARE)]
+    back, front = (each[each[:, 1].argmin()] for each in ends)
+    slope = float(np.arctan2(front[1] - back[1], (front - back) @ along))
+    if not LEVEL_SOLE_RAD < abs(slope) < MAX_SOLE_RAD:
+        return np.eye(3)
+    return compute_shortest_rotation(np.cos(slope) * along + np.sin(slope) * np.array([0.0, 1.0, 0.0]), along)

@@ -1,10 +1,8 @@
 """Read the bones of a character from glTF 2.0 (.glb, .gltf) and VRM (.vrm).
 
 The bones are the joints of the skins with all nodes above them, such as the armature, which often scales and turns the rest.
-The rest pose is the transforms of the nodes: what a viewer shows without an animation. The skins have a second pose, that of
-their inverse bind matrices, in which the mesh has its original shape. Exporters may set the nodes to another pose, for example
-to the first frame of an animation. The nodes are used nevertheless: bones without skin and preset characters have no other
-pose, and bones that an animation leaves out are in this pose in every program. Meshes are not decoded.
+The bones are in the pose of the nodes, which is what a viewer shows without an animation, but not always the rest pose: see
+`rest_poses`.
 
 Embedded and side files are packed into one GLB, to which an animation can be added; the bytes of buffers and images are kept. A
 VRM names its humanoid bones (VRM Consortium, VRM 0.0, extension VRM, and VRM 1.0, extension VRMC_vrm, section humanoid).

@@ -10,8 +10,9 @@ from mocapfix.characters import fbx
 from mocapfix.characters.character_files import write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, find_blender, write_fbx
 from mocapfix.characters.fbx_export import find_difference, split_rate
-from mocapfix.errors import WriteError
-from tests.characters.character_files import build_figure_character, build_motion
+from mocapfix.characters.load_character import read_character
+from mocapfix.errors import ReadError, WriteError
+from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion
 
 
 @pytest.fixture
@@ -107,3 +108,29 @@ def test_the_bone_farthest_from_its_place_is_named():
     assert find_difference(expected, near) == ""
     assert find_difference(expected, far) == "its bone finger is 3.0 mm from that of the GLB in frame 2"
     assert find_difference(expected, {"hip": expected["hip"]}) == "it lacks the bone finger"
+
+
+def test_an_fbx_is_read_as_the_glb_to_which_blender_converts_it(tmp_path, monkeypatch):
+    (tmp_path / "figure.glb").write_bytes(build_mixamo_glb())
+    (tmp_path / "hero.fbx").write_bytes(b"Kaydara FBX Binary  \x00")
+    text = "import sys, shutil; source, target = sys.argv[-2:]; assert source.endswith('hero.fbx'); "
+    text += f"shutil.copy({str(tmp_path / 'figure.glb')!r}, target)"
+    monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(tmp_path / "blender", text)))
+    character = read_character(tmp_path / "hero.fbx")
+    assert character.name == "hero"
+    assert character.source is not None
+    assert character.source.data == build_mixamo_glb()
+
+    monkeypatch.setenv(
+        BLENDER_VARIABLE, str(make_executable(tmp_path / "blender", "import sys; sys.exit('Error: version 6100')"))
+    )
+    with pytest.raises(
+        ReadError, match=r"hero\.fbx: cannot be read: Blender failed \(Error: version 6100\); export the character"
+    ):
+        read_character(tmp_path / "hero.fbx")
+    monkeypatch.delenv(BLENDER_VARIABLE)
+    monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    with pytest.raises(
+        ReadError, match=r"hero\.fbx: an FBX is read by Blender, and it was not found; install it, set MOCAPFIX_BL"
+    ):
+        read_character(tmp_path / "hero.fbx")

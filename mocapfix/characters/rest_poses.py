@@ -1,0 +1,368 @@
+"""The rest pose of a character: the one of the poses in its file that is a T- or A-pose.
+
+Retargeting keeps rotations relative to the rest pose, so in it the figure stands upright. A glTF has a bind pose, the transforms
+of its nodes, which may be those of any frame of an animation, and the frames of its animations. A BVH has the pose with all
+angles zero, which is no figure where the offsets lie along the bones, and its frames; often the first is a T-pose.
+
+They are tried in this order. Where none is a T- or A-pose, the frame in which the figure stands best is taken: trunk and head are
+turned as in the mean of all frames in which it stands, and the feet as where they are lowest, so that their soles lie flat.
+
+The bind pose follows from the skins (Khronos, glTF 2.0, section 3.7.3). A vertex v is shown at the weighted mean of W B v over
+its joints, with the transform W of each joint's node and its inverse bind matrix B. In the bind pose W B is the same G for all
+joints, so the mesh has its original shape. Exporters differ in whether G is the identity or the transform of the mesh's node; the
+scales of the nodes show which.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.character import LIMB_ENDS, SIDES, Character
+from mocapfix.errors import SceneError
+from mocapfix.io.bvh import read_bvh
+from mocapfix.io.gltf import GlbContent, GltfNodes, parse_glb, read_gltf_nodes
+from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
+from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+
+MAX_REST_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical of a figure that stands
+MAX_REST_DIFFERENCE_DEG = 25.0  # angle between a limb and the mirrored one of the other side in T- and A-poses
+MAX_FRAME_TILT_DEG, MAX_FRAME_DIFFERENCE_DEG = 25.0, 15.0  # the same in a frame of a file, where other poses are likely
+MAX_ELBOW_DEG, MAX_ARM_SLOPE_DEG = 30.0, 60.0  # bend of an elbow, and angle between an upper arm and the horizontal, there
+ARM_COST = 0.5  # of a degree of an arm, over that of a degree of a leg that is not vertical
+LOWEST_FOOT_PERCENTILE = 10.0  # of the heights of a foot, up to which it lies flat
+SAMPLED_POSES = 20  # frames of a file in which a body is searched by its shape
+STANDING_COST = 1000.0  # of a frame in which the figure stands, but not in a T- or A-pose
+FRONT_SEGMENTS = ("thigh", "upper_arm")  # segments whose two sides show where the front is
+SAME_OFFSET_M, SAME_ROTATION = 1e-3, 2e-3  # differences of two poses that count as the same: 1 mm and 0.1 degrees
+UP = np.array([0.0, 1.0, 0.0])
+TRUNK_SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_clavicle" for side in SIDES))
+
+
+class LimbAngles(NamedTuple):
+    """How far T poses are from a T- or A-pose, in degrees, by labels for people."""
+
+    tilts: dict[str, Float[np.ndarray, " T"]]  # of trunk, thighs and shins from the vertical
+    differences: dict[str, Float[np.ndarray, " T"]]  # of limbs from the mirrored ones of the other side
+    elbows: dict[str, Float[np.ndarray, " T"]]
+    slopes: dict[str, Float[np.ndarray, " T"]]  # of upper arms from the horizontal
+
+    def is_within(self, tilt_deg: float, difference_deg: float, elbow_deg: float, slope_deg: float) -> Bool[np.ndarray, " T"]:
+        """Return which poses have no larger angles."""
+        limits = (tilt_deg, difference_deg, elbow_deg, slope_deg)
+        is_within = [angles <= limit for group, limit in zip(self, limits, strict=True) for angles in group.values()]
+        return np.min(is_within, axis=0)
+
+    @property
+    def cost(self) -> Float[np.ndarray, " T"]:
+        """The sum of all angles; upper arms may have any slope of an A-pose."""
+        legs = np.sum([*self.tilts.values(), *self.differences.values()], axis=0)
+        hanging = [np.maximum(each - MAX_ARM_SLOPE_DEG, 0.0) for each in self.slopes.values()]
+        return legs + ARM_COST * np.sum([*self.elbows.values(), *hanging], axis=0)
+
+
+def measure_limbs(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> LimbAngles:
+    """Measure how far poses are from a T- or A-pose, from the positions of the bones in the world, Y up."""
+    heads = {segment: positions[:, chain[0]] for segment, chain in bones.items() if chain}
+    facing = _compute_facings(positions, bones)
+    hips, shoulders = (np.mean([heads[f"{side}_{each}"] for side in SIDES], axis=0) for each in ("thigh", "upper_arm"))
+    angles = LimbAngles({"trunk": _measure_angles_deg(shoulders - hips, UP)}, {}, {}, {})
+    vectors = {
+        (side, segment): np.einsum("tba,tb->ta", facing, heads[f"{side}_{end}"] - heads[f"{side}_{segment}"])
+        for side in SIDES
+        for segment, end in LIMB_ENDS.items()
+        if f"{side}_{end}" in heads
+    }
+    for (side, segment), vector in vectors.items():
+        name, other = segment.replace("_", " "), vectors.get(("right", segment))
+        if segment in ("thigh", "shin"):
+            angles.tilts[f"{side} {name}"] = _measure_angles_deg(vector, -UP)
+        elif segment == "upper_arm":
+            angles.slopes[side] = np.abs(90.0 - _measure_angles_deg(vector, UP))
+        else:
+            angles.elbows[side] = _measure_angles_deg(vectors[side, "upper_arm"], vector)
+        if side == "left" and other is not None:
+            angles.differences[f"{name}s"] = _measure_angles_deg(vector, other * [-1, 1, 1])
+    return angles
+
+
+def _compute_facings(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the rotations about Y from axes that face +Z to the figure in each pose, as `compute_facing` of the rest pose."""
+    leftward = np.sum(
+        [positions[:, bones[f"left_{s}"][0]] - positions[:, bones[f"right_{s}"][0]] for s in FRONT_SEGMENTS], axis=0
+    )
+    return Rotation.from_rotvec(np.arctan2(-leftward[:, 2], leftward[:, 0])[:, None] * UP).as_matrix()
+
+
+def _measure_angles_deg(one: Float[np.ndarray, "T 3"], other: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, " T"]:
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), (one * other).sum(1)))
+
+
+def describe_posed_limbs(character: Character) -> str:
+    """Return what is wrong as the end of a sentence if the figure does not stand in its rest pose, otherwise nothing."""
+    angles = measure_limbs(character.skeleton.rest_positions[None], character.mapping.bones)
+    worst = max(angles.tilts, key=lambda label: round(angles.tilts[label][0]))
+    tilt = float(angles.tilts[worst][0])
+    return f"{worst} {tilt:.0f} degrees from the vertical" if tilt > MAX_REST_TILT_DEG else ""
+
+
+class BonePoses(NamedTuple):
+    """T poses of J bones, as the offsets and rest rotations of a skeleton."""
+
+    offsets: Float[np.ndarray, "T J 3"]  # m
+    rotations: Float[np.ndarray, "T J 3 3"]
+
+
+def choose_rest_pose(character: Character, assign: Callable[[Character], Character], rest_frame: int | None) -> Character:
+    """Return a character in its rest pose, with the bones of the segments of its body.
+
+    Args:
+        character: As its file was read.
+        assign: Gives a posed character its mapping; raises SceneError if the bones do not form a body in that pose.
+        rest_frame: The frame of its file that is the rest pose, counted from 1; None to look for one.
+
+    Raises:
+        SceneError: If the bones do not form a body, or it stands in no pose of the file. The message names the file.
+    """
+    source = character.source.path if character.source else character.name
+    if rest_frame is not None:
+        return _note_pose(assign(_take_frame(character, rest_frame, source)), f"frame {rest_frame} of its file")
+    errors: list[SceneError] = []
+    found: list[Character] = []
+    for posed, name in _iterate_poses(character):
+        try:
+            found.append(_note_pose(assign(posed), name))
+        except SceneError as error:
+            errors.append(error)
+        else:
+            angles = measure_limbs(found[-1].skeleton.rest_positions[None], found[-1].mapping.bones)
+            if angles.is_within(MAX_REST_TILT_DEG, MAX_REST_DIFFERENCE_DEG, np.inf, np.inf).all():
+                return found[-1]
+    found += _search_frames(character, assign) if not found and errors else []
+    if not found:
+        raise errors[0]
+    framed = _find_standing_frame(found[0])
+    standing = [each for each in ([] if framed is None else [framed]) + found if not describe_posed_limbs(each)]
+    if standing:
+        return standing[0]
+    raise SceneError(
+        f"{source}: its bones are in no T- or A-pose ({describe_posed_limbs(found[0])}), and it stands in no frame of its file; "
+        "export it in its rest pose."
+    )
+
+
+def _iterate_poses(character: Character) -> Iterator[tuple[Character, str]]:
+    """Yield the character in the bind pose of its file, with a name of that, and in the pose in which it was read, without."""
+    bind = read_bind_pose(character)
+    if bind is not None and not (
+        np.allclose(bind.offsets[0], character.skeleton.offsets, atol=SAME_OFFSET_M)
+        and np.allclose(bind.rotations[0], character.skeleton.rest_rotations, atol=SAME_ROTATION)
+    ):
+        yield _pose(character, bind, 0), "the bind pose of its mesh"
+    yield character, ""
+
+
+def _pose(character: Character, poses: BonePoses, frame: int) -> Character:
+    skeleton = replace(character.skeleton, offsets=poses.offsets[frame], rest_rotations=poses.rotations[frame])
+    return replace(character, skeleton=skeleton)
+
+
+def _note_pose(character: Character, pose: str) -> Character:
+    if not pose:
+        return character
+    reason = f"{character.mapping.reason} Its rest pose is {pose}."
+    return replace(character, mapping=replace(character.mapping, reason=reason))
+
+
+def _iterate_frames(character: Character) -> Iterator[BonePoses]:
+    """Yield the frames of a character's file: of a BVH together, of a glTF those of one animation after the other."""
+    source = character.source
+    if source is not None and source.kind == "bvh":
+        animation = read_bvh(Path(source.path), source.data)
+        rotations, offsets = animation.compute_local_rotations(), animation.compute_local_positions()
+        axes = animation.rotation_y_up_file
+        rotations[:, 1:] = axes.T @ rotations[:, 1:] @ axes
+        rotations[:, 0] = rotations[:, 0] @ axes
+        offsets[:, 1:] = offsets[:, 1:] @ axes
+        offsets[~np.isfinite(rotations).all((1, 2, 3))] = np.nan
+        yield BonePoses(offsets, rotations)
+    else:
+        yield from iterate_animations(character)
+
+
+def _take_frame(character: Character, rest_frame: int, source: str) -> Character:
+    count = 0
+    for poses in _iterate_frames(character):
+        if 1 <= rest_frame - count <= len(poses.offsets):
+            posed = _pose(character, poses, rest_frame - count - 1)
+            if np.isfinite(posed.skeleton.offsets).all():
+                return posed
+        count += len(poses.offsets)
+    has = f"has frames from 1 to {count}, and not all of them are whole" if count else "has no frames"
+    raise SceneError(f"{source}: {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); choose another.")
+
+
+def _search_frames(character: Character, assign: Callable[[Character], Character]) -> list[Character]:
+    """Return the character in the first of some frames in which its bones form a body, nothing if there is none."""
+    for poses in _iterate_frames(character):
+        for frame in np.unique(np.linspace(0, len(poses.offsets) - 1, SAMPLED_POSES).round().astype(int)).tolist():
+            try:
+                return [assign(_pose(character, poses, frame))]
+            except SceneError:
+                continue
+    return []
+
+
+def _find_standing_frame(character: Character) -> Character | None:
+    """Return the character in the frame of its file that is the most like a T- or A-pose; None if it stands in no frame."""
+    best: tuple[float, Character, str] | None = None
+    bones, first = character.mapping.bones, 1
+    for poses in _iterate_frames(character):
+        positions, rotations = compose_transforms(character.skeleton.parents, poses.offsets, poses.rotations)
+        angles = measure_limbs(np.nan_to_num(positions), bones)
+        is_standard = angles.is_within(MAX_FRAME_TILT_DEG, MAX_FRAME_DIFFERENCE_DEG, MAX_ELBOW_DEG, MAX_ARM_SLOPE_DEG)
+        is_whole = np.isfinite(poses.offsets).all(axis=(1, 2))
+        is_standing = is_whole & angles.is_within(MAX_REST_TILT_DEG, np.inf, np.inf, np.inf)
+        cost = np.where(is_standing, angles.cost + np.where(is_standard, 0.0, STANDING_COST), np.inf)
+        frame = int(cost.argmin())
+        if np.isfinite(cost[frame]) and (best is None or cost[frame] < best[0]):
+            posed = _pose(character, poses, frame)
+            if not is_standard[frame]:
+                posed = _straighten(posed, positions[is_standing], rotations[is_standing])
+            best = float(cost[frame]), posed, f"frame {first + frame} of its file"
+        first += len(cost)
+    return None if best is None else _note_pose(best[1], best[2])
+
+
+def _straighten(posed: Character, positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Character:
+    """Return a character with trunk and feet as in T frames in which it stands: in the mean, and where the feet are lowest."""
+    bones, skeleton = posed.mapping.bones, posed.skeleton
+    place, world = skeleton.compute_rest_pose()
+    facing = _compute_facings(place[None], bones)[0] @ _compute_facings(positions, bones).swapaxes(1, 2)
+    straight = world.copy()
+    for segment in TRUNK_SEGMENTS:
+        for bone in bones.get(segment, ()):
+            straight[bone] = Rotation.from_matrix(facing @ rotations[:, bone]).mean().as_matrix()
+    for side in SIDES:
+        foot = [bones[f"{side}_{segment}"][0] for segment in ("foot", "toe") if bones.get(f"{side}_{segment}")]
+        height = positions[:, foot, 1].max(1)
+        is_flat = height <= np.percentile(height, LOWEST_FOOT_PERCENTILE)
+        for bone in foot:
+            upward = rotations[is_flat, bone, 1].mean(0)
+            straight[bone] = compute_shortest_rotation(world[bone] @ upward, UP) @ world[bone]
+    return replace(posed, skeleton=replace(skeleton, rest_rotations=compute_local_rotations(straight, skeleton.parents)))
+
+
+MAX_BIND_SCALE_ERROR = 0.02  # relative difference of the scale of a bone in the bind pose from that of its node
+
+Matrices = Float[np.ndarray, "N 4 4"]
+
+
+def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, int]] | None:
+    """Return the glTF of a character, and its bones by node; None for a character of another kind."""
+    source = character.source
+    if source is None or source.kind != "gltf":
+        return None
+    content = parse_glb(Path(source.path), source.data)
+    nodes = read_gltf_nodes(Path(source.path), content.document)
+    return content, nodes, {node: bone for bone, node in enumerate(source.nodes.tolist())}
+
+
+def build_bone_matrices(character: Character) -> Matrices:
+    """Return the transforms of the bones to the world in the rest pose, from the unit of the file along their axes."""
+    positions, rotations = character.skeleton.compute_rest_pose()
+    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = rotations * character.scales[:, None, None], positions
+    return matrices
+
+
+def _convert_to_poses(character: Character, matrices: Float[np.ndarray, "T J 4 4"]) -> BonePoses:
+    """Return poses from the transforms of the bones to the world."""
+    parents, linear, positions = character.skeleton.parents, matrices[..., :3, :3], matrices[..., :3, 3]
+    turned = Rotation.from_matrix(linear.reshape(-1, 3, 3) / np.cbrt(np.linalg.det(linear)).reshape(-1, 1, 1))
+    rotations = turned.as_matrix().reshape(linear.shape)
+    below, vectors = parents >= 0, positions.copy()
+    vectors[:, below] -= positions[:, parents[below]]
+    vectors[:, below] = np.einsum("tjba,tjb->tja", rotations[:, parents[below]], vectors[:, below])
+    return BonePoses(vectors, compute_local_rotations(rotations, parents))
+
+
+def read_bind_pose(character: Character) -> BonePoses | None:
+    """Return the pose in which the mesh was bound to the bones; None if the file is no glTF or does not have it.
+
+    Bones that are no joints of a skin keep their transform relative to the bone above.
+    """
+    if (file := open_gltf(character)) is None:
+        return None
+    content, nodes, bone_of = file
+    posed, bound = build_bone_matrices(character), dict[int, Float[np.ndarray, "4 4"]]()
+    shown = compute_node_matrices(content, nodes)[0]
+    for skin in range(len(content.document.get("skins", []))):
+        for joint, matrix in _bind_joints(content, nodes, shown, skin).items():
+            if joint in bone_of:
+                bound.setdefault(bone_of[joint], matrix)
+    if not bound:
+        return None
+    matrices = posed.copy()
+    for bone, parent in enumerate(character.skeleton.parents.tolist()):
+        if bone in bound:
+            matrices[bone] = bound[bone]
+        elif parent >= 0:
+            matrices[bone] = matrices[parent] @ np.linalg.inv(posed[parent]) @ posed[bone]
+    return _convert_to_poses(character, matrices[None])
+
+
+def _bind_joints(content: GlbContent, nodes: GltfNodes, shown: Matrices, skin: int) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Return the transforms of the joints of a skin to the world in the bind pose, nothing if these are not known.
+
+    Args:
+        content: The file.
+        nodes: Its nodes.
+        shown: Their transforms in the file.
+        skin: Index of the skin.
+    """
+    meshes = [node for node, entry in enumerate(nodes.entries) if "mesh" in entry and entry.get("skin") == skin]
+    joints: list[int] = content.document["skins"][skin]["joints"]
+    try:
+        stored = read_array(content, content.document["skins"][skin]["inverseBindMatrices"]).astype(float)
+        inverse = stored.reshape(len(joints), 4, 4).swapaxes(1, 2)  # stored by columns
+        bind, wanted = np.linalg.inv(inverse), np.cbrt(np.linalg.det(shown[joints][:, :3, :3]))
+    except (np.linalg.LinAlgError, *UNREADABLE):
+        return {}
+    # the last choice: as if the first joint were in the bind pose
+    for choice in (np.eye(4), *shown[meshes[:1]], shown[joints[0]] @ inverse[0]):
+        matrices = choice @ bind
+        with np.errstate(all="ignore"):
+            scales = np.cbrt(np.linalg.det(matrices[:, :3, :3])) / wanted
+        if np.isfinite(matrices).all() and (np.abs(scales - 1.0) < MAX_BIND_SCALE_ERROR).all():
+            return dict(zip(joints, matrices, strict=True))
+    return {}
+
+
+def iterate_animations(character: Character) -> Iterator[BonePoses]:
+    """Yield the poses of each animation of a glTF that moves its bones, one for every time that has a key."""
+    content, nodes, bone_of = open_gltf(character) or (None, None, {})
+    if content is None or nodes is None:
+        return
+    for animation in content.document.get("animations", []):
+        try:
+            times_s = _list_key_times(content, animation, bone_of)
+            matrices = compute_node_matrices(content, nodes, animation, times_s)[:, list(bone_of)]
+        except (AttributeError, *UNREADABLE):
+            continue
+        is_sound = np.isfinite(matrices).all((1, 2, 3)) & (np.linalg.det(matrices[..., :3, :3]) > 0).all(1)
+        if is_sound.all() and len(times_s):
+            yield _convert_to_poses(character, matrices)
+
+
+def _list_key_times(content: GlbContent, animation: dict[str, Any], bone_of: dict[int, int]) -> Sequence[float]:
+    """Return the times in seconds at which a bone has a key. Raises one of UNREADABLE."""
+    samplers = [each["sampler"] for each in animation["channels"] if each["target"].get("node") in bone_of]
+    inputs = {animation["samplers"][sampler]["input"] for sampler in samplers}
+    times = [read_array(content, each)[:, 0] for each in sorted(inputs)]
+    return np.unique(np.concatenate([np.zeros(0), *times])).tolist()
