@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 from mocapfix.errors import OptionError
 
 T = TypeVar("T")
+FRAME_RANGE_TYPE = tuple[int, int] | None  # of an option that FIRST:LAST gives
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Option:
         """Return the value that texts on the command line name, one for each time that the flag is given. Raises OptionError."""
         text = str(texts[-1])
         try:
-            if self.name == "frames":
+            if self.type == FRAME_RANGE_TYPE:
                 return parse_frames(text)
             if self.name == "subject":
                 return parse_subject_files(text)
@@ -127,14 +128,16 @@ class Option:
                 return self.from_display(float(text))
             return int(text) if self.type is int else text
         except ValueError:
-            form = ARGUMENT_FORMS.get(self.name, "numbers with commas between them")
+            form = ARGUMENT_FORMS.get(
+                "frames" if self.type == FRAME_RANGE_TYPE else self.name, "numbers with commas between them"
+            )
             raise OptionError(self.name, self.flag, self.job_key, f"must be {form}, not {text!r}") from None
 
     def format(self, value: Any) -> list[str]:
         """Return the arguments that `parse` reads as a value."""
         if value is True:
             return [self.flag]
-        if self.name == "frames":
+        if self.type == FRAME_RANGE_TYPE:
             return [f"{self.flag}={value[0]}:{value[1]}"]
         if self.name == "subject" and isinstance(value, tuple):
             value = ",".join(f"{prefix}={file}" for prefix, file in cast("tuple[tuple[str, str], ...]", value))

@@ -34,6 +34,7 @@ UNITS = ("mm", "cm", "m", "in", "ft")
 UP_AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
 FEET_OFF, FEET_SOFT, FEET_LOCK = "off", "soft", "lock"
 FEET_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
+ROOT_HIPS, ROOT_BONE, ROOT_IN_PLACE = "hips", "bone", "in-place"
 PURPOSE_ANIMATION, PURPOSE_LAB = "animation", "lab"
 PURPOSES = (PURPOSE_ANIMATION, PURPOSE_LAB)
 """what a cleaned take is for; some options have another default for a laboratory"""
@@ -300,6 +301,18 @@ class OutputOptions(StageOptions):
     rest_frame: int | None = define_option(
         None, "--rest-frame", "N", "frame of the character's file, counted from 1, that is its rest pose: a T- or A-pose",
         job_key="write.rest_frame", default_text="the bind pose, or the frame most like a T- or A-pose", at_least=1,
+    )  # fmt: skip
+    root_motion: str = define_option(
+        ROOT_HIPS, "--root-motion", "hips|bone|in-place",
+        "the path of a character on the floor: in its hips, in a root bone on the floor, or left out",
+        job_key="write.root_motion", choices=(ROOT_HIPS, ROOT_BONE, ROOT_IN_PLACE),
+    )  # fmt: skip
+    trim: tuple[int, int] | None = define_option(
+        None, "--trim", "FIRST:LAST", "write these frames of a character's motion only (frame numbers of the file)",
+        job_key="write.trim", default_text="all",
+    )  # fmt: skip
+    loop: bool = define_option(
+        False, "--loop", "", "let the last frame of a character's motion lead into the first", job_key="write.loop",
     )  # fmt: skip
 
 

@@ -162,14 +162,15 @@ def build_rig_format(rig: Rig) -> OutputFormat:
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
     """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
-    from mocapfix.characters.character_files import GLB_CONVERTERS, CharacterFiles
-    from mocapfix.characters.load_character import load_character  # few cleanings need it
+    from mocapfix.characters.character_files import CharacterFiles  # few cleanings need it
+    from mocapfix.characters.clips import find_trimmed_frames
+    from mocapfix.characters.load_character import load_character
 
-    converted = tuple(each for each in dict.fromkeys(options.extra_formats) if each in GLB_CONVERTERS)
-    files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), converted)
+    files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), options)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
-        return files.write(target, *content.motion.parts, content.exported_contacts)
+        frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
+        return files.write(target, *content.motion.parts, content.exported_contacts, frames)
 
     first, *others = files.suffixes
     return OutputFormat(first, write_file, tuple(others), needs_body=True)

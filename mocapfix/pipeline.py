@@ -15,7 +15,7 @@ from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
-from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
+from mocapfix.fill.gap_filling import check_take_options, fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
 from mocapfix.labels import multi_subject
@@ -95,7 +95,7 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     reject_hierarchy(capture, options.subject)
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
-    check_fill_options(capture, options.fill)
+    check_take_options(capture, options)
     takes, reviews, exchanges = split_corrected_subjects(capture, options)
     results = clean_subjects(takes, reviews, options, load_pose_model, timer)
     result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))

@@ -18,13 +18,13 @@ from mocapfix.errors import (
     join_names,
     shorten_message,
 )
-from mocapfix.fill.gap_filling import check_fill_options
+from mocapfix.fill.gap_filling import check_take_options
 from mocapfix.io.capture import read_capture
 from mocapfix.labels import multi_subject
 from mocapfix.labels.label_summary import describe_labelling
 from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.take import Take
-from mocapfix.options import FillOptions, SubjectOptions
+from mocapfix.options import SubjectOptions, build_clean_options
 from mocapfix.report import notes
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.solve.lost_in_sight import LostPart
@@ -97,7 +97,7 @@ def list_long_messages() -> dict[str, str]:
         "uncertain": " ".join(notes.describe_uncertain_fills(take)),
         "no set": choose_marker_set(LABELS).reason,
         "no set, short labels": choose_marker_set(("LASI", "RASI", *map(str, range(300)))).reason,
-        "keep": get_message(check_fill_options, take, FillOptions(keep=tuple(f"NO{n}" for n in range(90)))),
+        "keep": get_message(check_take_options, take, build_clean_options(keep=tuple(f"NO{n}" for n in range(90)))),
         "set": get_message(load_marker_set, "cleveland"),
         "wrong set": get_message(resolve_subject, replace(take, labels=LABELS), SubjectOptions(marker_set="cmu41")),
         "subject": get_message(multi_subject.split_subjects, several, None, "Bob"),

@@ -30,7 +30,7 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTAC
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
-from mocapfix.fill.gap_filling import check_fill_options
+from mocapfix.fill.gap_filling import check_take_options
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
@@ -276,7 +276,7 @@ def clean_animation(
     The pose prior is loaded when lost joints are predicted, if there is one. Raises as `pipeline.clean`.
     """
     reject_marker_options(animation, options)
-    check_fill_options(build_joint_take(animation), options.fill, "joint")
+    check_take_options(build_joint_take(animation), options, "joint")
     review = read_changes_files(options.review.review_files, [build_tip_take(animation)])[0]
     reject_corrections(review, animation.name, "this is an animation")
     with timer("detect"):

@@ -84,10 +84,17 @@ class CharacterMotion:
     pelvis_position: Float[np.ndarray, "T 3"]  # m: the head of the pelvis bone in its parent's axes (for a root: in the world)
     local_rotations: Float[np.ndarray, "T J 3 3"]  # bones that the motion does not turn keep their rest rotation
     rate: float  # frames per second
+    # bone to its head (T, 3) in its parent's axes, in metres, of other bones that change their place: a root bone
+    positions: Mapping[int, Float[np.ndarray, "T 3"]] = field(default_factory=dict)
 
     @property
     def frame_count(self) -> int:
         return len(self.pelvis_position)
+
+    def select_frames(self, frames: slice) -> "CharacterMotion":
+        """Return some of the frames."""
+        positions = {bone: each[frames] for bone, each in self.positions.items()}
+        return CharacterMotion(self.pelvis_position[frames], self.local_rotations[frames], self.rate, positions)
 
 
 def compute_character_poses(
@@ -95,7 +102,8 @@ def compute_character_poses(
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
     """Compute the positions in metres and the rotations of the bones in the world, in every frame."""
     positions = np.tile(character.skeleton.offsets, (motion.frame_count, 1, 1))
-    positions[:, character.mapping.bones["pelvis"][0]] = motion.pelvis_position
+    for bone, position in {character.mapping.bones["pelvis"][0]: motion.pelvis_position, **motion.positions}.items():
+        positions[:, bone] = position
     return compose_transforms(character.skeleton.parents, positions, motion.local_rotations)
 
 

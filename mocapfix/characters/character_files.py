@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame
 from mocapfix.characters.character import (
+    SIDES,
     Character,
     CharacterMotion,
     build_cmu31_character,
@@ -28,9 +29,13 @@ from mocapfix.characters.character import (
     convert_motion,
 )
 from mocapfix.characters.character_yaml import write_mapping_file
+from mocapfix.characters.clips import close_loop
 from mocapfix.characters.fbx import write_fbx
+from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.characters.root_motion import carry_path, list_source_joints, prepare_root_bone
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import (
@@ -48,6 +53,7 @@ from mocapfix.io.gltf import (
 from mocapfix.io.npz import write_character_npz
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
+from mocapfix.options import ROOT_BONE, OutputOptions
 
 MIN_MOVED_ELEMENT = 1e-6
 """difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
@@ -113,7 +119,9 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     positions, rotations = character.skeleton.compute_rest_pose()
     has_child = np.isin(np.arange(len(positions)), character.skeleton.parents)
     tails = positions + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
-    add_test_skin(buffer, character.skeleton.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
+    shown_parents = character.skeleton.parents.copy()
+    shown_parents[character.mapping.bones["pelvis"][0]] = -1  # no bone is shown from a root bone to the pelvis
+    add_test_skin(buffer, shown_parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
     return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
 
 
@@ -151,7 +159,7 @@ def _compute_node_curves(
     """
     pelvis, turning = character.mapping.bones["pelvis"][0], list_moving_bones(character, motion)
     if character.source is None or character.source.kind != "gltf":
-        return NodeCurves(motion.local_rotations, turning, {pelvis: motion.pelvis_position})
+        return NodeCurves(motion.local_rotations, turning, {pelvis: motion.pelvis_position, **motion.positions})
     tree = read_gltf_nodes(Path(character.source.path), content.document)
     place = {node: bone for bone, node in enumerate(nodes.tolist())}
     ordered = [node for node in tree.ordered if node in place]
@@ -160,7 +168,7 @@ def _compute_node_curves(
     parents[bones] = [place.get(int(tree.parents[node]), -1) for node in ordered]
     rest_position, rest_rotation = np.empty((len(nodes), 3)), np.empty((len(nodes), 3, 3))
     rest_position[bones], rest_rotation[bones] = at_rest.positions, at_rest.rotations
-    rotations, positions = motion.local_rotations, {pelvis: motion.pelvis_position}
+    rotations, positions = motion.local_rotations, {pelvis: motion.pelvis_position, **motion.positions}
     if len(moved := np.flatnonzero(parents != character.skeleton.parents)):
         place_world, axes_world = compute_character_poses(character, motion)
         rotations = rotations.copy()
@@ -268,16 +276,16 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
     skeleton = Skeleton(tuple(names), parents, offsets, _choose_ends(parents, offsets, tails))
     pelvis = place[character.mapping.bones["pelvis"][0]] + len(names) - len(bones)
     positioned = {0: positions[:, 0]}
-    if pelvis:
-        above = int(parents[pelvis])
-        positioned[pelvis] = np.einsum("tba,tb->ta", turned[:, above], positions[:, pelvis] - positions[:, above])
+    for joint in {pelvis, *(place[bone] + len(names) - len(bones) for bone in motion.positions)} - {0}:
+        above = int(parents[joint])
+        positioned[joint] = np.einsum("tba,tb->ta", turned[:, above], positions[:, joint] - positions[:, above])
     unit_m = _choose_unit(character)
     write_bvh_tree(target, skeleton, positioned, np.ascontiguousarray(local_rotations), motion.rate, unit_m)
 
 
 def _list_written_bones(character: Character) -> list[int]:
     """Return the bones that are written: all but nodes of a glTF at the top that are no joints and carry a single bone."""
-    joints = _list_source_joints(character)
+    joints = list_source_joints(character)
     bones, mapped = list(range(len(character.skeleton.names))), character.mapping.bones["pelvis"][0]
     while joints and bones[0] not in joints and bones[0] != mapped:
         children = np.flatnonzero(character.skeleton.parents == bones[0])
@@ -286,16 +294,6 @@ def _list_written_bones(character: Character) -> list[int]:
             break
         bones = bones[1:]
     return bones
-
-
-def _list_source_joints(character: Character) -> set[int]:
-    """Return the bones that are joints of a skin, none for a character without a glTF."""
-    source = character.source
-    if source is None or source.kind != "gltf":
-        return set()
-    skins = parse_glb(Path(source.path), source.data).document.get("skins", [])
-    joints = {joint for skin in skins for joint in skin["joints"]}
-    return {bone for bone, node in enumerate(source.nodes.tolist()) if node in joints}
 
 
 def _choose_ends(
@@ -325,10 +323,15 @@ returns a sentence why no file was written: one that is missing is no reason to 
 
 @dataclass(frozen=True)
 class CharacterFiles:
-    """What is written of a character."""
+    """What is written of a character, with a root bone if that carries its path."""
 
     character: Character
-    converted: tuple[str, ...] = ()  # suffixes among GLB_CONVERTERS
+    options: OutputOptions
+
+    @property
+    def converted(self) -> tuple[str, ...]:
+        """The suffixes of the requested formats among GLB_CONVERTERS."""
+        return tuple(each for each in dict.fromkeys(self.options.extra_formats) if each in GLB_CONVERTERS)
 
     @property
     def suffixes(self) -> tuple[str, ...]:
@@ -339,26 +342,48 @@ class CharacterFiles:
         return tuple(f"{self.character.name}.{ending}" for ending in endings)
 
     def write(
-        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
+        self,
+        target: Path,
+        skeleton: Skeleton,
+        motion: Motion,
+        rate: float,
+        contacts: BodyContacts | None = None,
+        frames: slice = slice(None),
     ) -> list[str]:
         """Write the motion of a solved skeleton, retargeted onto the character, into a GLB or VRM and files beside it.
 
-        If the feet of the motion are locked in its contacts, so are the character's.
+        If the feet of the motion are locked in its contacts, so are the character's. `frames` are those that are written.
 
         Returns sentences for the report. Raises WriteError if a file is not writable.
         """
-        character = self.character
-        source = build_cmu31_character(skeleton)
-        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
-        write_character_bvh(target.with_suffix(".bvh"), character, retargeted)
-        moving_bones = list_moving_bones(character, retargeted)
-        write_character_npz(target.with_suffix(".npz"), character, retargeted, moving_bones)
-        write_mapping_file(target.with_suffix(".map.yaml"), character)
+        root_motion, source = self.options.root_motion, build_cmu31_character(skeleton)
+        character = prepare_root_bone(self.character) if root_motion == ROOT_BONE else self.character
+        delivered = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts).select_frames(frames)
+        if not delivered.frame_count:
+            raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
-        write_character_glb(target, character, retargeted, target.name.partition(".")[0])
+        if self.options.loop:
+            delivered, seam = close_loop(character, delivered, _find_standing_feet(contacts, motion.frame_count, rate, frames))
+            notes.append(f"{target.name}: {seam}")
+        delivered = carry_path(character, delivered, root_motion, is_loop=self.options.loop)
+        write_character_bvh(target.with_suffix(".bvh"), character, delivered)
+        moving_bones = list_moving_bones(character, delivered)
+        write_character_npz(target.with_suffix(".npz"), character, delivered, moving_bones)
+        write_mapping_file(target.with_suffix(".map.yaml"), character)
+        write_character_glb(target, character, delivered, target.name.partition(".")[0])
         problems = [GLB_CONVERTERS[suffix](target.with_suffix(f".{suffix}"), target, rate) for suffix in self.converted]
         return notes + [each for each in problems if each]
+
+
+def _find_standing_feet(
+    contacts: BodyContacts | None, frame_count: int, rate: float, frames: slice
+) -> dict[str, Bool[np.ndarray, " T"]]:
+    """Return when each foot is in contact, by side, in some frames of a motion at a rate."""
+    if contacts is None:
+        return {side: np.zeros(frame_count, bool)[frames] for side in SIDES}
+    resampled = resample_foot_contacts(contacts, frame_count, rate)
+    return {side: resampled.find_foot_contact(side)[frames] for side in SIDES}
 
 
 def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:

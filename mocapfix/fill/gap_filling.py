@@ -17,7 +17,7 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, compute_editable_mask
 from mocapfix.model.detected import Detected, MarkerEpochs
 from mocapfix.model.take import Take
-from mocapfix.options import FillOptions
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
@@ -155,8 +155,8 @@ def fill_take(
     return FilledTake(after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1))
 
 
-def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -> None:
-    """Raise TakeError if `keep` or `frames` name what the take does not have.
+def check_take_options(take: Take, options: CleanOptions, noun: str = "marker") -> None:
+    """Raise TakeError if `keep`, `frames` or `trim` name what the take does not have.
 
     Args:
         take: the take.
@@ -164,12 +164,11 @@ def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -
         noun: "marker", or "joint" for an animation.
     """
     known = set(take.labels) | set(take.bare_labels)
-    if unknown := [label for label in options.keep if label not in known]:
+    if unknown := [label for label in options.fill.keep if label not in known]:
         known_labels = format_name_list(take.labels)
         raise TakeError(f"{take.name}: has no {noun} {format_name_list(unknown)} to keep; its {noun}s are {known_labels}.")
-    if options.frames:
-        first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
-        start, stop = options.frames
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    for start, stop in filter(None, (options.fill.frames, options.output.trim)):
         if start > stop:
             raise TakeError(f"{take.name}: frames {start} to {stop}: the first must not come after the last.")
         if stop < first or start > last:

@@ -126,5 +126,8 @@ def write_character_npz(target: Path, character: "Character", motion: "Character
             ["\n".join(character.skeleton.names[bone] for bone in character.mapping.bones[segment]) for segment in segments]
         ),
     }
+    if motion.positions:
+        arrays["positioned_bones"] = np.array([character.skeleton.names[bone] for bone in motion.positions])
+        arrays["positions"] = np.stack(list(motion.positions.values()), axis=1)
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)

@@ -80,7 +80,7 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
     contacts = build_contacts(skeleton, solved, RATE)
     raised = replace(contacts, floor=replace(contacts.floor, level_heights_m=(0.1,)), held_feet=HeldFeet(mode, 0.0))
     target = load_character("mixamo")
-    CharacterFiles(target).write(tmp_path / "walk.mixamo.glb", skeleton, solved, RATE, raised)
+    CharacterFiles(target, OutputOptions()).write(tmp_path / "walk.mixamo.glb", skeleton, solved, RATE, raised)
     arrays = np.load(tmp_path / "walk.mixamo.npz")
     pelvis = arrays["pelvis_position"]
 
@@ -100,7 +100,7 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
 
 
 def test_file_names_are_checked_before_anything_is_cleaned():
-    files = CharacterFiles(load_character("mixamo"), ("fbx",))
+    files = CharacterFiles(load_character("mixamo"), OutputOptions(extra_formats=("fbx", "npz")))
     assert files.suffixes == ("mixamo.glb", "mixamo.bvh", "mixamo.npz", "mixamo.map.yaml", "mixamo.fbx")
     list_output_formats(OutputOptions(characters=("mixamo", "mixamo")))  # the same twice is written once
     with pytest.raises(WriteError, match=r"both have the suffix \.mixamo\.glb"):

@@ -1,0 +1,257 @@
+"""The clip of a motion that is delivered: which frames, and how they are closed to a loop, whose last leads into the first.
+
+From one cycle to the next the body moves on over the floor and turns: a step that is no fault of a walk. Relative to that step
+the last frame becomes the pose of the first. Half of the difference is added at the beginning of the motion, half taken away at
+its end, and both fade within BLEND_S: of the rotations of the bones, of the place of the pelvis, and of their speeds, by
+polynomials of the fifth degree without steps in speed or acceleration.
+
+Feet keep their contacts: a foot that stands at the beginning or the end is moved as a whole, for as long as it stands, and the
+difference fades while it swings. Thigh and shin follow by the closed form of two bones, in the plane in which the knee bends.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.character import SIDES, Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.root_motion import measure_floor_path, turn_about_vertical
+from mocapfix.io.resampling import FRAME_TOLERANCE
+from mocapfix.model.take import Take
+from mocapfix.stats.rigid_alignment import compute_shortest_rotations
+from mocapfix.stats.sequences import find_runs
+
+BLEND_S = 0.4  # time in which the difference at the seam fades: about one swing of a foot
+MAX_STANDING_TRAVEL_M = (
+    0.2  # way of the pelvis from the first to the last frame up to which a body returns: less than half a step
+)
+MAX_STANDING_TURN_RAD = np.deg2rad(20.0)  # the same of its heading
+BEND_SHARE = 0.05  # weight of the mean plane in which a knee bends, beside that of the frame: it decides where a leg is straight
+MIN_LOOP_FRAMES = 5
+SPEED_SHARES = {(False, False): (0.5, 0.5), (True, False): (0.0, 1.0), (False, True): (1.0, 0.0), (True, True): (0.0, 0.0)}
+"""How much of a difference of a foot's speeds is taken at the beginning and at the end, by whether the foot stands there."""
+
+
+class CycleStep(NamedTuple):
+    """How the body moves on over the floor from one cycle to the next."""
+
+    yaw_rad: float
+    translation: Float[np.ndarray, " 3"]  # m, after the turn
+    distance_m: float  # from the first place of the pelvis to the last
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """The turn about the vertical."""
+        return turn_about_vertical(self.yaw_rad).as_matrix()
+
+    def undo(self, position: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Return positions of the last frame as seen in the first cycle."""
+        return (position - self.translation) @ self.rotation
+
+
+class Seam(NamedTuple):
+    """The largest differences of the bones between the last frame and the first."""
+
+    position_m: float
+    rotation_rad: float
+    velocity_m_s: float
+
+    def describe(self) -> str:
+        """Return the differences as part of a sentence."""
+        return f"{1e3 * self.position_m:.1f} mm, {np.rad2deg(self.rotation_rad):.1f} degrees and {self.velocity_m_s:.2f} m/s"
+
+
+def find_trimmed_frames(trim: tuple[int, int] | None, take: Take, rate: float) -> slice:
+    """Return the frames of a motion at a rate that lie within the first and the last frame of a range of the take."""
+    if trim is None:
+        return slice(None)
+    first, last = ((frame - take.first_frame) * rate / take.rate for frame in trim)
+    return slice(max(math.ceil(first - FRAME_TOLERANCE), 0), max(math.floor(last + FRAME_TOLERANCE) + 1, 0))
+
+
+def close_loop(
+    character: Character, motion: CharacterMotion, is_standing: Mapping[str, Bool[np.ndarray, " T"]]
+) -> tuple[CharacterMotion, str]:
+    """Return a motion closed to a loop, and a sentence on its seam.
+
+    Args:
+        character: The character.
+        motion: Its motion over T frames, in which the bones above the pelvis keep the rest pose.
+        is_standing: When each foot is in contact, by side.
+    """
+    if motion.frame_count < MIN_LOOP_FRAMES:
+        return motion, f"The motion of {motion.frame_count} frames is too short for a loop, and is left as it is."
+    step = _measure_step(character, motion)
+    blended = _blend_poses(character, motion, step)
+    closed = _place_feet(character, motion, blended, step, is_standing)
+    before, after = (_measure_seam(character, each, step) for each in (motion, closed))
+    duration_s = (motion.frame_count - 1) / motion.rate
+    sentence = (
+        f"Loop of {duration_s:.2f} s: its ends differed by {before.describe()}, now by {after.describe()}. A cycle travels "
+        f"{step.distance_m:.2f} m and turns by {np.rad2deg(step.yaw_rad):.0f} degrees."
+    )
+    return closed, sentence
+
+
+def _measure_step(character: Character, motion: CharacterMotion) -> CycleStep:
+    """Return the step of a body that moves on, none for one that returns to its place."""
+    path = measure_floor_path(character, motion)
+    first, last = path.position[[0, -1]]
+    yaw = float(path.yaw_rad[-1] - path.yaw_rad[0])
+    if np.linalg.norm(last - first) < MAX_STANDING_TRAVEL_M and abs(np.sin(yaw / 2)) < np.sin(MAX_STANDING_TURN_RAD / 2):
+        return CycleStep(0.0, np.zeros(3), 0.0)
+    return CycleStep(yaw, last - turn_about_vertical(yaw).apply(first), float(np.linalg.norm(last - first)))
+
+
+def _measure_seam(character: Character, motion: CharacterMotion, step: CycleStep) -> Seam:
+    positions, rotations = compute_character_poses(character, motion)
+    bones = sorted({bone for chain in character.mapping.bones.values() for bone in chain})
+    positions, rotations = positions[:, bones], rotations[:, bones]
+    turned = rotations[0].swapaxes(1, 2) @ step.rotation.T @ rotations[-1]
+    velocity = (positions[-1] - positions[-2]) @ step.rotation - (positions[1] - positions[0])
+    return Seam(
+        float(np.linalg.norm(step.undo(positions[-1]) - positions[0], axis=1).max()),
+        float(Rotation.from_matrix(turned).magnitude().max()),
+        float(np.linalg.norm(velocity, axis=1).max() * motion.rate),
+    )
+
+
+class Fade(NamedTuple):
+    """How a correction fades: weights of a difference of places and of one of speeds, over T frames."""
+
+    place: Float[np.ndarray, " T"]  # from 1 at the seam to 0
+    speed_s: Float[np.ndarray, " T"]  # 0 at the seam, where it rises by the share of the speed per second, and 0 later
+
+    @staticmethod
+    def build(frame_count: int, rate: float, held: int, duration: int, speed_share: float) -> "Fade":
+        """Return a fade of `duration` frames that begins after `held` frames at full weight.
+
+        Args:
+            speed_share: How much of the difference of speeds is taken at this side of the seam.
+        """
+        s = np.clip((np.arange(frame_count) - held) / duration, 0.0, 1.0)
+        place = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        speed = s - 6.0 * s**3 + 8.0 * s**4 - 3.0 * s**5
+        return Fade(place, speed_share * duration / rate * speed)
+
+    def correct(
+        self, end: "Fade", gap: Float[np.ndarray, "*n 3"], speed_gap: Float[np.ndarray, "*n 3"]
+    ) -> tuple[Float[np.ndarray, "T *n 3"], Float[np.ndarray, "T *n 3"]]:
+        """Return what is added at the beginning, which fades as this, and at the end, from the differences end - beginning."""
+
+        beginning, ending = (np.multiply.outer(each.place, 0.5 * gap) for each in (self, end))
+        start_speed, end_speed = (np.multiply.outer(each.speed_s, speed_gap) for each in (self, end))
+        return beginning + start_speed, (end_speed - ending)[::-1]
+
+
+def _blend_poses(character: Character, motion: CharacterMotion, step: CycleStep) -> CharacterMotion:
+    """Return the motion with the differences of all rotations and of the pelvis at the seam taken out."""
+    count, rate, pelvis = motion.frame_count, motion.rate, character.mapping.bones["pelvis"][0]
+    fade = Fade.build(count, rate, 0, _limit_fade(count, rate), 0.5)
+    positions, rotations = compute_character_poses(character, motion)
+    local = motion.local_rotations.copy()
+    local[:, pelvis] = rotations[:, pelvis]
+    last = local[-1].copy()
+    last[pelvis] = step.rotation.T @ last[pelvis]
+    gap = _compute_vectors(local[0], last)
+    speed_gap = rate * (_compute_vectors(local[-2], local[-1]) - _compute_vectors(local[0], local[1]))
+    turn = np.sum(fade.correct(fade, gap, speed_gap), axis=0)
+    local = local @ Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(local.shape)
+    place = positions[:, pelvis]
+    speed_gap = rate * ((place[-1] - place[-2]) @ step.rotation - (place[1] - place[0]))
+    beginning, end = fade.correct(fade, step.undo(place[-1]) - place[0], speed_gap)
+    place = place + beginning + end @ step.rotation.T
+    above = int(character.skeleton.parents[pelvis])
+    if above >= 0:
+        local[:, pelvis] = rotations[:, above].swapaxes(1, 2) @ local[:, pelvis]
+        place = np.einsum("tba,tb->ta", rotations[:, above], place - positions[:, above])
+    return replace(motion, pelvis_position=place, local_rotations=local)
+
+
+def _limit_fade(frame_count: int, rate: float) -> int:
+    """Return the frames in which a difference fades: it is gone in the middle of the motion."""
+    return max(min(round(BLEND_S * rate), (frame_count - 1) // 2), 1)
+
+
+def _compute_vectors(one: Float[np.ndarray, "*n 3 3"], other: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Return the rotation vectors from one rotation to another, in the axes of the first."""
+    turns = one.swapaxes(-1, -2) @ other
+    return Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(turns.shape[:-1])
+
+
+def _place_feet(
+    character: Character,
+    motion: CharacterMotion,
+    blended: CharacterMotion,
+    step: CycleStep,
+    is_standing: Mapping[str, Bool[np.ndarray, " T"]],
+) -> CharacterMotion:
+    """Return the blended motion with the feet of the motion, moved as a whole while they stand at the seam."""
+    count, rate, bones, parents = motion.frame_count, motion.rate, character.mapping.bones, character.skeleton.parents
+    positions, rotations = compute_character_poses(character, motion)
+    blended_positions, blended_rotations = compute_character_poses(character, blended)
+    local = blended.local_rotations.copy()
+    for side in SIDES:
+        thigh, shin, foot = (bones[f"{side}_{segment}"][0] for segment in ("thigh", "shin", "foot"))
+        place, axes, stands = positions[:, foot], rotations[:, foot], is_standing[side]
+        shares = SPEED_SHARES[bool(stands[0]), bool(stands[-1])]
+        start, end = (
+            Fade.build(count, rate, *_find_fade(each, rate), share)
+            for each, share in zip((stands, stands[::-1]), shares, strict=True)
+        )
+        speed_gap = rate * ((place[-1] - place[-2]) @ step.rotation - (place[1] - place[0]))
+        beginning, ending = start.correct(end, step.undo(place[-1]) - place[0], speed_gap)
+        target = place + beginning + ending @ step.rotation.T
+        turn_gap = _compute_vectors(axes[0], step.rotation.T @ axes[-1])
+        turn_speed = rate * (_compute_vectors(axes[-2], axes[-1]) - _compute_vectors(axes[0], axes[1]))
+        turned = axes @ Rotation.from_rotvec(np.sum(start.correct(end, turn_gap, turn_speed), axis=0)).as_matrix()
+        leg = blended_positions[:, [thigh, shin, foot]]
+        swing, bend = _reach(leg, blended_rotations[:, thigh], target)
+        above_thigh, above_shin, above_foot = (blended_rotations[:, parents[bone]] for bone in (thigh, shin, foot))
+        local[:, thigh] = above_thigh.swapaxes(1, 2) @ swing @ blended_rotations[:, thigh]
+        local[:, shin] = above_shin.swapaxes(1, 2) @ bend @ blended_rotations[:, shin]
+        local[:, foot] = (swing @ bend @ above_foot).swapaxes(1, 2) @ turned
+    return replace(blended, local_rotations=local)
+
+
+def _find_fade(stands: Bool[np.ndarray, " T"], rate: float) -> tuple[int, int]:
+    """Return for how many frames a foot keeps the whole difference from the seam on, and in how many it then fades."""
+    duration, middle = _limit_fade(len(stands), rate), (len(stands) - 1) // 2
+    runs = find_runs(stands)
+    held = runs[0][1] if stands[0] else 0
+    if held >= middle:  # it stands half of the cycle: the difference fades all the time
+        return 0, max(middle, 1)
+    following = next((first for first, _ in runs if first > held), len(stands))
+    return held, max(min(duration, following - held, middle - held), 1)
+
+
+def _reach(
+    leg: Float[np.ndarray, "T 3 3"], thigh_axes: Float[np.ndarray, "T 3 3"], target: Float[np.ndarray, "T 3"]
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3 3"]]:
+    """Return the rotations in the world of a whole leg, and before that of its shin about the knee, by which it ends at a target.
+
+    Args:
+        leg: Hip, knee and ankle.
+        thigh_axes: Rotation of the thigh in the world.
+        target: Where the ankle shall be; it comes as near as the leg reaches.
+    """
+    hip, knee, ankle = leg.swapaxes(0, 1)
+    upper, lower = knee - hip, ankle - knee
+    upper_m, lower_m = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    normal = np.cross(upper, lower) / (upper_m * lower_m)[:, None]
+    mean = np.einsum("tba,tb->a", thigh_axes, normal)
+    normal += BEND_SHARE * (thigh_axes @ (mean / max(float(np.linalg.norm(mean)), np.finfo(float).tiny)))
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+
+    def measure_flexion(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+        cosine = (distance**2 - upper_m**2 - lower_m**2) / (2.0 * upper_m * lower_m)
+        return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+    change = measure_flexion(np.linalg.norm(target - hip, axis=1)) - measure_flexion(np.linalg.norm(ankle - hip, axis=1))
+    bend = Rotation.from_rotvec(change[:, None] * normal).as_matrix()
+    swing = compute_shortest_rotations(upper + np.einsum("tab,tb->ta", bend, lower), target - hip)
+    return swing, bend
