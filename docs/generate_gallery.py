@@ -42,14 +42,21 @@ from playwright.sync_api import sync_playwright
 from scipy.spatial.transform import Rotation
 
 import mocapfix
-from mocapfix.characters.character import build_cmu31_character, compute_character_poses, convert_motion
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
+from mocapfix.characters.character import (
+    Character,
+    CharacterMotion,
+    build_cmu31_character,
+    compute_character_poses,
+    convert_motion,
+)
 from mocapfix.characters.load_character import load_character
-from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.characters.retarget_motion import build_solve_tree, compose_character_motion, retarget_motion, spread_rotations
 from mocapfix.io.bvh import read_bvh, write_bvh
 from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.label_recovery import remove_labels
-from mocapfix.lab.retargeting import copy_rotations
 from mocapfix.lab.review_page import CHROMIUM_ARGUMENTS, find_chromium
+from mocapfix.model.skeleton import compute_local_rotations
 from mocapfix.model.take import Take
 from mocapfix.result import CleaningResult
 from mocapfix.synthetic import SyntheticTake, compose_take, interpolate_markers
@@ -284,6 +291,18 @@ def measure_slide_mm(toes: dict[str, Float[np.ndarray, "T 3"]], contacts: Sequen
     """Return how far a foot gets from where it first stood, on the floor: the mean over contacts (side, first, last frame)."""
     ways = [toes[side][first : last + 1, [0, 2]] - toes[side][first, [0, 2]] for side, first, last in contacts]
     return float(np.mean([np.linalg.norm(way, axis=1).max() for way in ways]) * 1e3)
+
+
+def copy_rotations(source: Character, motion: CharacterMotion, target: Character) -> CharacterMotion:
+    """Return the motion of a target as constraints in Blender make it: rotations in the world, and the path of the pelvis."""
+    source_frame, target_frame = build_body_frame(source), build_body_frame(target)
+    segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
+    rotation = spread_rotations(source_frame, target_frame, tree, segments)
+    standing = [frame.leg_length_m + frame.ankle_height_m - frame.hip_centre[1] for frame in (source_frame, target_frame)]
+    pelvis = segments.position["pelvis"] + np.array([0.0, standing[1] - standing[0], 0.0])
+    return compose_character_motion(
+        target_frame, tree, pelvis, compute_local_rotations(rotation, tree.skeleton.parents), motion.rate
+    )
 
 
 def make_character(studio: Studio) -> str:

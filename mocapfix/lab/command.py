@@ -13,6 +13,7 @@ from rich.markup import escape
 from mocapfix.cli.arguments import FlagOption, JsonOption, TakesArgument, describe_option
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_line, print_usage_error, show_progress
 from mocapfix.lab.results import print_results
+from mocapfix.options import CHARACTER_PRESETS
 
 MotionFolderOption = Annotated[
     Path | None, tyro.conf.arg(metavar="FOLDER", help="motion with the test subjects; by default motion is composed")
@@ -243,14 +244,20 @@ def run_bench_contacts(
     return print_results(contacts.summarise_contacts(errors, agreements, events, frames), as_json)
 
 
-def run_bench_retarget(data: MotionFolderOption = None, as_json: JsonOption = False) -> int:
-    """Retarget motion onto each preset and back, and onto characters of other proportions, beside copied rotations."""
-    from mocapfix.lab.retargeting import load_bench_motions, measure_proportions, measure_round_trips
+def run_bench_retarget(
+    data: MotionFolderOption = None,
+    captures: CapturesOption = None,
+    characters: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE", help="characters; by default all presets")
+    ] = CHARACTER_PRESETS,
+    feet: Annotated[Literal["soft", "lock", "off"], tyro.conf.arg(help="how standing feet are held")] = "soft",
+    as_json: JsonOption = False,
+) -> int:
+    """Compare presets, other characters and figures of other proportions with the landmarks and markers of the performer."""
+    from mocapfix.lab.retargeting import load_bench_motions, measure_characters
 
     with show_progress("retarget") as progress:
-        motions = load_bench_motions(data)
-        trips, proportions = measure_round_trips(motions, progress), measure_proportions(motions, progress)
-    results = {"presets": [asdict(each) for each in trips], "proportions": [asdict(each) for each in proportions]}
+        results = measure_characters(load_bench_motions(data, captures, feet), characters, progress)
     return print_results(results, as_json)
 
 

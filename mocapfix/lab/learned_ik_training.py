@@ -16,7 +16,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from mocapfix.errors import WriteError
 from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses, TransferTree
 from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
@@ -310,8 +309,6 @@ def train_learned_ik(
     After an interruption, the training continues. Raises ReadError if the folders hold no motion of the required subjects,
     WriteError if the files cannot be written.
     """
-    if target.suffix != ".safetensors":
-        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     unused, checkpoint = settings.test_subjects | settings.held_out_subjects, target.with_suffix(CHECKPOINT_SUFFIX)
     sequences = gather_sequences(folders, lambda subject: subject not in unused, progress)
     held_out = gather_sequences(folders, lambda subject: subject in settings.held_out_subjects, progress)

@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from mocapfix.errors import WriteError
 from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.motion_windows import (
     MotionStretches,
@@ -233,8 +232,6 @@ def train_motion_prior(
         ReadError: If the folders hold no motion of the required subjects.
         WriteError: If the files cannot be written.
     """
-    if target.suffix != ".safetensors":
-        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     test, held_out = settings.test_subjects, settings.held_out_subjects
     stretches = gather_motion_stretches(folders, lambda subject: subject not in test | held_out, progress)
     held_out_stretches = gather_motion_stretches(folders, lambda subject: subject in held_out, progress)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
-from mocapfix.errors import SceneError, WriteError
+from mocapfix.errors import SceneError
 from mocapfix.lab.autoencoder_training import train_network
 from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.networks import copy_weights
@@ -69,8 +69,6 @@ def train_pose_prior(
         ReadError: If the folders hold no motion of the required subjects.
         WriteError: If the files cannot be written.
     """
-    if target.suffix != ".safetensors":
-        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     skeleton = load_cmu31_body().skeleton
     reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects

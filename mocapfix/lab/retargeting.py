@@ -1,21 +1,26 @@
-"""Measure retargeting: onto each preset and back, and onto characters of other proportions, beside copied rotations.
+"""Measure retargeting: characters beside the performer's solved landmarks and markers.
 
-Copied rotations are what constraints in Blender do: each bone turns from its rest pose as the source's bone does, in the world,
-and the pelvis moves as the source's does, from the height of its own rest pose.
+A landmark is where a segment of the body begins. The wrist of the performer is the joint FingerBase, since the joint Hand of the
+31-joint skeleton lies in the forearm. No motion is brought back: both ways of a round trip would share an error.
 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from mocapfix.characters.body_frames import BodyFrame, build_body_frame, compute_segment_motion
+from mocapfix import pipeline
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import (
+    LIMB_ENDS,
     SIDES,
     Character,
     CharacterMotion,
@@ -23,225 +28,258 @@ from mocapfix.characters.character import (
     compute_character_poses,
     convert_motion,
 )
-from mocapfix.characters.kept_positions import find_nearest_point
-from mocapfix.characters.load_character import load_character_preset
-from mocapfix.characters.retarget_motion import (
-    build_retarget_problem,
-    build_solve_tree,
-    compose_character_motion,
-    retarget_motion,
-    solve_retarget_problem,
-    spread_rotations,
-)
-from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.contacts.find_contacts import find_contacts
-from mocapfix.lab.sound_takes import iterate_sound_takes, read_performed_motions
-from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, compute_local_rotations, load_cmu31_body
-from mocapfix.options import CHARACTER_PRESETS
+from mocapfix.characters.kept_positions import FAR_DISTANCE, LEG_PARTS, find_nearest_point
+from mocapfix.characters.load_character import compute_skin_vertices, load_character
+from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts
+from mocapfix.errors import MocapfixError, TakeError
+from mocapfix.lab.common_task import clean_composed_take
+from mocapfix.lab.sound_takes import iterate_sound_takes
+from mocapfix.model.skeleton import Skeleton, is_below
+from mocapfix.model.subject import Subject
+from mocapfix.options import CleanOptions
+from mocapfix.result import CleaningResult
+
+Points = Float[np.ndarray, "T 3"]  # in the world, in metres
+Quantities = dict[str, dict[str, Float[np.ndarray, " T"]]]
+"""By quantity and place on the body: a value in each frame, NaN where there is none."""
 
 
-def copy_rotations(source: Character, motion: CharacterMotion, target: Character) -> CharacterMotion:
-    """Return the motion of a target whose bones have the source's rotations, and whose pelvis has the source's path."""
-    source_frame, target_frame = build_body_frame(source), build_body_frame(target)
-    segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
-    rotation = spread_rotations(source_frame, target_frame, tree, segments)
-    standing = [frame.leg_length_m + frame.ankle_height_m - frame.hip_centre[1] for frame in (source_frame, target_frame)]
-    pelvis = segments.position["pelvis"] + np.array([0.0, standing[1] - standing[0], 0.0])
-    return compose_character_motion(
-        target_frame, tree, pelvis, compute_local_rotations(rotation, tree.skeleton.parents), motion.rate
-    )
-
-
-SKATE_RATE_HZ = 30.0
-MAX_STANDING_STEP_M = 0.005
-"""Movement of a foot in contact from one of 30 frames a second to the next from which it skates. Papers that have no contacts
-count 25 mm of any foot below 50 mm, which feet that swing low exceed."""
-TOUCHING_DISTANCE_M = 0.115  # distance of a palm from the axis of a thigh below which they penetrate, of a person of average size
-MAX_MOTIONS = 40
-UNTURNED_JOINTS = ("HipJoint", "FingerBase", "Index1", "Thumb", "ToeBase")
-"""Ends of the names of joints whose rotations are not retargeted, or whose rotation no marker shows."""
+COMPOSED, MAX_PERFORMED = 4, 40  # numbers of takes
+MARKED_LANDMARKS = {
+    "forearm": ("Arm", "ForeArm"), "hand": ("ForeArm", "FingerBase"), "shin": ("UpLeg", "Leg"), "foot": ("Leg", "Foot"),
+}  # fmt: skip
+"""By landmark: the joint with which its markers move, and the joint beside which they are."""
+MAX_MARKER_DISTANCE_M = 0.11  # from the joint
+ACCELERATING = ("upper_arm", "forearm", "hand", "thigh", "shin", "foot", "ball", "head")
+LEG_LANDMARKS = ("thigh", "shin", "foot", "ball")
+MIN_PEAK_M_S2 = 20.0  # largest acceleration of the performer's landmark that is told from noise
+HALF_THICKNESS_M = {"palm": 0.03, "forearm": 0.04, "shin": 0.05, "thigh": 0.09, "head": 0.1}
+"""Height of a landmark above the floor on which a person of average size rests it."""
+TOUCHING_DISTANCE_M = {LEG_PARTS[0]: 0.115, LEG_PARTS[1]: 0.115, ("pelvis", "shoulders"): 0.14}
+"""Distance of a palm from the axis of a thigh or the trunk below which they penetrate, of a person of average size."""
 
 
 @dataclass(frozen=True)
 class BenchMotion:
-    """A motion of the 31-joint skeleton with its contacts, at `rate` frames per second."""
+    """A motion of the 31-joint skeleton with its contacts."""
 
+    name: str
     skeleton: Skeleton
-    motion: Motion
-    rate: float
+    motion: CharacterMotion
     contacts: BodyContacts
+    markers: Mapping[str, Points]  # landmark to the middle of the markers beside it, NaN where one is missing
 
 
-@dataclass(frozen=True)
-class RoundTripErrors:
-    """Errors of the source after retargeting onto a character and back."""
+class Landmarks(NamedTuple):
+    """Where the segments of a body begin in every frame, its palms and the balls of its feet, in metres, and its measures."""
 
-    character: str
-    joints_mm: float  # joints_mm, joints_p99_mm: mean distance of joints and the 99th percentile
-    joints_p99_mm: float
-    rotations_deg: float  # rotations_deg, rotations_p99_deg: the same of the angles between world rotations
-    rotations_p99_deg: float
-    copied_joints_mm: float  # copied_joints_mm, copied_rotations_deg: the means with rotations copied both ways
-    copied_rotations_deg: float
-    frames_per_second: float  # of retargeting onto the character
+    places: dict[str, Points]
+    leg_m: float
+    arm_m: float
+    trunk_m: float
+    soles_m: dict[str, Float[np.ndarray, " T"]]  # by side: height of the lower end of the sole
 
 
-@dataclass(frozen=True)
-class ProportionErrors:
-    """What is kept on a character of other proportions, by a method: "source" (the motion itself), "copied", "retargeted"."""
+def load_bench_motions(folder: Path | None, captures: Path | None, feet: str) -> list[BenchMotion]:
+    """Solve the captures of whole bodies in a folder, or takes of the test people's motions in another, or composed takes.
 
-    character: str
-    method: str
-    # share of the frames of contact in which a foot moves more than MAX_STANDING_STEP_M to the next of 30 a second
-    skate_ratio: float
-    slide_mm_s: float  # mean horizontal speed of the feet in contact
-    hands_mm: float  # largest distance of a wrist from its target
-    # penetration_share, penetration_mm: share of frames in which a palm is in a thigh, and the mean depth over all frames
-    penetration_share: float
-    penetration_mm: float
-
-
-def load_bench_motions(folder: Path | None) -> list[BenchMotion]:
-    """Load at most MAX_MOTIONS of the test people's motions in a folder, or compose some."""
-    motions = [BenchMotion(*each, build_contacts(*each)) for each in _iterate_motions(folder)]
-    return motions[:: max(1, -(-len(motions) // MAX_MOTIONS))]
+    Raises:
+        TakeError: If no capture has a whole body.
+    """
+    options, motions = CleanOptions().change(feet=feet), list[BenchMotion]()
+    for name, result in _iterate_results(folder, captures, options):
+        subject, motion, contacts, take = result.subject, result.motion, result.contacts, result.relabelled_take
+        if subject is not None and motion is not None and contacts is not None and subject.solved_joints.all():
+            middles = find_marker_middles(subject, take.bare_labels, take.markers)
+            motions.append(BenchMotion(name, subject.skeleton, convert_motion(motion, take.rate), contacts, middles))
+    if not motions:
+        raise TakeError(f"{captures}: no C3D file in this folder shows a whole body; give another folder.")
+    return motions
 
 
-def _iterate_motions(folder: Path | None) -> Iterator[tuple[Skeleton, Motion, float]]:
-    if folder is None:
-        for _, take in iterate_sound_takes(None, 4):
-            yield take.subject.skeleton, take.motion, take.rate
+def _iterate_results(folder: Path | None, captures: Path | None, options: CleanOptions) -> Iterator[tuple[str, CleaningResult]]:
+    if captures is None:
+        for name, take in iterate_sound_takes(folder, MAX_PERFORMED if folder else COMPOSED):
+            yield name, clean_composed_take(take, options)
         return
-    skeleton = load_cmu31_body().skeleton
-    for performed in read_performed_motions(folder / "test.npz"):
-        yield skeleton, performed.motion, performed.rate_hz
+    for path in sorted(captures.rglob("*.c3d")):
+        try:
+            result = pipeline.clean(path, options)
+        except MocapfixError:
+            continue
+        yield from ((path.stem, each) for each in result.subject_results or (result,))
 
 
-def build_contacts(skeleton: Skeleton, motion: Motion, rate: float) -> BodyContacts:
-    """Find the contacts of a motion without uncertainty."""
-    position = compute_character_poses(build_cmu31_character(skeleton), convert_motion(motion, rate))[0]
-    certain = replace(motion, joint_sd=np.zeros(position.shape[:2]))
-    return find_contacts(skeleton, certain, position, rate)
+def find_marker_middles(subject: Subject, labels: Sequence[str], position: Float[np.ndarray, "T M 3"]) -> dict[str, Points]:
+    """Return the middle of the markers beside each of the landmarks MARKED_LANDMARKS."""
+    skeleton, middles = subject.skeleton, dict[str, Points]()
+    rest = skeleton.rest_positions[subject.joints] + subject.marker_offsets
+    for side, (landmark, (carrier, joint)) in product(SIDES, MARKED_LANDMARKS.items()):
+        place = skeleton.rest_positions[skeleton.find_joint(side.capitalize() + joint)]
+        is_beside = np.linalg.norm(rest - place, axis=1) < MAX_MARKER_DISTANCE_M
+        is_beside &= subject.joints == skeleton.find_joint(side.capitalize() + carrier)
+        columns = [labels.index(subject.labels[k]) for k in np.flatnonzero(is_beside) if subject.labels[k] in labels]
+        if columns:
+            middles[f"{side}_{landmark}"] = position[:, columns].mean(axis=1)
+    return middles
 
 
-def measure_round_trips(motions: Sequence[BenchMotion], report_progress: Callable[[str], None]) -> list[RoundTripErrors]:
-    """Measure each preset."""
-    results: list[RoundTripErrors] = []
-    for name in CHARACTER_PRESETS:
-        report_progress(name)
-        target, distances, angles, copied, seconds = load_character_preset(name), [], [], [], 0.0
-        for each in motions:
-            source, motion = build_cmu31_character(each.skeleton), convert_motion(each.motion, each.rate)
-            start_s = time.perf_counter()
-            there = retarget_motion(source, motion, target)
-            seconds += time.perf_counter() - start_s
-            back = retarget_motion(target, there, source)
-            errors = compare_motions(source, motion, back)
-            distances.append(errors[0])
-            angles.append(errors[1])
-            copied.append(compare_motions(source, motion, copy_rotations(target, copy_rotations(source, motion, target), source)))
-        distance, angle = np.concatenate(distances), np.concatenate(angles)
-        results.append(
-            RoundTripErrors(
-                name,
-                float(distance.mean() * 1e3),
-                float(np.percentile(distance, 99) * 1e3),
-                float(np.degrees(angle.mean())),
-                float(np.degrees(np.percentile(angle, 99))),
-                float(np.concatenate([errors[0] for errors in copied]).mean() * 1e3),
-                float(np.degrees(np.concatenate([errors[1] for errors in copied]).mean())),
-                len(distance) / seconds,
-            )
-        )
-    return results
+def find_foot_corners(character: Character) -> dict[int, Points]:
+    """Return by bone of the feet the corners of the mesh that mostly move with it, in its axes, in metres; {} without a mesh."""
+    corners, bones = compute_skin_vertices(character)
+    position, rotation = character.skeleton.compute_rest_pose()
+    feet = [character.mapping.bones[f"{side}_foot"][0] for side in SIDES]
+    own = {bone for bone in bones.tolist() for foot in feet if bone == foot or is_below(bone, foot, character.skeleton.parents)}
+    return {bone: (corners[bones == bone] - position[bone]) @ rotation[bone] for bone in own}
 
 
-def compare_motions(
-    character: Character, motion: CharacterMotion, other: CharacterMotion
-) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
-    """Return the distances in metres and the angles in radians between joints in the world, of joints that are turned."""
-    turned = [k for k, name in enumerate(character.skeleton.names) if not name.endswith(UNTURNED_JOINTS)]
-    (position, rotation), (other_position, other_rotation) = (
-        compute_character_poses(character, each) for each in (motion, other)
-    )
-    trace = np.einsum("tjab,tjab->tj", rotation[:, turned], other_rotation[:, turned])
-    return np.linalg.norm(position - other_position, axis=-1)[:, turned], np.arccos(np.clip((trace - 1) / 2, -1, 1))
+def find_landmarks(character: Character, motion: CharacterMotion, corners: Mapping[int, Points]) -> Landmarks:
+    """Return the landmarks of a character; its wrists are at the joint FingerBase if it has one.
 
-
-def build_proportions(skeleton: Skeleton) -> dict[str, Character]:
-    """Return characters with legs of 0.7 and 1.3 times the length, and with arms of 1.3 times the length."""
-    factors = {"short legs": (0.7, 1.0), "long legs": (1.3, 1.0), "long arms": (1.0, 1.3)}
-    characters: dict[str, Character] = {}
-    for name, (legs, arms) in factors.items():
-        offsets = skeleton.offsets.copy()
-        for joint, parent in enumerate(skeleton.parents):
-            above = skeleton.names[parent]
-            offsets[joint] *= legs if above.endswith(("UpLeg", "LeftLeg", "RightLeg")) else arms if above.endswith("Arm") else 1.0
-        characters[name] = build_cmu31_character(replace(skeleton, offsets=offsets))
-    return characters
-
-
-def measure_proportions(motions: Sequence[BenchMotion], report_progress: Callable[[str], None]) -> list[ProportionErrors]:
-    """Measure characters of other proportions."""
-    results: list[ProportionErrors] = []
-    for name in build_proportions(motions[0].skeleton):
-        report_progress(name)
-        rows: dict[str, list[tuple[float, ...]]] = {"source": [], "copied": [], "retargeted": []}
-        for each in motions:
-            source, motion = build_cmu31_character(each.skeleton), convert_motion(each.motion, each.rate)
-            target = build_proportions(each.skeleton)[name]
-            problem = build_retarget_problem(source, motion, target, contacts=each.contacts)
-            problem, poses = solve_retarget_problem(problem)
-            retargeted, wanted = compose_character_motion(problem.target, problem.tree, *poses, motion.rate), problem.wrists
-            rows["source"].append(measure_kept(source, motion, each.contacts, None))
-            rows["copied"].append(measure_kept(target, copy_rotations(source, motion, target), each.contacts, wanted))
-            rows["retargeted"].append(measure_kept(target, retargeted, each.contacts, wanted))
-        results += [ProportionErrors(name, method, *_pool(np.array(measured))) for method, measured in rows.items()]
-    return results
-
-
-def _pool(rows: Float[np.ndarray, "N 8"]) -> tuple[float, ...]:
-    """Return skate ratio, slide, hands, share and depth of penetration over all motions."""
-    contacts, frames = np.maximum(rows[:, 0].sum(), 1), rows[:, 1].sum()
-    skate, slide = rows[:, 2].sum() / contacts, rows[:, 3].sum() / contacts
-    return float(skate), float(slide), float(rows[:, 4].max()), float(rows[:, 5].sum() / frames), float(rows[:, 6].sum() / frames)
-
-
-def measure_kept(
-    character: Character, motion: CharacterMotion, contacts: BodyContacts, wrists: dict[str, Float[np.ndarray, "T 3"]] | None
-) -> tuple[float, ...]:
-    """Return frames of contact, frames, skates, sum of speeds, hands' error, frames with penetration, sum of depths (mm)."""
-    frame = build_body_frame(character)
-    position, rotation = compute_character_poses(character, motion)
-    step = max(1, round(motion.rate / SKATE_RATE_HZ))
-    count = skates = 0
-    speeds, hands, depths = 0.0, 0.0, []
+    The soles are at the lowest of the `corners` of the mesh by `find_foot_corners`; without these at the lower of their two ends.
+    """
+    frame, names = build_body_frame(character), character.skeleton.names
+    (position, rotation), segments = compute_character_poses(character, motion), compute_segment_motion(frame, motion)
+    places, soles_m = dict(segments.position), dict[str, Float[np.ndarray, " T"]]()
     for side in SIDES:
-        is_contact = contacts.is_contact[:, contacts.joints.index(f"{side.capitalize()}ToeBase")]
-        ball = position[:, character.mapping.bones[f"{side}_toe"][0]][:, [0, 2]]
-        moved, stays = np.linalg.norm(ball[step:] - ball[:-step], axis=1), is_contact[step:] & is_contact[:-step]
-        count += int(stays.sum())
-        skates += int((moved[stays] > MAX_STANDING_STEP_M).sum())
-        speeds += float(moved[stays].sum() * motion.rate / step * 1e3)
-        hand = character.mapping.bones[f"{side}_hand"][0]
-        if wrists is not None:
-            hands = max(hands, float(np.linalg.norm(position[:, hand] - wrists[side], axis=1).max() * 1e3))
-        depths += _measure_depths(frame, position, rotation, side)
-    is_inside: Bool[np.ndarray, " T"] = np.any(np.array(depths) > 0, axis=0)
-    return count, len(position), skates, speeds, hands, float(is_inside.sum()), float(np.sum(depths) * 1e3)
+        foot, ball, hand = (f"{side}_{name}" for name in ("foot", "ball", "hand"))
+        if (wrist := f"{side.capitalize()}FingerBase") in names:
+            places[hand] = position[:, names.index(wrist)]
+        if hand in places:
+            places[f"{side}_palm"] = places[hand] + segments.rotation[hand] @ frame.compute_palm(side)
+        places[ball] = segments.carry(foot, frame.compute_ball(side))
+        upward, first = segments.rotation[foot][:, 1, 1], character.mapping.bones[foot][0]
+        ends = ((ball, frame.ball_height_m), (foot, frame.ankle_height_m))
+        soles = [places[end][:, 1] - upward * height_m for end, height_m in ends]
+        own = [bone for bone in corners if bone == first or is_below(bone, first, character.skeleton.parents)]
+        soles = [position[:, bone, 1] + (rotation[:, bone, 1] @ corners[bone].T).min(axis=1) for bone in own] or soles
+        soles_m[side] = np.min(soles, axis=0)
+    places["shoulders"] = (places["left_upper_arm"] + places["right_upper_arm"]) / 2
+    arm = [places[f"left_{each}"] for each in ("upper_arm", "forearm", "hand") if f"left_{each}" in places]
+    arm_m = float(np.linalg.norm(np.diff(arm, axis=0), axis=2).sum(0).mean())
+    return Landmarks(places, frame.leg_length_m, arm_m, frame.trunk_length_m, soles_m)
 
 
-def _measure_depths(
-    frame: BodyFrame, position: Float[np.ndarray, "T J 3"], rotation: Float[np.ndarray, "T J 3 3"], side: str
-) -> list[Float[np.ndarray, " T"]]:
-    """Return how deep a palm is in each thigh, in metres."""
-    bones = frame.character.mapping.bones
-    hand = bones[f"{side}_hand"][0]
-    palm = position[:, hand] + rotation[:, hand] @ frame.standard_rotations[hand].T @ frame.compute_palm(side)
-    depths: list[Float[np.ndarray, " T"]] = []
-    for other in SIDES:
-        ends = [position[:, bones[f"{other}_{segment}"][0]] for segment in ("thigh", "shin")]
-        distance = np.linalg.norm(find_nearest_point(palm, *ends)[1], axis=1)
-        depths.append(np.maximum(TOUCHING_DISTANCE_M - distance, 0.0))
-    return depths
+def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -> Quantities:
+    """Measure the landmarks of a figure that moves like the performer; the figure's floor is at height 0."""
+    rate, floor, places, wanted = each.motion.rate, each.contacts.floor, figure.places, performer.places
+    leg, arm, trunk = figure.leg_m / performer.leg_m, figure.arm_m / performer.arm_m, figure.trunk_m / performer.trunk_m
+    quantities: Quantities = defaultdict(dict)
+
+    def measure_height(place: Points) -> Float[np.ndarray, " T"]:
+        """Return heights above the level of the scaled floor that is below."""
+        return leg * floor.compute_height_above(place / leg + [0.0, floor.height_m, 0.0])
+
+    for side, (start, end) in product(SIDES, LIMB_ENDS.items()):
+        ends = f"{side}_{start}", f"{side}_{end}"
+        if ends[1] in places:
+            line = places[ends[1]] - places[ends[0]]
+            quantities[f"{start}_deg"][side] = compute_angle_deg(line, wanted[ends[1]] - wanted[ends[0]])
+            if all(name in each.markers for name in ends):
+                marked = each.markers[ends[1]] - each.markers[ends[0]]
+                quantities[f"{start}_to_markers_deg"][side] = compute_angle_deg(line, marked)
+    for name in sorted(wanted.keys() & places.keys()):
+        part = name.partition("_")[2] or name
+        if part in ACCELERATING:
+            scale = leg if part in LEG_LANDMARKS else max(leg, arm)
+            peak = max(scale * float(compute_accelerations(wanted[name], rate).max(initial=0.0)), MIN_PEAK_M_S2)
+            quantities["acceleration_ratio"][name] = compute_accelerations(places[name], rate) / peak
+        if part in HALF_THICKNESS_M:
+            low = leg * np.minimum(floor.compute_height_above(wanted[name]), HALF_THICKNESS_M[part])
+            quantities["in_floor_mm"][name] = 1e3 * np.maximum(low - measure_height(places[name]), 0.0)
+    for side in SIDES:
+        feet = each.contacts.is_contact[:, [each.contacts.joints.index(joint) for joint in FOOT_JOINTS[side]]]
+        for column, name in enumerate((f"{side}_foot", f"{side}_ball")):
+            speed = np.linalg.norm(np.gradient(places[name][:, [0, 2]], 1 / rate, axis=0), axis=1)
+            quantities["slide_mm_s"][name] = np.where(feet[:, column], 1e3 * speed, np.nan)
+        sole = figure.soles_m[side] - places[f"{side}_foot"][:, 1] + measure_height(places[f"{side}_foot"])
+        for name, sign in (("sole_below_mm", -1.0), ("sole_above_mm", 1.0)):
+            quantities[name][side] = np.where(feet.all(axis=1), 1e3 * np.maximum(sign * sole, 0.0), np.nan)
+        if f"{side}_hand" in places:
+            distances = [measure_part_distances(side, body.places) for body in (performer, figure)]
+            for part, touching_m in TOUCHING_DISTANCE_M.items():
+                least = trunk * np.minimum(distances[0][part], touching_m)
+                quantities["in_body_mm"][f"{side}_palm in {part[0]}"] = 1e3 * np.maximum(least - distances[1][part], 0.0)
+            shoulder, hand = f"{side}_upper_arm", f"{side}_hand"
+            off = places[hand] - places[shoulder] - arm * (wanted[hand] - wanted[shoulder])
+            is_free = np.min(list(distances[0].values()), axis=0) > FAR_DISTANCE * performer.trunk_m
+            quantities["free_hand_mm"][side] = np.where(is_free, 1e3 * np.linalg.norm(off, axis=1), np.nan)
+    return quantities
+
+
+def measure_part_distances(side: str, places: Mapping[str, Points]) -> dict[tuple[str, str], Float[np.ndarray, " T"]]:
+    """Return the distances in metres of a palm from the axes of the parts of the body, and from the other palm."""
+    other = f"{SIDES[side == SIDES[0]]}_palm"
+    parts = (*TOUCHING_DISTANCE_M, ("shoulders", "head" if "head" in places else "shoulders"), (other, other))
+    vectors = {part: find_nearest_point(places[f"{side}_palm"], places[part[0]], places[part[1]])[1] for part in parts}
+    return {part: np.linalg.norm(vector, axis=1) for part, vector in vectors.items()}
+
+
+def compute_angle_deg(first: Points, second: Points) -> Float[np.ndarray, " T"]:
+    """Return the angles between vectors in degrees."""
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), np.einsum("ti,ti->t", first, second)))
+
+
+def compute_accelerations(place: Points, rate: float) -> Float[np.ndarray, " T"]:
+    """Return the accelerations in m/s2; of two neighbouring frames the smaller, so that one frame's noise does not count."""
+    size = np.pad(np.linalg.norm(np.diff(place, n=2, axis=0), axis=1) * rate**2, (1, 1))
+    return np.minimum(size, np.append(size[1:], 0.0))
+
+
+PROPORTIONS: dict[str, dict[str, float]] = {"short legs": {"legs": 0.7}, "long legs": {"legs": 1.3}, "long arms": {"arms": 1.3}}
+"""Figures that are the performer with limbs of other lengths."""
+
+
+def scale_limbs(skeleton: Skeleton, legs: float = 1.0, arms: float = 1.0) -> Character:
+    """Return a character with the bones of a skeleton, those of legs and arms times a factor."""
+    above = [skeleton.names[parent] for parent in skeleton.parents]
+    factors = [
+        legs if name.endswith(("UpLeg", "LeftLeg", "RightLeg")) else arms if name.endswith("Arm") else 1.0 for name in above
+    ]
+    return build_cmu31_character(replace(skeleton, offsets=skeleton.offsets * np.array(factors)[:, None]))
+
+
+def measure_characters(
+    motions: Sequence[BenchMotion], characters: Sequence[str], report_progress: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """Measure presets and files of characters, and figures of other proportions.
+
+    Returns:
+        By quantity and character: mean, 95th percentile and largest value over all motions, and where that is. "performer" is
+        the solved body itself.
+    """
+    rows: dict[str, list[tuple[str, Quantities]]] = defaultdict(list)
+    speeds: dict[str, dict[str, float]] = {}
+    loaded = {name: load_character(name) for name in characters}
+    corners = {name: find_foot_corners(character) for name, character in loaded.items()}
+    performers = [find_landmarks(build_cmu31_character(each.skeleton), each.motion, {}) for each in motions]
+    for name in ("performer", *loaded, *PROPORTIONS):
+        report_progress(name)
+        rates: list[float] = []
+        for each, performer in zip(motions, performers, strict=True):
+            target = loaded.get(name) or scale_limbs(each.skeleton, **PROPORTIONS.get(name, {}))
+            moved = replace(each.motion, pelvis_position=each.motion.pelvis_position - [0.0, each.contacts.floor.height_m, 0.0])
+            if name != "performer":
+                start_s = time.perf_counter()
+                moved = retarget_motion(build_cmu31_character(each.skeleton), each.motion, target, contacts=each.contacts)
+                rates.append(each.motion.frame_count / (time.perf_counter() - start_s))
+            rows[name].append((each.name, measure_motion(each, performer, find_landmarks(target, moved, corners.get(name, {})))))
+        if rates:
+            speeds[name] = {"median of motions": float(np.median(rates))}  # the first may compile kernels
+    quantities = dict.fromkeys(quantity for row in rows.values() for _, measured in row for quantity in measured)
+    return {
+        quantity: {name: row for name, each in rows.items() if (row := summarise_quantity(quantity, each))}
+        for quantity in quantities
+    } | {"frames_per_second": speeds}
+
+
+def summarise_quantity(quantity: str, measured: Sequence[tuple[str, Quantities]]) -> dict[str, float | str]:
+    """Return mean, 95th percentile and largest value over motions by name, and the motion, place and frame of the largest."""
+    series = [(f"{motion}: {place}", each) for motion, row in measured for place, each in row.get(quantity, {}).items()]
+    values = np.concatenate([each[np.isfinite(each)] for _, each in series])
+    if not len(values):
+        return {}
+    where, worst = max(series, key=lambda item: np.nanmax(item[1], initial=-1.0))
+    mean, high, largest = (round(float(each), 3) for each in (values.mean(), np.percentile(values, 95), values.max()))
+    return {"mean": mean, "95 %": high, "largest": largest, "where": f"{where}, frame {np.nanargmax(worst)}"}

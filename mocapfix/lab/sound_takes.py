@@ -160,12 +160,6 @@ def load_unseen_poses() -> Float[np.ndarray, "N J 3 3"]:
     return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
 
 
-def write_unseen_poses(target: Path, poses: Float[np.ndarray, "N J 3 3"]) -> None:
-    """Write poses as `load_unseen_poses` reads them: ZYX Euler angles as integers."""
-    angles = Rotation.from_matrix(poses.reshape(-1, 3, 3)).as_euler("ZYX").reshape(*poses.shape[:2], 3)
-    np.savez_compressed(target, euler=np.round(angles * (HALF_TURN_STEPS / np.pi)).astype(np.int16))
-
-
 def sample_subject_poses(
     motion_folder: Path, max_poses: int, subjects: frozenset[str] = UNSEEN_SUBJECTS
 ) -> Float[np.ndarray, "N J 3 3"]:

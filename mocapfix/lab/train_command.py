@@ -9,6 +9,7 @@ from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption
 from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
+from mocapfix.errors import WriteError
 from mocapfix.io.files import check_outputs_absent
 
 Settings = TypeVar("Settings")
@@ -85,6 +86,8 @@ def _train(
     """Train with torch on one thread, and show on a terminal what the training is doing."""
     from mocapfix.lab.networks import use_one_torch_thread
 
+    if target.suffix != ".safetensors":
+        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
     with stderr_console.status(escape(target.name)) as status, use_one_torch_thread():
         return train(settings, data, target, lambda text: status.update(f"{escape(target.name)}: {escape(text)}"))

@@ -15,13 +15,12 @@ from mocapfix.errors import WriteError
 from mocapfix.io.capture import read_capture
 from mocapfix.io.gltf import parse_glb
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import FEET_LOCK, FEET_SOFT, OutputOptions
 from mocapfix.output_formats import list_output_formats
 from tests.characters.character_files import build_vrm
-from tests.characters.walking_body import RATE, load_walk
+from tests.characters.walking_body import RATE, build_contacts, load_walk
 from tests.io.read_back import motion_of
 
 

@@ -11,10 +11,9 @@ from mocapfix.characters.kept_positions import hold_kept_feet, resample_foot_con
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
-from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_skeleton
-from tests.characters.walking_body import RATE, load_walk
+from tests.characters.walking_body import RATE, build_contacts, load_walk
 
 
 @pytest.fixture(scope="module")

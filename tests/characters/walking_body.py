@@ -1,11 +1,23 @@
 """A walk with gestures of the average body, and characters of other proportions, for the tests of retargeting."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import Character, CharacterMotion, build_cmu31_character, convert_motion, get_next_segment
+from mocapfix.characters.character import (
+    Character,
+    CharacterMotion,
+    build_cmu31_character,
+    compute_character_poses,
+    convert_motion,
+    get_next_segment,
+)
+from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.synthetic import compose_take
 from tests.characters.character_files import change_bones
 
@@ -41,3 +53,9 @@ def turn_axes(character: Character, rng: np.random.Generator) -> Character:
         positions[bone] = above.T @ character.skeleton.offsets[bone]
     tails = np.einsum("jba,jb->ja", turns, character.skeleton.ends)
     return change_bones(character, rest_rotations=rotations, offsets=positions, ends=tails)
+
+
+def build_contacts(skeleton: Skeleton, motion: Motion, rate: float) -> BodyContacts:
+    """Find the contacts of a motion without uncertainty."""
+    position = compute_character_poses(build_cmu31_character(skeleton), convert_motion(motion, rate))[0]
+    return find_contacts(skeleton, replace(motion, joint_sd=np.zeros(position.shape[:2])), position, rate)

@@ -1,10 +1,11 @@
 """The commands `mocapfix bench ...`: what they call, print and return. The measurements are replaced."""
 
 import json
+from pathlib import Path
 
 import pytest
 
-from mocapfix.lab import contacts, fault_detection, fuzz_process, label_recovery, stress, uncertainty
+from mocapfix.lab import contacts, fault_detection, fuzz_process, label_recovery, retargeting, stress, uncertainty
 from mocapfix.lab.label_recovery import LabelScore
 from mocapfix.lab.results import format_heading, format_value
 
@@ -97,6 +98,18 @@ def test_contacts_are_summarised(mocapfix, monkeypatch):
     status, out, _ = mocapfix("bench", "contacts")
     assert status == 0
     assert "0.6667" in out
+
+
+def test_characters_have_a_table_for_each_quantity(mocapfix, monkeypatch):
+    row = {"mean": 1.5, "95 %": 4.0, "largest": 9.25, "where": "walk: left, frame 3"}
+    results = {"forearm_deg": {"performer": row, "mixamo": row}, "frames_per_second": {"mixamo": {"median of motions": 9000.0}}}
+    calls = []
+    monkeypatch.setattr(retargeting, "load_bench_motions", lambda *arguments: [arguments])
+    monkeypatch.setattr(retargeting, "measure_characters", lambda *arguments: calls.append(arguments[:2]) or results)
+    status, out, _ = mocapfix("bench", "retarget", "--captures", "takes", "--characters", "mixamo", "hero.glb", "--feet", "lock")
+    assert (status, out.count("9.25"), out.count("walk: left, frame 3")) == (0, 2, 2)
+    assert "forearm, deg" in out
+    assert calls == [([(None, Path("takes"), "lock")], ("mixamo", "hero.glb"))]
 
 
 @pytest.mark.parametrize("kind", ["readers", "c3d", "characters", "cleans"])

@@ -5,7 +5,6 @@ import pytest
 import torch
 import yaml
 
-from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import learned_ik_training
 from mocapfix.lab.frame_pairs import PairSampler, gather_sequences
@@ -54,11 +53,6 @@ def test_command_writes_weights_and_a_card(motion, tmp_path, mocapfix):
     read_ik_network(tmp_path / "mine.safetensors")
     assert "With the joints of the left arm missing" in card
     assert mocapfix("train", "ik", *options)[0] == 1  # the weights exist
-
-
-def test_unknown_suffix_raises_before_training(tmp_path, motion):
-    with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        learned_ik_training.train_learned_ik(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_interrupted_training_continues_to_the_same_network(tmp_path, motion, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 import torch
 import yaml
 
-from mocapfix.errors import ReadError, WriteError
+from mocapfix.errors import ReadError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import motion_training, motion_windows, settings
 from mocapfix.solve.motion_prior import read_motion_prior
@@ -88,11 +88,6 @@ def test_file_that_is_not_a_checkpoint_raises(motion, tmp_path):
     (tmp_path / "mine").write_text("weights", encoding="utf-8")
     with pytest.raises(ReadError, match="is not a training checkpoint"):
         fit(motion, tmp_path / "mine")
-
-
-def test_unknown_suffix_raises_before_training(motion, tmp_path):
-    with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        motion_training.train_motion_prior(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_scores_of_an_untrained_network_are_those_of_interpolation(motion, tmp_path):

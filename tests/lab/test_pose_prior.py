@@ -7,9 +7,8 @@ import pytest
 import yaml
 
 from mocapfix.cli import app
-from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab import pose_prior_training, settings
+from mocapfix.lab import pose_prior_training
 from mocapfix.lab.training_poses import TrainingPoses
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import trained_priors
@@ -79,12 +78,6 @@ def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
     assert "already exists" in capsys.readouterr().err
     assert (tmp_path / "mine.safetensors").read_bytes() == before
     assert train("pca", motion, tmp_path, "--overwrite", components=2) == 0
-
-
-def test_unknown_suffix_raises_before_training(tmp_path, motion):
-    training_settings = settings.read_prior_settings(find_shipped_folder("priors") / "pca.yaml")
-    with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        pose_prior_training.train_pose_prior(training_settings, [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_codes_of_training_poses_are_scaled_by_the_inflation(tmp_path, motion):

@@ -137,9 +137,15 @@ def test_folder_without_test_subjects_raises(motion):
         sound_takes.sample_subject_poses(motion, 10)
 
 
+def write_unseen_poses(target, poses) -> None:
+    """Write poses as `load_unseen_poses` reads them: ZYX Euler angles as integers."""
+    angles = Rotation.from_matrix(poses.reshape(-1, 3, 3)).as_euler("ZYX").reshape(*poses.shape[:2], 3)
+    np.savez_compressed(target, euler=np.round(angles * (sound_takes.HALF_TURN_STEPS / np.pi)).astype(np.int16))
+
+
 def test_written_poses_are_read_back(tmp_path, monkeypatch):
     poses = draw_motion(7)
-    sound_takes.write_unseen_poses(tmp_path / "poses.npz", poses)
+    write_unseen_poses(tmp_path / "poses.npz", poses)
     monkeypatch.setattr(sound_takes, "find_bench_file", lambda _: tmp_path / "poses.npz")
     np.testing.assert_allclose(sound_takes.load_unseen_poses(), poses, atol=2e-4)
 

@@ -6,7 +6,6 @@ import torch
 import yaml
 from scipy.spatial.transform import Rotation
 
-from mocapfix.errors import WriteError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import frame_pairs, settings, twist_training
 from mocapfix.model.skeleton import load_cmu31_skeleton
@@ -78,9 +77,11 @@ def test_existing_weights_are_not_overwritten(command, tmp_path):
     assert command("--overwrite")[0] == 0
 
 
-def test_unknown_suffix_raises_before_training(tmp_path, motion):
-    with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        twist_training.train_twist_regressor(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
+def test_weights_of_another_format_are_refused_before_training(tmp_path, motion, mocapfix):
+    config = find_shipped_folder("priors") / "twist.yaml"
+    status, _, complaint = mocapfix("train", "twist", "--config", config, "--data", motion, "-o", tmp_path / "mine.pt")
+    assert status == 1
+    assert "mine.pt: weights are written as safetensors" in " ".join(complaint.split())
 
 
 def draw_arm_poses(frames):
