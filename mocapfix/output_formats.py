@@ -7,10 +7,12 @@ gait (docs/contacts.md) are written here.
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
 
 from mocapfix.characters.alignment import write_rig_bvh
 from mocapfix.characters.character_yaml import Rig, load_rig
@@ -36,6 +38,9 @@ from mocapfix.options import OutputOptions
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.subject import library
+
+if TYPE_CHECKING:
+    from mocapfix.report.contact_sheet import ContactSheet, Performer
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
 
@@ -67,6 +72,7 @@ def write_gait_events(target: Path, contacts: BodyContacts, first_frame: int) ->
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+SHEET_SUFFIX = "sheet.png"
 RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
 
 
@@ -97,6 +103,8 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
+    # those of the characters, for the HTML report; the writer of each character adds its own
+    sheets: "list[ContactSheet]" = field(default_factory=list)
 
     @property
     def motion(self) -> ExportedMotion:
@@ -104,6 +112,15 @@ class OutputContent:
         if self.exported is None:
             raise ValueError("this format is written only for a take with a body")
         return self.exported
+
+    def build_performer(self, frames: slice = slice(None)) -> "Performer":
+        """Return what a contact sheet shows of the body in some frames of the motion."""
+        from mocapfix.report.contact_sheet import Performer
+
+        skeleton, motion, rate = self.motion.parts
+        selected = np.arange(motion.frame_count)[frames]
+        start_s = float(selected[0] / rate)
+        return Performer(skeleton, motion.select_frames(selected), rate, start_s, self.motion.floor_height_m, self.points)
 
     @property
     def exported_contacts(self) -> BodyContacts | None:
@@ -169,11 +186,26 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), options)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
-        frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
-        return files.write(target, *content.motion.parts, content.exported_contacts, frames)
+        from mocapfix.report.contact_sheet import ContactSheet, draw_contact_sheet
 
+        frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
+        notes = files.write(target, *content.motion.parts, content.exported_contacts, frames)
+        sheet = draw_contact_sheet(content.build_performer(frames), files.character, target)
+        content.sheets.append(ContactSheet(target.name, sheet))
+        if is_sheet_written:
+            target.with_suffix(f".{SHEET_SUFFIX}").write_bytes(sheet)
+        return notes
+
+    is_sheet_written = "sheet" in options.extra_formats
+    sheet_suffixes = [f"{files.character.name}.{SHEET_SUFFIX}"] if is_sheet_written else []
     first, *others = files.suffixes
-    return OutputFormat(first, write_file, tuple(others), needs_body=True)
+    return OutputFormat(first, write_file, (*others, *sheet_suffixes), needs_body=True)
+
+
+def _write_sheet(target: Path, content: OutputContent) -> None:
+    from mocapfix.report.contact_sheet import draw_contact_sheet
+
+    target.write_bytes(draw_contact_sheet(content.build_performer()))
 
 
 def _write_skeleton(target: Path, content: OutputContent) -> list[str]:
@@ -206,7 +238,7 @@ def _write_recording(target: Path, content: OutputContent) -> None:
 def _write_html_report(target: Path, content: OutputContent) -> None:
     from mocapfix.report.html_report import write_html_report
 
-    write_html_report(target, content.report, content.comparison)
+    write_html_report(target, content.report, content.comparison, content.sheets)
 
 
 def _write_json_report(target: Path, content: OutputContent) -> None:
@@ -260,6 +292,7 @@ OPTIONAL_FORMATS = {
     "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
     "fbx": OutputFormat("fbx", _write_skeleton, needs_body=True),
+    "sheet": OutputFormat(SHEET_SUFFIX, _write_sheet, needs_body=True, timer_stage="show"),
 }
 
 

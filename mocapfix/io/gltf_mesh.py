@@ -102,8 +102,9 @@ def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], pr
         slots = np.concatenate([read_array(content, attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(int)
         weights = np.concatenate([read_array(content, attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(float)
         weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(float).tiny)
-    is_sound = len(slots) == len(weights) == count and len(inverse_bind) >= len(nodes) and np.isfinite(positions).all()
-    if not is_sound or triangles.max(initial=0) >= count or slots.max(initial=0) >= len(nodes):
+    is_finite = all(np.isfinite(each).all() for each in (positions, weights, inverse_bind))
+    is_complete = len(slots) == len(weights) == count and len(inverse_bind) >= len(nodes)
+    if not (is_finite and is_complete) or triangles.max(initial=0) >= count or slots.max(initial=0) >= len(nodes):
         raise ValueError("an index of the mesh is out of range")
     colours, is_opaque = _read_colours(content, primitive, triangles)
     return GltfMesh(positions, slots, weights, nodes, inverse_bind[: len(nodes)], triangles[is_opaque], colours[is_opaque])
@@ -204,6 +205,20 @@ def compute_node_matrices(
         if nodes.parents[node] >= 0:
             matrices[:, node] = matrices[:, nodes.parents[node]] @ matrices[:, node]
     return matrices
+
+
+def move_nodes(
+    nodes: GltfNodes, matrices: Float[np.ndarray, "N 4 4"], moved: Mapping[int, Float[np.ndarray, "4 4"]]
+) -> Float[np.ndarray, "N 4 4"]:
+    """Return the matrices to the world after some nodes were moved; the others keep their place relative to the node above."""
+    result = matrices.copy()
+    for node in nodes.ordered:
+        above = nodes.parents[node]
+        if node in moved:
+            result[node] = moved[node]
+        elif above >= 0:
+            result[node] = result[above] @ np.linalg.pinv(matrices[above]) @ matrices[node]
+    return result
 
 
 def _read_vector(entry: Mapping[str, Any], name: str, default: Sequence[float]) -> Sequence[float]:

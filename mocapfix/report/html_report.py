@@ -1,7 +1,8 @@
 """The HTML report: a self-contained page on the faults of a take, the changes, and what remains; and rendering of such pages."""
 
+import base64
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,6 +25,7 @@ from mocapfix.report.change_figures import (
     format_severity,
     select_worst_changes,
 )
+from mocapfix.report.contact_sheet import ContactSheet
 from mocapfix.report.report import ErrorSummary, Report, SolveSection
 from mocapfix.report.sample_states import (
     AMBER,
@@ -73,8 +75,8 @@ class BarRow:
     value: str
 
 
-def write_html_report(target: Path, report: Report, comparison: CleaningComparison) -> None:
-    """Write the HTML report of a take."""
+def write_html_report(target: Path, report: Report, comparison: CleaningComparison, sheets: Sequence[ContactSheet] = ()) -> None:
+    """Write the HTML report of a take, with the contact sheets of its characters."""
     take, solve, subject = comparison.input_take, report["solve"], report["subject"]
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
@@ -91,6 +93,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         answers=[(question, describe(report, comparison)) for question, describe in answers] + notes,
         worst_frame=_describe_worst_frame(comparison),
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
+        sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
         frame_count=take.frame_count,
         fault_rows=build_fault_rows(comparison),
         fault_legend=[each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]],

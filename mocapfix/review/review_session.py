@@ -171,6 +171,8 @@ class OpenTake:
                 "unlabelled": view.unlabelled_labels,
                 "joints": view.joint_names,
                 "bones": view.bones,
+                "characters": list(self.take.find_characters()),
+                "motion_floor_m": output.floor_height_m,
                 "notes": [*view.notes, *self.take.report.get("notes", [])],
                 "run": asdict(self.status),
                 "difference": self._difference,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 SERVER_HOST = "127.0.0.1"
 SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "connect-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "same-origin",
@@ -157,6 +157,7 @@ class ReviewServer:
                 route("/api/events", self._get_events),
                 route("/api/close", self._close, "POST"),
                 route(f"{take}/samples", self._get_samples),
+                route(f"{take}/characters", self._get_character),
                 route(f"{take}/edit", self._edit, "POST"),
                 route(f"{take}/clean", self._clean, "POST"),
                 route(f"{take}/cancel", self._cancel, "POST"),
@@ -189,6 +190,13 @@ class ReviewServer:
         opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
         view = await run_in_threadpool(lambda: opened.view)
         return Response(await run_in_threadpool(view.encode_frames, first, count), media_type="application/octet-stream")
+
+    async def _get_character(self, request: Request) -> Response:
+        opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
+        path = opened.take.find_characters().get(request.query_params.get("name", ""))
+        if path is None:
+            raise ReadError("There is no such character; load the page again.")
+        return FileResponse(path, media_type="model/gltf-binary")
 
     async def _edit(self, request: Request) -> Response:
         name, body = request.path_params["take"], await _read_body(request)

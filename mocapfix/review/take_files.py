@@ -3,6 +3,7 @@
 Every decision is saved at once in the changes file, and edits of others are never overwritten.
 """
 
+import glob
 import hashlib
 import json
 import os
@@ -83,6 +84,13 @@ class CleanedTake:
     def get_path(self, suffix: str) -> Path:
         """Return the path of an output of this take or subject."""
         return self.folder / f"{self.stem}.{suffix}"
+
+    def find_characters(self) -> dict[str, Path]:
+        """Return the glTF files of the characters that were written beside this take, by name."""
+        beginning, end = f"{self.stem}.", ".map.yaml"
+        names = sorted(path.name[len(beginning) : -len(end)] for path in self.folder.glob(f"{glob.escape(beginning)}*{end}"))
+        paths = [(name, self.get_path(f"{name}.{suffix}")) for name in names for suffix in ("glb", "vrm")]
+        return {name: path for name, path in paths if path.is_file()}
 
     @property
     def changes_path(self) -> Path:

@@ -52,7 +52,7 @@ def test_a_cube_is_where_its_bone_carries_it(is_skinned):
     """The bone turns by 90 degrees about Z at (0, 2, 0), so the corner (1, 0, 0) goes to (2, 3, 0)."""
     document, buffer = build_cube(is_skinned=is_skinned)
     turned = Rotation.from_euler("z", [[0.0], [90.0]], degrees=True).as_matrix()
-    add_animation(buffer, "turn", turned[:, None], np.array([[0.0, 2, 0]] * 2), {0: 0}, 0, rate=10.0)
+    add_animation(buffer, "turn", turned[:, None], {0: np.array([[0.0, 2, 0]] * 2)}, {0: 0}, rate=10.0)
     content, nodes = read_back(document, buffer)
     mesh = read_gltf_mesh(content, nodes)
     rest = mesh.pose(compute_node_matrices(content, nodes)[0])

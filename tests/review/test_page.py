@@ -9,13 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import write_changes_file
+from mocapfix.io.gltf import write_gltf
+from mocapfix.model.animation import Animation
 from mocapfix.review.review_session import ReviewSession
 from mocapfix.review.server import ReviewServer
+from tests.io.read_back import motion_of
 from tests.io.test_changes_file import build_change
 from tests.review.conftest import RunningServer
 
@@ -252,6 +257,26 @@ def test_takes_of_a_session_are_opened_in_turn(browser: Browser, folder: Path, p
     thread.join(10.0)
     assert not thread.is_alive()
     assert not problems
+
+
+def test_a_character_moves_beside_the_body(browser: Browser, running: RunningServer, problems: list[str]) -> None:
+    body = read_capture(running.folder / "walk.bvh")
+    assert isinstance(body, Animation)
+    roots = body.compute_local_positions()[:, 0]
+    write_gltf(running.folder / "walk.hero.glb", body.skeleton, motion_of(body.compute_local_rotations(), roots), body.rate)
+    (running.folder / "walk.hero.map.yaml").touch()
+    page = open_page(browser, running, problems)
+    page.wait_for_function("review.app.scene.character")
+    places: list[list[float]] = []
+    for frame in (0, 200):
+        page.evaluate("frame => review.app.playback.moveTo(frame)", frame)
+        places.append(page.evaluate("review.app.scene.character.hips.getWorldPosition(review.app.scene.point).toArray()"))
+    page.locator("#character").select_option("")
+    page.wait_for_function("!review.app.scene.character")
+    page.context.close()
+    assert not problems
+    moved = roots[200] - roots[0]
+    np.testing.assert_allclose(np.subtract(places[1], places[0])[[0, 2]], moved[[0, 2]], atol=0.01)
 
 
 def test_labels_and_notes_with_html_are_text(browser: Browser, running: RunningServer, problems: list[str]) -> None:

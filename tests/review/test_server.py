@@ -59,6 +59,19 @@ def wait_for_run(running: RunningServer) -> dict[str, Any]:
     raise AssertionError("the cleaning did not end")
 
 
+def test_written_characters_are_listed_and_served(running: RunningServer) -> None:
+    for name, suffix in (("hero", "glb"), ("my [x]", "vrm")):
+        (running.folder / f"walk.{name}.{suffix}").write_bytes(suffix.encode())
+        (running.folder / f"walk.{name}.map.yaml").touch()
+    (running.folder / "walk.lost.map.yaml").touch()
+    assert fetch(running, "takes/walk")["characters"] == ["hero", "my [x]"]
+    address = f"{running.address}/api/takes/walk/characters?name="
+    assert request(f"{address}hero")[:2] == (200, b"glb")
+    assert request(f"{address}my%20%5Bx%5D")[:2] == (200, b"vrm")
+    for name in ("lost", "..%2Fwalk", ""):
+        assert request(address + name)[0] == 404
+
+
 def test_page_and_assets_are_served_with_a_strict_policy(running: RunningServer) -> None:
     for path in ("/", "/assets/page.css", "/assets/main.js", "/assets/three.js"):
         status, data, headers = request(running.address + path)

@@ -34,6 +34,7 @@ export const fetchSession = async () => (await request("session")).json();
 export const fetchTake = async (id) => (await request(takePath(id))).json();
 export const fetchSamples = async (id, first, count) =>
   (await request(`${takePath(id)}/samples?first=${first}&count=${count}`)).arrayBuffer();
+export const getCharacterUrl = (id, name) => `api/${takePath(id)}/characters?name=${encodeURIComponent(name)}`;
 export const sendEdit = (id, revision, action) => post(`${takePath(id)}/edit`, { revision, action });
 export const startCleaning = (id, formats, rigs) => post(`${takePath(id)}/clean`, { formats, rigs });
 export const cancelCleaning = (id) => post(`${takePath(id)}/cancel`, {});

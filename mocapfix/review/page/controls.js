@@ -28,6 +28,7 @@ export function connectControls(app) {
       if (app.samples) app.showFrame(app.playback.frame);
     });
   }
+  find("character").addEventListener("change", (event) => app.showCharacter(event.target.value));
   const stage = find("stage");
   stage.addEventListener("pointermove", (event) => {
     if (!app.isReady || event.buttons) return;

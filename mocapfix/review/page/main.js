@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { correctionActions, outputActions } from "./actions.js";
+import { CharacterView } from "./character.js";
 import { ChangeList, listChanges, renderCorrections } from "./changes.js";
 import { connectControls } from "./controls.js";
 import { CurveView } from "./curves.js";
@@ -73,6 +74,7 @@ class App {
     this.playback.setTake(take);
     this.renderKinds();
     this.renderReview();
+    this.offerCharacters(take);
     const kept = isSame && take.changes.some((each) => each.id === this.selectedId) ? this.selectedId : this.list.rows[0]?.id ?? null;
     const change = take.changes.find((each) => each.id === kept);
     const target = frame ?? (change ? this.middleOf(change) : 0);
@@ -81,6 +83,23 @@ class App {
     load.then(() => { this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
     renderDifference(find("difference"), take.difference, (id) => this.select(id));
+  }
+
+  // Lists the written characters, and shows the first.
+  offerCharacters(take) {
+    find("character-box").hidden = !take.characters.length;
+    find("character").replaceChildren(...take.characters.map((name) => new Option(name, name)), new Option("no character", ""));
+    this.showCharacter(take.characters[0] ?? "");
+  }
+
+  async showCharacter(name) {
+    const { take } = this;
+    try {
+      const character = name ? await CharacterView.load(api.getCharacterUrl(take.id, name)) : null;
+      if (this.take === take && find("character").value === name) this.scene.setCharacter(character);
+    } catch (error) {
+      this.showStatus(`${name} cannot be shown: ${error.message}`, true);
+    }
   }
 
   // Draws after a block of samples has come; selects the first change when it is the first.

@@ -44,6 +44,7 @@ export class SceneView {
   setTake(take, samples) {
     this.take = take;
     this.samples = samples;
+    this.character = null;
     for (const child of [...this.scene.children]) {
       this.scene.remove(child);
       child.geometry?.dispose();
@@ -83,6 +84,14 @@ export class SceneView {
     this.scene.add(this.grid);
   }
 
+  // Shows a character beside the body, null for none.
+  setCharacter(character) {
+    if (this.character) this.scene.remove(this.character.group);
+    this.character = character;
+    if (character) this.scene.add(character.group);
+    if (this.frame !== undefined) this.showFrame(this.frame, this.selected);
+  }
+
   // Shows a frame. `selected` are indices of markers whose trails are drawn.
   showFrame(frame, selected) {
     this.frame = frame;
@@ -92,6 +101,8 @@ export class SceneView {
     this.updatePoints("unlabelled", frame, () => COLOURS.unlabelled);
     this.updateBones(frame);
     this.updateTrails(frame, selected[0]);
+    const root = this.samples.counts.joints * 3 * frame;
+    this.character?.show(frame / this.take.rate, this.samples.joints.subarray(root, root + 3), this.take.motion_floor_m);
     this.requestRender();
   }
 

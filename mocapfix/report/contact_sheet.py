@@ -1,0 +1,254 @@
+"""The contact sheet: the rest pose and frames of the take in one picture, the solved body beside a character that it moves.
+
+The meshes are drawn as they stand in the written GLB, posed by linear blend skinning; without a mesh that can be read, the bones
+are drawn as sticks. The body is as tall as the character, in the same view: from the front of its pelvis and from one side,
+level, so that the floor is a line.
+"""
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from PIL import Image, ImageDraw, ImageFont
+
+from mocapfix.characters.character import Character
+from mocapfix.characters.rest_poses import build_bone_matrices
+from mocapfix.io.gltf import parse_glb, read_gltf_nodes
+from mocapfix.io.gltf_mesh import compute_node_matrices, move_nodes, read_gltf_mesh
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.take import Take
+from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.stats.sequences import sample_evenly
+
+COLUMNS, ROWS = 4, 2
+MAX_COMPARED_FRAMES = 2000  # among which the frames are chosen
+TAKE_LENGTH_M = 0.5  # the whole take counts as so much difference between two poses, so that the frames are spread over it
+CELL_WIDTH_PX, CELL_HEIGHT_PX, MARGIN_PX = 420, 320, 14  # the most that the figures of a cell may fill, and the space around them
+TITLE_HEIGHT_PX, LABEL_HEIGHT_PX, TITLE_PX, LABEL_PX, LETTER_PX = 58, 22, 20, 14, 7  # the last: mean width of a letter of a label
+OVERSAMPLING = 2  # the figures are drawn larger by this factor, for smooth edges
+STICK_PX, DOT_PX = 3, 2  # width, and radius
+MAX_COLOURS = 128  # of the picture
+YAW_RAD = np.radians(25)
+GAP_M = 0.15  # between the two figures of a cell
+PAPER, INK, FLOOR, BODY, MARKER = (248, 249, 250), (40, 46, 54), (150, 158, 168), (47, 111, 184), (224, 140, 20)
+LIGHT = np.array([-0.35, 0.55, 0.76])  # direction to the light: right, up and towards the viewer
+AMBIENT, DIFFUSE, DARKEST = 0.45, 0.6, 0.16  # of the shading; a black surface is drawn with the lightness DARKEST
+UP, LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Performer:
+    """The solved body as it is written, and the cleaned take."""
+
+    skeleton: Skeleton
+    motion: Motion
+    rate: float  # frames per second of the motion
+    start_s: float  # time of its first frame in the take
+    floor_height_m: float  # height of the floor in the take; in the motion it is 0
+    take: Take
+
+
+class ContactSheet(NamedTuple):
+    """A contact sheet as the report shows it."""
+
+    name: str  # of the file that it shows
+    png: bytes
+
+
+class _Figure(NamedTuple):
+    """What is drawn of one figure: right of its pelvis, above the floor, and towards the viewer, in metres."""
+
+    triangles: Float[np.ndarray, "F 3 3"]
+    sticks: Float[np.ndarray, "L 2 3"]
+    dots: Float[np.ndarray, "M 3"]
+
+    def view(self, place: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], scale: float = 1.0) -> "_Figure":
+        """Return the figure as seen in a view, given in the world with the place of its pelvis."""
+        return _Figure(*(scale * (each - place * LEVEL) @ axes.T for each in self))
+
+    @property
+    def points(self) -> Float[np.ndarray, "N 3"]:
+        points = np.concatenate([np.zeros((1, 3)), *(each.reshape(-1, 3) for each in self)])
+        return points[np.isfinite(points).all(1)]
+
+
+def draw_contact_sheet(performer: Performer, character: Character | None = None, glb: Path | None = None) -> bytes:
+    """Draw the sheet of a take as PNG.
+
+    Args:
+        performer: The solved body.
+        character: A character that it moves; None for the body alone.
+        glb: The written file of the character, whose last animation is drawn.
+    """
+    skeleton, take = performer.skeleton, performer.take
+    hips, head, left, right = map(skeleton.find_joint, ("Hips", "Head", "LeftUpLeg", "RightUpLeg"))
+    joints, rotations = compute_world_poses(skeleton, performer.motion)
+    turned = np.einsum("tab,tjb->tja", build_views(joints[:, left] - joints[:, right]), joints - joints[:, [hips]] * LEVEL)
+    frames = choose_frames(turned)
+    take_frames = np.rint((performer.start_s + frames / performer.rate) * take.rate).astype(int).clip(0, take.frame_count - 1)
+    labels = ["rest pose", *(f"frame {take.get_frame_number(frame)}" for frame in take_frames.tolist())]
+    markers = take.markers[take_frames] - performer.floor_height_m * UP
+    markers = np.concatenate([np.full_like(markers[:1], np.nan), markers])[:, : None if take.point_kind == "marker" else 0]
+    rest, leaves = skeleton.rest_positions, np.flatnonzero(skeleton.is_leaf)
+    poses = np.concatenate([rest[None] - rest[:, 1].min() * UP, joints[frames]])
+    rotations = np.concatenate([np.tile(np.eye(3), (1, len(rest), 1, 1)), rotations[frames]])
+    tips = poses[:, leaves] + np.einsum("tjab,jb->tja", rotations[:, leaves], skeleton.ends[leaves])
+    bones = [(parent, joint) for joint, parent in enumerate([*skeleton.parents, *leaves]) if parent >= 0]
+    views = build_views(poses[:, left] - poses[:, right])
+    title, reason, scale, characters, colours = "The solved body (blue) and its markers (orange)", "", 1.0, [], np.empty((0, 3))
+    if character and glb:
+        characters, colours = _show_character(character, glb, views, (frames / performer.rate).tolist())
+        height_m = max(poses[0, head, 1], joints[:, head, 1].max())  # at rest the legs are apart
+        scale = float(characters[0].points[:, 1].max() / height_m) or 1.0
+        title = f"{character.name}, beside the performer enlarged by {scale:.2f} (blue: solved body, orange: markers)"
+        reason = character.mapping.reason
+    bodies = [
+        _Figure(np.empty((0, 3, 3)), np.concatenate([pose, tip])[np.array(bones)], dots).view(pose[hips], axes, scale)
+        for pose, tip, dots, axes in zip(poses, tips, markers, views, strict=True)
+    ]
+    return _draw_cells([bodies, characters] if characters else [bodies], colours, labels, (title, reason))
+
+
+def _show_character(
+    character: Character, glb: Path, views: Float[np.ndarray, "F 3 3"], times_s: Sequence[float]
+) -> tuple[list[_Figure], Float[np.ndarray, "N 3"]]:
+    """Return the character in the rest pose, from its own front, and at some times as the body is seen; colours of triangles."""
+    content = parse_glb(glb, glb.read_bytes())
+    nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][-1]
+    numbers = {name: node for node, name in enumerate(nodes.names)}
+    bones = [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
+    rest = move_nodes(
+        nodes, *compute_node_matrices(content, nodes), dict(zip(bones, build_bone_matrices(character), strict=True))
+    )
+    matrices = np.concatenate([rest[None], compute_node_matrices(content, nodes, animation, times_s)])
+    pelvis, left, right = (bones[character.mapping.bones[name][0]] for name in ("pelvis", "left_thigh", "right_thigh"))
+    mesh, has_own_mesh = read_gltf_mesh(content, nodes), character.source is not None and character.source.kind == "gltf"
+    triangles = mesh.triangles if has_own_mesh else mesh.triangles[:0]
+    drawn = set(bones if not len(triangles) else ())
+    sticks = [(nodes.parents[bone], bone) for bone in bones]
+    sticks = np.array([each for each in sticks if each[0] in drawn], int).reshape(-1, 2)
+    views = np.concatenate([build_views(matrices[:1, left, :3, 3] - matrices[:1, right, :3, 3]), views[1:]])
+    figures = [
+        _Figure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)
+        for each, axes in zip(matrices, views, strict=True)
+    ]
+    return figures, mesh.colours
+
+
+def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:
+    """Return the frames that are shown, rising: that of the lowest root, and those that differ most from the ones before.
+
+    Two frames differ by the distances of their joints and by the time between them.
+
+    Args:
+        poses: Positions in metres relative to the place of the root on the floor, in axes that turn with the body.
+    """
+    candidates = sample_evenly(len(poses), MAX_COMPARED_FRAMES)
+    joints = poses[candidates].reshape(len(candidates), -1) / np.sqrt(poses.shape[1])
+    time = TAKE_LENGTH_M * candidates / max(1, len(poses) - 1)
+    features = np.concatenate([joints, time[:, None]], axis=1)
+    chosen = [int(poses[candidates, 0, 1].argmin())]
+    distances = np.full(len(candidates), np.inf)
+    while len(chosen) < min(COLUMNS * ROWS - 1, len(candidates)):
+        distances = np.minimum(distances, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        chosen.append(int(distances.argmax()))
+    return candidates[sorted(set(chosen))]
+
+
+def build_views(left: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Return the axes of the views of figures whose left is in some directions: right, up and towards the viewer, as rows."""
+    level = left * LEVEL
+    length = np.linalg.norm(level, axis=-1, keepdims=True)
+    side = np.where(length > 0, level / np.where(length > 0, length, 1.0), [1.0, 0.0, 0.0])
+    right = side * np.cos(YAW_RAD) - np.cross(side, UP) * np.sin(YAW_RAD)
+    return np.stack([right, np.broadcast_to(UP, right.shape), np.cross(right, UP)], axis=-2)
+
+
+def rasterise_triangles(corners: Float[np.ndarray, "F 3 3"], width: int, height: int) -> Int[np.ndarray, "height width"]:
+    """Return the triangle that is nearest to the viewer at the centre of each pixel, -1 where there is none.
+
+    Args:
+        corners: In pixels right and down, and towards the viewer in any unit.
+    """
+    low = np.clip(np.floor(corners[..., :2].min(1)), 0, [width, height]).astype(int)
+    size = np.clip(np.ceil(corners[..., :2].max(1)), 0, [width, height]).astype(int) - low
+    counts = size.prod(1)
+    triangle = np.repeat(np.arange(len(corners)), counts)
+    place = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
+    column = low[triangle, 0] + place % size[triangle, 0]
+    row = low[triangle, 1] + place // size[triangle, 0]
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(corners, 0, -1)
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    scale = np.where(area == 0, np.nan, 1 / np.where(area == 0, 1.0, area))
+    x, y = column + 0.5 - ax[triangle], row + 0.5 - ay[triangle]
+    second = ((cy - ay) * scale)[triangle] * x - ((cx - ax) * scale)[triangle] * y  # barycentric coordinates
+    third = ((bx - ax) * scale)[triangle] * y - ((by - ay) * scale)[triangle] * x
+    inside = np.flatnonzero((second >= 0) & (third >= 0) & (second + third <= 1))
+    triangle, pixel = triangle[inside], row[inside] * width + column[inside]
+    depth = az[triangle] + second[inside] * (bz - az)[triangle] + third[inside] * (cz - az)[triangle]
+    nearest = np.full(width * height, -np.inf)
+    np.maximum.at(nearest, pixel, depth)
+    is_nearest = depth == nearest[pixel]
+    shown = np.full(width * height, -1)
+    shown[pixel[is_nearest]] = triangle[is_nearest]
+    return shown.reshape(height, width)
+
+
+def _draw_cells(
+    series: Sequence[Sequence[_Figure]], colours: Float[np.ndarray, "F 3"], labels: Sequence[str], title: tuple[str, str]
+) -> bytes:
+    """Return the picture with a cell for each frame, in which the figures of each series stand side by side, the first left."""
+    points = [np.concatenate([figure.points for figure in each]) for each in series]
+    half_widths = np.array([np.abs(each[:, 0]).max() for each in points])
+    bottom, top = (float(bound([bound(each[:, 1]) for each in points])) for bound in (min, max))
+    centres = np.cumsum(2 * half_widths + GAP_M) - half_widths - GAP_M
+    total = float(centres[-1] + half_widths[-1])
+    px_per_m = min(CELL_WIDTH_PX / total, CELL_HEIGHT_PX / (top - bottom))
+    width, height = (int(length * px_per_m) + 2 * MARGIN_PX for length in (total, top - bottom))
+    sheet = Image.new("RGB", (COLUMNS * width, TITLE_HEIGHT_PX + ROWS * (height + LABEL_HEIGHT_PX)), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for k, figures in enumerate(zip(*series, strict=True)):
+        cell = Image.new("RGB", (OVERSAMPLING * width, OVERSAMPLING * height), PAPER)
+        for figure, centre, colour in zip(figures, centres, (BODY, INK), strict=False):
+            origin, scale = [MARGIN_PX + centre * px_per_m, MARGIN_PX + top * px_per_m, 0.0], [px_per_m, -px_per_m, px_per_m]
+            cell = _draw_figure(cell, _Figure(*(OVERSAMPLING * (origin + each * scale) for each in figure)), colours, colour)
+        left, upper = k % COLUMNS * width, TITLE_HEIGHT_PX + k // COLUMNS * (height + LABEL_HEIGHT_PX)
+        sheet.paste(cell.reduce(OVERSAMPLING), (left, upper))
+        floor = upper + MARGIN_PX + top * px_per_m
+        pen.line([(left, floor), (left + width, floor)], FLOOR)
+        pen.text((left + width / 2, upper + height), labels[k], INK, ImageFont.load_default(LABEL_PX), anchor="ma")
+    pen.text((MARGIN_PX, MARGIN_PX / 2), title[0], INK, ImageFont.load_default(TITLE_PX))
+    line = textwrap.shorten(title[1], sheet.width // LETTER_PX, placeholder=" …")
+    pen.text((MARGIN_PX, MARGIN_PX + TITLE_PX), line, INK, ImageFont.load_default(LABEL_PX))
+    encoded = BytesIO()
+    sheet.quantize(MAX_COLOURS).save(encoded, "PNG", optimize=True)
+    return encoded.getvalue()
+
+
+def _draw_figure(
+    cell: Image.Image, figure: _Figure, colours: Float[np.ndarray, "F 3"], stick_colour: tuple[int, int, int]
+) -> Image.Image:
+    """Return the picture with a figure, given in pixels, over it. Triangles are lit on both sides."""
+    corners = figure.triangles
+    if len(corners):
+        shown = rasterise_triangles(corners, *cell.size)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * [1.0, -1.0, 1.0]  # y is down
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0) / np.where(lengths > 0, lengths, 1.0)
+        light = AMBIENT + DIFFUSE * np.maximum(normals @ LIGHT, 0.0)
+        shaded = np.clip((DARKEST + (1 - DARKEST) * colours) * light[:, None], 0.0, 1.0)
+        pixels = np.array(cell)
+        pixels[shown >= 0] = (shaded * 255).astype(np.uint8)[shown[shown >= 0]]
+        cell = Image.fromarray(pixels)
+    pen, radius = ImageDraw.Draw(cell), DOT_PX * OVERSAMPLING
+    for start, end in figure.sticks[np.isfinite(figure.sticks).all((1, 2)), :, :2]:
+        pen.line([tuple(start), tuple(end)], stick_colour, STICK_PX * OVERSAMPLING)
+    for x, y, _ in figure.dots[np.isfinite(figure.dots).all(1)]:
+        pen.ellipse([x - radius, y - radius, x + radius, y + radius], MARKER)
+    return cell

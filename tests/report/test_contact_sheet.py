@@ -1,0 +1,123 @@
+"""Contact sheets: which frames are shown, how triangles and figures are drawn, and the pictures of a take."""
+
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mocapfix.characters.character_files import CharacterFiles
+from mocapfix.characters.load_character import load_character
+from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
+from mocapfix.options import OutputOptions
+from mocapfix.output_formats import build_exported_motion
+from mocapfix.report.contact_sheet import (
+    BODY,
+    COLUMNS,
+    INK,
+    MARKER,
+    ROWS,
+    Performer,
+    build_views,
+    choose_frames,
+    draw_contact_sheet,
+    rasterise_triangles,
+)
+from tests.io.test_gltf_mesh import build_cube, read_back
+
+SQUARE = np.array([[[10.0, 5, 0], [30, 5, 0], [30, 25, 0]], [[10.0, 5, 0], [30, 25, 0], [10, 25, 0]]])
+
+
+def test_triangles_cover_the_pixels_whose_centres_they_contain():
+    shown = rasterise_triangles(SQUARE, 40, 30)
+    expected = np.zeros((30, 40), bool)
+    expected[5:25, 10:30] = True
+    np.testing.assert_array_equal(shown >= 0, expected)
+    assert shown[6, 28] == 0
+    assert shown[23, 12] == 1
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_the_nearer_of_two_triangles_is_shown(order):
+    """One triangle is level, the other is nearer on its left half only; the order in which they are given does not matter."""
+    level = np.array([[0.0, 0, 0], [40, 0, 0], [0, 40, 0]])
+    tilted = level.copy()
+    tilted[:, 2] = 10 - level[:, 0]
+    shown = rasterise_triangles(np.stack([level, tilted])[order], 40, 40)
+    near = np.array(order)[shown[20]]
+    assert (near[:9] == 1).all()
+    assert (near[11:19] == 0).all()
+
+
+def test_what_lies_outside_the_picture_or_has_no_area_is_not_drawn():
+    flat = np.array([[[5.0, 5, 0], [15, 15, 0], [25, 25, 0]]])
+    outside = SQUARE - [100.0, 0, 0]
+    assert (rasterise_triangles(np.concatenate([flat, outside]), 40, 30) == -1).all()
+
+
+def test_a_cube_that_a_bone_carries_is_drawn_where_it_is():
+    content, nodes = read_back(*build_cube(bone_at=(1.0, 3.0, 0.0)))
+    mesh = read_gltf_mesh(content, nodes)
+    corners = mesh.pose(compute_node_matrices(content, nodes)[0])[mesh.triangles] * [10.0, 10.0, 1.0]
+    rows, columns = np.nonzero(rasterise_triangles(corners, 40, 40) >= 0)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 19, 10, 19)
+
+
+def test_the_left_of_a_figure_is_right_in_its_view():
+    right, up, towards = build_views(np.array([2.0, 0.5, 0.0]))  # its left is +X, so its front is +Z
+    assert right[0] > 0.9
+    np.testing.assert_allclose(up, [0, 1, 0])
+    assert towards[2] > 0.9
+    np.testing.assert_allclose(build_views(np.array([0.0, 1.0, 0.0])) @ build_views(np.zeros(3)).T, np.eye(3), atol=1e-12)
+
+
+def test_the_frames_shown_are_the_extremes():
+    """Of a figure that stands, frame 30 is a squat, 61 has an arm raised, and 85 the other."""
+    poses = np.tile([[0.0, 1.0, 0.0], [0.3, 1.3, 0.0], [-0.3, 1.3, 0.0]], (100, 1, 1))
+    poses[30, 0, 1] = 0.4
+    poses[61, 1] += [0.5, 0.5, 0.0]
+    poses[85, 2] += [-0.5, 0.5, 0.0]
+    frames = choose_frames(poses)
+    assert {30, 61, 85} <= set(frames.tolist())
+    assert len(frames) == COLUMNS * ROWS - 1
+    assert (np.diff(frames) > 0).all()
+    np.testing.assert_array_equal(choose_frames(poses[:3]), [0, 1, 2])
+
+
+def count_pixels(picture: Image.Image, colour: tuple[int, int, int]) -> int:
+    """Return how many pixels have nearly a colour."""
+    return int((np.abs(np.array(picture.convert("RGB"), int) - colour).max(-1) <= 12).sum())
+
+
+def test_a_sheet_shows_the_body_left_of_the_character(cleaned, tmp_path, monkeypatch):
+    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
+    result = replace(cleaned.result, motion=cleaned.result.motion.select_frames(np.arange(61)))
+    outputs = result.write(tmp_path, options=OutputOptions(characters=("mixamo",), extra_formats=("sheet",), output_rate_hz=30.0))
+    with Image.open(outputs["mixamo.sheet.png"]) as picture:
+        half = picture.crop((0, 80, picture.width // COLUMNS // 2, picture.height // 2))
+        other = picture.crop((picture.width // COLUMNS // 2, 80, picture.width // COLUMNS, picture.height // 2))
+        assert count_pixels(half, BODY) > 100 > count_pixels(half, INK)
+        assert count_pixels(other, INK) > 100 > count_pixels(other, BODY)
+        assert count_pixels(picture, MARKER) > 100
+    with Image.open(outputs["sheet.png"]) as picture:
+        assert count_pixels(picture, BODY) > 800
+    page = outputs["report.html"].read_text(encoding="utf-8")
+    assert page.count('src="data:image/png;base64,') == 1
+    assert "walk.mixamo.glb</h2>" in page
+
+
+def test_the_mesh_of_a_character_of_ones_own_is_drawn(cleaned, tmp_path):
+    """The test skin of a preset, as the mesh of a file: it is drawn in place of sticks."""
+    result, glb = cleaned.result, tmp_path / "walk.hero.glb"
+    exported = build_exported_motion(OutputOptions(), result.subject, result.motion.select_frames(np.arange(20)), 120.0)
+    assert exported is not None
+    CharacterFiles(load_character("mixamo"), OutputOptions()).write(tmp_path / "hero.glb", *exported.parts)
+    hero = load_character(tmp_path / "hero.glb")
+    CharacterFiles(hero, OutputOptions()).write(glb, *exported.parts)
+    sheet = draw_contact_sheet(Performer(*exported.parts, 0.0, 0.0, result.take), hero, glb)
+    with Image.open(BytesIO(sheet)) as picture:
+        assert count_pixels(picture, BODY) > 800
+        cells = picture.crop((0, 80, picture.width, picture.height // 2))
+        assert count_pixels(cells, INK) < 1500  # the labels
+        assert count_pixels(cells, (160, 160, 160)) > 100
