@@ -123,16 +123,14 @@ def _show_character(
     nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][-1]
     numbers = {name: node for node, name in enumerate(nodes.names)}
     bones = [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
-    rest = move_nodes(
-        nodes, *compute_node_matrices(content, nodes), dict(zip(bones, build_bone_matrices(character), strict=True))
-    )
+    rest_bones = dict(zip(bones, build_bone_matrices(character), strict=True))
+    rest = move_nodes(nodes, compute_node_matrices(content, nodes)[0], rest_bones)
     matrices = np.concatenate([rest[None], compute_node_matrices(content, nodes, animation, times_s)])
     pelvis, left, right = (bones[character.mapping.bones[name][0]] for name in ("pelvis", "left_thigh", "right_thigh"))
     mesh, has_own_mesh = read_gltf_mesh(content, nodes), character.source is not None and character.source.kind == "gltf"
     triangles = mesh.triangles if has_own_mesh else mesh.triangles[:0]
-    drawn = set(bones if not len(triangles) else ())
-    sticks = [(nodes.parents[bone], bone) for bone in bones]
-    sticks = np.array([each for each in sticks if each[0] in drawn], int).reshape(-1, 2)
+    parents = set[int]() if len(triangles) else set(bones)
+    sticks = np.array([(parent, bone) for bone in bones if (parent := int(nodes.parents[bone])) in parents], int).reshape(-1, 2)
     views = np.concatenate([build_views(matrices[:1, left, :3, 3] - matrices[:1, right, :3, 3]), views[1:]])
     figures = [
         _Figure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)

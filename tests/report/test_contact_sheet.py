@@ -29,7 +29,7 @@ from tests.io.test_gltf_mesh import build_cube, read_back
 SQUARE = np.array([[[10.0, 5, 0], [30, 5, 0], [30, 25, 0]], [[10.0, 5, 0], [30, 25, 0], [10, 25, 0]]])
 
 
-def test_triangles_cover_the_pixels_whose_centres_they_contain():
+def test_triangles_cover_the_pixels_with_their_centres_inside():
     shown = rasterise_triangles(SQUARE, 40, 30)
     expected = np.zeros((30, 40), bool)
     expected[5:25, 10:30] = True
