@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from mocapfix.animations.repair import AnimationRepair, RepairMethod
+from mocapfix.animations.repair import AnimationRepair
+from mocapfix.animations.repair_methods import RepairMethod
 from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.contacts.body_contacts import compute_held_displacements, displace_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet

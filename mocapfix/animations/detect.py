@@ -13,7 +13,7 @@ hips where a reference node that does not move is above them). `detect_animation
   is about all axes: a kick, a landing or a clap jerks a joint about one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -36,6 +36,8 @@ MIN_HELD_FRAMES = 2
 MAX_REPEATED_DIFFERENCE = 1e-9  # radians or metres between two frames that hold the same value
 MIN_JUMP = np.radians(1.0)  # radians, or metres: a smaller jump is not visible
 MIN_JUMP_RATIO = 2.0  # of a jump to the largest step in the frames next to it
+MIN_SHORT_JUMP_RATIO = 3.0  # the same after one value in one track for less than MIN_HELD_DURATION_S
+MIN_STOP_JUMP_RATIO = 1.0  # the same after several tracks stopped, together and from one frame to the next
 JUMP_CONTEXT_FRAMES = 3  # frames that a jump is compared with
 MAX_HELD_SHARE = 0.5  # a track that is held in a larger share of all frames is at rest, so holding is not a fault
 WHOLE_FIGURE_SHARE = 0.8  # of the moving tracks: if more are lost at once, the whole figure is
@@ -75,41 +77,60 @@ def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"
     min_held_frames = max(MIN_HELD_FRAMES, round(MIN_HELD_DURATION_S * rate))
     gaps = [
         AnimationGap(tracks, first, last, GapAppearance.ABSENT)
-        for (first, last), tracks in _group_tracks(is_absent, np.ones_like(is_moving))
+        for (first, last), tracks in _group_tracks(is_absent, np.ones_like(is_moving), lambda *_: True)
     ]
-    for (first, last), tracks in _group_tracks(is_zero, is_moving):
+
+    def is_zero_gap(first: int, last: int, tracks: Sequence[int]) -> bool:
         is_inside = first > 0 and last < last_frame
-        if is_inside and (_detect_jumps(steps[first - 1 :: -1], tracks) & _detect_jumps(steps[last:], tracks)).any():
-            gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
-    for (first, last), tracks in _group_tracks(is_held & ~is_zero & ~_build_gap_mask(gaps, is_zero.shape), is_moving):
+        return is_inside and bool((_detect_jumps(steps[first - 1 :: -1], tracks) & _detect_jumps(steps[last:], tracks)).any())
+
+    def is_held_gap(first: int, last: int, tracks: Sequence[int]) -> bool:
+        if last == last_frame:
+            return False
         # Two moving joints do not stop in the same frame, to the last digit.
-        is_long_enough = last - first + 1 >= min_held_frames or len(tracks) > 1
-        if is_long_enough and last < last_frame and _detect_jumps(steps[last:], tracks).any():
-            gaps.append(AnimationGap(tracks, first, last, GapAppearance.HELD))
+        ratio = MIN_JUMP_RATIO if last - first + 1 >= min_held_frames or len(tracks) > 1 else MIN_SHORT_JUMP_RATIO
+        if len(tracks) > 1 and (steps[max(first - 2, 0), list(tracks)] > MIN_JUMP).sum() > 1:
+            ratio = MIN_STOP_JUMP_RATIO
+        return (last > first or len(tracks) > 1) and bool(_detect_jumps(steps[last:], tracks, ratio).any())
+
+    for (first, last), tracks in _group_tracks(is_zero, is_moving, is_zero_gap):
+        gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
+    is_held &= ~is_zero & ~_build_gap_mask(gaps, is_zero.shape)
+    for (first, last), tracks in _group_tracks(is_held, is_moving, is_held_gap):
+        if first > 1 and _detect_jumps(steps[first - 2 :: -1], tracks).any():
+            first -= 1  # the frame to which it jumps: it does not hold the last sound value
+            gaps = [gap for gap in gaps if (gap.tracks, gap.last) != (tracks, first - 1)]  # it may rest before the jump
+        gaps.append(AnimationGap(tracks, first, last, GapAppearance.HELD))
     return sorted(gaps, key=lambda gap: gap.first)
 
 
-def _detect_jumps(steps: Float[np.ndarray, "S N"], tracks: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+def _detect_jumps(
+    steps: Float[np.ndarray, "S N"], tracks: Sequence[int], ratio: float = MIN_JUMP_RATIO
+) -> Bool[np.ndarray, " n"]:
     """Return, for each of the tracks, whether the first step is a jump compared with the steps that follow."""
     context = np.nanmax(steps[1 : 1 + JUMP_CONTEXT_FRAMES][:, tracks], axis=0, initial=0.0)
-    return steps[0, tracks] > MIN_JUMP + MIN_JUMP_RATIO * context
+    return steps[0, tracks] > MIN_JUMP + ratio * context
 
 
 def _group_tracks(
-    mask: Bool[np.ndarray, "T N"], is_moving: Bool[np.ndarray, " N"]
+    mask: Bool[np.ndarray, "T N"], is_moving: Bool[np.ndarray, " N"], is_gap: Callable[[int, int, Sequence[int]], bool]
 ) -> Iterator[tuple[tuple[int, int], tuple[int, ...]]]:
-    """Yield the (first, last) frames of each run of True, and the tracks that have it.
+    """Yield the (first, last) frames of each run of True that is a gap of the tracks that have it, and these tracks.
 
-    Where nearly as many tracks as are moving are True, the run is of all tracks.
+    Where nearly as many tracks as are moving are True, and this is a gap, the run is of all tracks.
     """
-    track_count = mask.shape[1]
-    is_whole_figure = mask.sum(1) >= max(WHOLE_FIGURE_SHARE * is_moving.sum(), 1)
-    tracks_by_run: dict[tuple[int, int], list[int]] = {run: list(range(track_count)) for run in find_runs(is_whole_figure)}
-    for track in range(track_count):
+    every = tuple(range(mask.shape[1]))
+    is_whole_figure = np.zeros(len(mask), bool)
+    for first, last in find_runs(mask.sum(1) >= max(WHOLE_FIGURE_SHARE * is_moving.sum(), 1)):
+        if is_gap(first, last, every):
+            is_whole_figure[first : last + 1] = True
+            yield (first, last), every
+    tracks_by_run: dict[tuple[int, int], list[int]] = {}
+    for track in every:
         for first, last in find_runs(mask[:, track]):
             if not is_whole_figure[first : last + 1].any():
                 tracks_by_run.setdefault((first, last), []).append(track)
-    yield from ((run, tuple(tracks)) for run, tracks in sorted(tracks_by_run.items()))
+    yield from ((run, tuple(tracks)) for run, tracks in sorted(tracks_by_run.items()) if is_gap(*run, tracks))
 
 
 def _build_gap_mask(gaps: list[AnimationGap], shape: tuple[int, ...]) -> Bool[np.ndarray, "T N"]:

@@ -13,11 +13,12 @@ from typing import NamedTuple, TypedDict
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic as motions
 from mocapfix.animations.detect import detect_pose_faults
-from mocapfix.animations.repair import RepairMethod, repair_animation
+from mocapfix.animations.repair import repair_animation
+from mocapfix.animations.repair_methods import FrameSpan, RepairMethod, exclude_span, interpolate_linearly
 from mocapfix.errors import SceneError
 from mocapfix.lab.recordings import TRAINING_RATE_HZ
 from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
@@ -366,13 +367,12 @@ def interpolate_faults(
     """Interpolate from the last frame before each fault to the first after it: rotations spherically, the position linearly."""
     root_position, local_rotations = root_position.copy(), local_rotations.copy()
     for fault in injected:
-        frames, ends = np.arange(fault.first, fault.last + 1), np.array([fault.first - 1, fault.last + 1])
+        span = FrameSpan(fault.first, fault.last, TRAINING_RATE_HZ)
+        is_sound = exclude_span(np.ones(len(root_position), bool), span)
         for joint in fault.joints if fault.kind != "root offset" else ():
-            slerp = Slerp(ends, Rotation.from_matrix(local_rotations[ends, joint]))
-            local_rotations[frames, joint] = slerp(frames).as_matrix()
+            local_rotations[span.frames, joint] = interpolate_linearly(local_rotations[:, joint], is_sound, span)
         if fault.kind == "root offset" or len(fault.joints) == local_rotations.shape[1]:
-            weights = ((frames - ends[0]) / (ends[1] - ends[0]))[:, None]
-            root_position[frames] = (1 - weights) * root_position[ends[0]] + weights * root_position[ends[1]]
+            root_position[span.frames] = interpolate_linearly(root_position, is_sound, span)
     return root_position, local_rotations
 
 

@@ -31,6 +31,7 @@ from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
+from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.pose_problem import (
     FrameChanges,
     FrameWindow,
@@ -163,10 +164,9 @@ def infer_unobserved_joints(
     """Return the motion with the unobserved joints inferred from the rest of the take, and the evidence with their variance."""
     frames = np.flatnonzero(problem.is_unobserved.any(1))
     local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
-    poses, free = (motion.root_position, local_rotations), problem.pose_problem.tree.free
-    occluded_joints.infer_occluded_joints(
-        *poses, variance, problem.is_unobserved, free, problem.rate, conditioner=conditioner, solved=motion.local_rotations
-    )
+    joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
+    known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate)
+    occluded_joints.infer_occluded_joints(known, conditioner)
     inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
     is_unobserved = problem.is_unobserved[frames]
     local_rotations[:] = motion.local_rotations

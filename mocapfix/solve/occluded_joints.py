@@ -18,6 +18,7 @@ Last, if the conditioner has a motion prior, as in animations, its prediction is
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -90,76 +91,112 @@ QUERY_STEP_S = 1 / 30  # between frames of a gap in which the pose model is used
 PRIOR_INNOVATION_SD_RAD = 0.3  # standard deviation per axis of people's limbs about the innovation of the pose model
 
 
-def infer_occluded_joints(
-    root_position: Float[np.ndarray, "T 3"],
-    local_rotations: Float[np.ndarray, "T J 3 3"],
-    variance: Float[np.ndarray, "T J"],
-    is_unobserved: Bool[np.ndarray, "T J"],
-    free_joints: Bool[np.ndarray, " J"],
-    rate: float,
-    *,
-    conditioner: PriorConditioner | None = None,
-    kernel: StateCovariance = ESTIMATED_ROTATION_KERNEL,
-    solved: Float[np.ndarray, "T J 3 3"] | None = None,
-) -> None:
-    """Overwrite the rotations of unobserved joints, and their variance in rad^2, with predictions.
+class KnownMotion(NamedTuple):
+    """A motion of which some joints are occluded in some frames.
 
-    Args:
-        root_position, local_rotations, variance: The solution of each frame on its own, in metres and rad^2.
+    Attributes:
+        root_position: Metres.
+        local_rotations: Of the joints; any where they are not observed.
+        variance: Of the rotations, in rad^2.
         is_unobserved: As from `pose_problem.find_unobserved_joints`.
-        kernel: Covariance of the rotations between frames.
-        solved: Equal to local_rotations, which are overwritten; copied from there by default.
+        joints: The joints below the root that move.
+        rate: Frames per second.
     """
-    joints = np.flatnonzero(free_joints)[1:]
-    has_body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
-    if solved is None:
-        solved = local_rotations.copy()
+
+    root_position: Float[np.ndarray, "T 3"]
+    local_rotations: Float[np.ndarray, "T J 3 3"]
+    variance: Float[np.ndarray, "T J"]
+    is_unobserved: Bool[np.ndarray, "T J"]
+    joints: Int[np.ndarray, " F"]
+    rate: float
+
+    @property
+    def has_body(self) -> Bool[np.ndarray, " T"]:
+        """The frames in which enough is observed to infer the rest."""
+        return self.is_unobserved[:, self.joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
+
+
+class InferredJoints(NamedTuple):
+    """The rotations of L occluded joints in a gap of n frames, and their variance in rad^2 per axis."""
+
+    rotations: Float[np.ndarray, "n L 3 3"]
+    variance: Float[np.ndarray, "n L"]
+
+
+def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | None) -> None:
+    """Overwrite the rotations of joints that no marker shows, and their variance, with predictions."""
+    given = motion._replace(local_rotations=motion.local_rotations.copy(), variance=motion.variance.copy())
 
     def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
         (first, last), occluded = gap
-        observed = joints[~is_unobserved[first : last + 1, joints].any(axis=0)]
-        is_known = has_body & ~is_unobserved[:, np.r_[observed, occluded]].any(axis=1)
-        training = select_training_frames(is_known, first, last, rate)
-        if len(training) < MIN_TRAINING_FRAMES:
-            return
-        # quaternions times 2 as rows of 4 L numbers, in radians, and their excess variance
-        rotations = np.hstack([2 * lie.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded])
-        training_variance = variance[training][:, occluded].max(axis=1)
-        noise = np.maximum(training_variance - np.median(training_variance), 0.0)
-        frames = np.arange(first, last + 1)
-        training_states, gap_states = (
-            compute_joint_state_features(root_position, solved, observed, each, rate) for each in (training, frames)
-        )
-        data = training_states, training / rate, noise, kernel
-        process = fit_gaussian_process(rotations, *data)
-        predicted, relative_variance = process.predict(gap_states, frames / rate)
-        shown = np.fmax(process.cross_validate_gaps(len(frames) / rate), process.signal_power)
-        power = len(training) * (shown.reshape(-1, 4).sum(axis=1) / 3) + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2
-        power /= len(training) + DEFAULT_POWER_FRAMES  # of each joint, in rad^2 per axis, as errors in gaps this long show it
-        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
-        if conditioner and gap_variance.max() > MIN_QUERY_SD_RAD**2:
-            queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
-            reference = np.concatenate([rotations, predicted[queried]])
-            drift = conditioner.predict_rotations(solved, observed, occluded, np.r_[training, frames[queried]], reference)
-            drift_process = fit_gaussian_process(drift[: len(training)], *data)
-            sampled = drift[len(training) :] - drift_process.predict(gap_states[queried], frames[queried] / rate)[0]
-            innovation = np.stack([np.interp(frames, frames[queried], values) for values in sampled.T], axis=1)
-            gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
-            predicted += np.repeat(gain, 4, axis=1) * innovation
-        for i, j in enumerate(occluded):
-            predicted_joint = np.ascontiguousarray(predicted[:, 4 * i : 4 * i + 4])
-            lie.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
-        if conditioner:
-            gap_rotations = local_rotations[first : last + 1]
-            context = GapContext(root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
-            cropped = context.crop()
-            estimated = cropped.local_rotations.copy()
-            estimated[cropped.frames][:, occluded] = gap_rotations[:, occluded]
-            if prediction := conditioner.predict_gap(cropped._replace(local_rotations=estimated), occluded):
-                combined, gap_variance = combine_rotations(gap_rotations[:, occluded], gap_variance, prediction)
-                gap_rotations[:, occluded] = combined
-        variance[first : last + 1, occluded] = gap_variance
+        if estimates := infer_gap_joints(given, first, last, occluded, ESTIMATED_ROTATION_KERNEL, conditioner):
+            motion.local_rotations[first : last + 1, occluded], motion.variance[first : last + 1, occluded] = estimates[-1]
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
-    gaps = group_gaps(is_unobserved & has_body[:, None])
+    gaps = group_gaps(motion.is_unobserved & motion.has_body[:, None])
     run_in_parallel(infer_gap, sorted(gaps.items(), key=lambda gap: gap[0][0] - gap[0][1]))
+
+
+def infer_gap_joints(
+    motion: KnownMotion,
+    first: int,
+    last: int,
+    occluded: Int[np.ndarray, " L"],
+    kernel: StateCovariance,
+    conditioner: PriorConditioner | None,
+) -> list[InferredJoints]:
+    """Infer joints that are occluded in the frames first..last.
+
+    Returns what follows from the take, then, with a conditioner, the estimate that uses the trained models as well; nothing if
+    too few frames show the joints.
+    """
+    solved, is_unobserved, rate = motion.local_rotations, motion.is_unobserved, motion.rate
+    observed = motion.joints[~is_unobserved[first : last + 1, motion.joints].any(axis=0)]
+    has_body = motion.has_body
+    is_known = has_body & ~is_unobserved[:, np.r_[observed, occluded]].any(axis=1)
+    training = select_training_frames(is_known, first, last, rate)
+    if len(training) < MIN_TRAINING_FRAMES:
+        return []
+    # quaternions times 2 as rows of 4 L numbers, in radians, and their excess variance
+    rotations = np.hstack([2 * lie.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded])
+    training_variance = motion.variance[training][:, occluded].max(axis=1)
+    noise = np.maximum(training_variance - np.median(training_variance), 0.0)
+    frames = np.arange(first, last + 1)
+    training_states, gap_states = (
+        compute_joint_state_features(motion.root_position, solved, observed, each, rate) for each in (training, frames)
+    )
+    data = training_states, training / rate, noise, kernel
+    process = fit_gaussian_process(rotations, *data)
+    predicted, relative_variance = process.predict(gap_states, frames / rate)
+    shown = np.fmax(process.cross_validate_gaps(len(frames) / rate), process.signal_power)
+    power = len(training) * (shown.reshape(-1, 4).sum(axis=1) / 3) + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2
+    power /= len(training) + DEFAULT_POWER_FRAMES  # of each joint, in rad^2 per axis, as errors in gaps this long show it
+    gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
+    from_take = InferredJoints(_convert_rows(predicted), gap_variance)
+    if not conditioner:
+        return [from_take]
+    gap_rotations = from_take.rotations
+    if gap_variance.max() > MIN_QUERY_SD_RAD**2:
+        queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
+        reference = np.concatenate([rotations, predicted[queried]])
+        drift = conditioner.predict_rotations(solved, observed, occluded, np.r_[training, frames[queried]], reference)
+        drift_process = fit_gaussian_process(drift[: len(training)], *data)
+        sampled = drift[len(training) :] - drift_process.predict(gap_states[queried], frames[queried] / rate)[0]
+        innovation = np.stack([np.interp(frames, frames[queried], values) for values in sampled.T], axis=1)
+        gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
+        gap_rotations = _convert_rows(predicted + np.repeat(gain, 4, axis=1) * innovation)
+    context = GapContext(motion.root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
+    cropped = context.crop()
+    estimated = cropped.local_rotations.copy()
+    estimated[cropped.frames][:, occluded] = gap_rotations
+    if prediction := conditioner.predict_gap(cropped._replace(local_rotations=estimated), occluded):
+        gap_rotations, gap_variance = combine_rotations(gap_rotations, gap_variance, prediction)
+    return [from_take, InferredJoints(gap_rotations, gap_variance)]
+
+
+def _convert_rows(rows: Float[np.ndarray, "n Q"]) -> Float[np.ndarray, "n L 3 3"]:
+    """Convert rows of quaternions of L joints, of any length, to rotations."""
+    rotations = np.empty((len(rows), rows.shape[1] // 4, 3, 3))
+    for joint in range(rotations.shape[1]):
+        lie.store_joint_quaternions(np.ascontiguousarray(rows[:, 4 * joint : 4 * joint + 4]), joint, rotations)
+    return rotations

@@ -7,6 +7,7 @@ that makes the signal smoothest is a linear least squares problem.
 """
 
 from typing import NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,7 +41,8 @@ def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: s
     models = [OffsetModel(zeros, np.swapaxes(each, 1, 2), 3) for each in (in_parent, in_joint)]
     if len(order) == 3:
         rotations = Rotation.from_quat(quaternions)
-        outer = Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
+        with catch_warnings(action="ignore"):  # in gimbal lock, where any outer angle is right
+            outer = Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
         inner = (outer.inv() * rotations).as_quat()
         outer_quaternions = outer.as_quat()
         middle_axis = units[None, "XYZ".index(order[1])]

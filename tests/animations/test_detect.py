@@ -110,6 +110,32 @@ def test_lost_limb_is_one_fault(value: float | str):
     assert (faults[0].first, faults[0].last) == (200, 229)
 
 
+def test_joint_that_rests_at_another_angle_is_lost_from_the_first_frame_of_it():
+    steps, rest_distances = np.full((60, 8), 0.01), np.ones((61, 8))
+    steps[20:40, 3] = 0.0
+    steps[[29, 36], 3] = 0.5  # a joint at rest jumps to another angle in frame 30, and back in frame 37
+    found = detect.detect_animation_gaps(TrackMotion(steps, rest_distances), np.zeros(rest_distances.shape, bool), RATE)
+    assert [each[:3] for each in found] == [((3,), 30, 36)]
+
+
+def test_frozen_joint_of_a_resting_figure_is_a_gap():
+    steps, rest_distances = np.full((60, 8), 0.01), np.ones((61, 8))
+    steps[20:45] = 0.0
+    steps[34, 3] = 0.5
+    steps[35:, 3] = 0.01
+    found = detect.detect_animation_gaps(TrackMotion(steps, rest_distances), np.zeros(rest_distances.shape, bool), RATE)
+    assert [each[:3] for each in found] == [((3,), 21, 34)]
+
+
+def test_short_hold_of_one_joint_is_a_gap_after_a_clear_jump():
+    steps, rest_distances = np.full((60, 8), 0.05), np.ones((61, 8))
+    steps[30:32, 3] = 0.0
+    for jump_rad, found in ((0.12, []), (0.18, [((3,), 31, 32)])):
+        steps[32, 3] = jump_rad
+        gaps = detect.detect_animation_gaps(TrackMotion(steps, rest_distances), np.zeros(rest_distances.shape, bool), RATE)
+        assert [each[:3] for each in gaps] == found
+
+
 def test_frozen_figure_is_one_fault_of_all_tracks():
     root_position, rotations = compose_sound_motion().root_position.copy(), compose_sound_motion().local_rotations.copy()
     root_position[SPAN], rotations[SPAN] = root_position[199], rotations[199]

@@ -7,6 +7,7 @@ import pytest
 
 from mocapfix import synthetic as motions
 from mocapfix.animations import repair
+from mocapfix.animations.repair_methods import FrameSpan, RepairMethod, SpanEstimate
 from mocapfix.lab.animation_repair import (
     ANIMATION_FAULT_INJECTORS,
     InjectedAnimationFault,
@@ -45,12 +46,12 @@ def test_injected_faults_are_repaired_and_the_rest_is_unchanged(kind):
     repaired = repair.repair_animation(
         SKELETON.parents, damaged.root_position, damaged.local_rotations, ["ZYX"] * 31, faults, RATE
     )
-    about = repaired.method != repair.RepairMethod.UNCHANGED
+    about = repaired.method != RepairMethod.UNCHANGED
     for fault in faults:
         assert about[fault.frame_slice, list(fault.markers)].all()
         about[fault.frame_slice, list(fault.markers)] = False
     assert not about.any()
-    sound = repaired.method == repair.RepairMethod.UNCHANGED
+    sound = repaired.method == RepairMethod.UNCHANGED
     assert (repaired.local_rotations[sound[:, :-1]] == truth.local_rotations[sound[:, :-1]]).all()
     assert (repaired.root_position[sound[:, -1]] == truth.root_position[sound[:, -1]]).all()
     assert (repaired.variance > 0)[~sound].all()
@@ -106,6 +107,71 @@ def test_certain_prediction_replaces_the_interpolation_of_a_lost_body():
     assert (repaired.variance[frames] < 1e-9).all()
 
 
+def repair_lost_arm(frames: slice, predict=None) -> tuple[repair.AnimationRepair, float, float]:
+    """Return the repair of an arm that is lost, its error, and that of interpolation, in metres."""
+    truth, arm = composed(), tuple(map(SKELETON.names.index, ("LeftArm", "LeftForeArm", "LeftHand")))
+    injected = InjectedAnimationFault("limb gap", arm, frames.start, frames.stop - 1)
+    rotations = truth.local_rotations.copy()
+    rotations[frames, arm] = np.nan
+    poses = SKELETON.parents, truth.root_position, rotations, ["ZYX"] * 31, build_expected_faults(injected, 31), RATE
+    conditioner = predict and NoPoses(lambda: pytest.fail("no pose is predicted"), 1.0, predict)
+    repaired = repair.repair_animation(*poses, conditioner)
+    true = places(truth.root_position, truth.local_rotations)
+    linear = interpolate_faults(truth.root_position, rotations, [injected])
+    own_error_m, linear_error_m = (
+        np.linalg.norm(places(*each) - true, axis=-1)[frames].mean()
+        for each in ((truth.root_position, repaired.local_rotations), linear)
+    )
+    return repaired, own_error_m, linear_error_m
+
+
+class NoPoses(PriorConditioner):
+    """A conditioner that predicts motion only."""
+
+    def predict_rotations(self, local_rotations, observed_joints, occluded_joints, frames, reference):
+        return reference
+
+
+def predict_other_pose(context: GapContext, size_ratio: float) -> GapPrediction:
+    """Predict with certainty a pose that nobody has, as a model does for a rig that is mapped wrongly."""
+    count = context.last - context.first + 1
+    turned = np.tile(np.diag([1.0, -1.0, -1.0]), (count, 31, 1, 1))
+    return GapPrediction(turned, np.full((count, 31), 1e-12), np.zeros((count, 3)), np.full(count, 1e-12))
+
+
+def test_prediction_that_fails_elsewhere_in_the_take_is_not_used():
+    frames = slice(200, 222)
+    plain, error_m, linear_error_m = repair_lost_arm(frames)
+    misled = repair_lost_arm(frames, predict_other_pose)[0]
+    assert error_m < 0.5 * linear_error_m
+    np.testing.assert_array_equal(misled.local_rotations, plain.local_rotations)
+
+
+def test_take_too_short_to_try_methods_keeps_the_method_of_the_fault():
+    def estimate(span: FrameSpan) -> list[SpanEstimate]:
+        values = np.zeros((1, 1, 3)), np.zeros((1, 1))
+        return [SpanEstimate(RepairMethod(method), *values) for method in (4, 1)]
+
+    chosen = repair.choose_estimate(estimate, np.zeros((5, 1, 3)), np.array([-1]), np.ones(5, bool), FrameSpan(2, 2, RATE))
+    assert chosen is not None
+    assert chosen.method == RepairMethod.OFFSET_REMOVED
+
+
+@pytest.mark.parametrize(("error_m", "method"), [(0.01, 1), (0.05, 4)])
+def test_method_with_the_smaller_error_in_sound_stretches_is_chosen(error_m: float, method: int):
+    def estimate(span: FrameSpan) -> list[SpanEstimate]:
+        def build(kind: int, offset_m: float) -> SpanEstimate:
+            values = np.full((len(span.frames), 1, 3), offset_m)
+            return SpanEstimate(RepairMethod(kind), values, np.zeros(values.shape[:2]))
+
+        return [build(4, 0.02), build(1, -error_m)]
+
+    track = np.zeros((100, 1, 3))
+    chosen = repair.choose_estimate(estimate, track, np.array([-1]), np.ones(100, bool), FrameSpan(40, 44, RATE))
+    assert chosen is not None
+    assert chosen.method == method
+
+
 def test_missing_values_that_no_fault_names_stay_missing_beside_a_repaired_gap():
     truth, kept, gap = composed(), slice(50, 55), slice(60, 80)
     injected = InjectedAnimationFault("figure gap", tuple(range(31)), gap.start, gap.stop - 1)
@@ -116,4 +182,4 @@ def test_missing_values_that_no_fault_names_stay_missing_beside_a_repaired_gap()
     assert is_missing[kept, 9].all()
     assert is_missing.sum() == kept.stop - kept.start
     assert np.isfinite(repaired.root_position).all()
-    assert (repaired.method[kept, 9] == repair.RepairMethod.UNCHANGED).all()
+    assert (repaired.method[kept, 9] == RepairMethod.UNCHANGED).all()

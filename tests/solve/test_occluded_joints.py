@@ -28,12 +28,19 @@ def draw_mirrored_motion(rng, frames=FRAMES):
     return np.tile([0.0, 1.0, 0.0], (frames, 1)), local
 
 
+def infer_joints(root, rotations, variance, is_unobserved, conditioner=None):
+    """Overwrite unobserved rotations and their variance."""
+    joints = np.flatnonzero(BODY.free_joints)[1:]
+    motion = occluded_joints.KnownMotion(root, rotations, variance, is_unobserved, joints, RATE)
+    occluded_joints.infer_occluded_joints(motion, conditioner)
+
+
 def infer(root, truth, is_unobserved):
     """Return rotations and variances after the inference, and before it."""
     solved, variance_before = truth.copy(), np.full(is_unobserved.shape, 1e-4)
     solved[is_unobserved], variance_before[is_unobserved] = np.eye(3), 0.3
     inferred, variance = solved.copy(), variance_before.copy()
-    occluded_joints.infer_occluded_joints(root, inferred, variance, is_unobserved, BODY.free_joints, RATE)
+    infer_joints(root, inferred, variance, is_unobserved)
     return inferred, variance, solved, variance_before
 
 
@@ -155,7 +162,7 @@ def test_pose_model_innovation_is_used_and_its_bias_ignored(scale, max_ratio):
     oracle = Oracle(truth, scale)
     inferred, variance = truth.copy(), np.full(is_unobserved.shape, 1e-4)
     inferred[is_unobserved] = np.eye(3)
-    occluded_joints.infer_occluded_joints(root, inferred, variance, is_unobserved, BODY.free_joints, RATE, conditioner=oracle)
+    infer_joints(root, inferred, variance, is_unobserved, oracle)
     without_model = infer(root, truth, is_unobserved)[0]
     assert len(oracle.calls) == 1
     for j in LEFT:
@@ -170,7 +177,5 @@ def test_pose_model_is_not_used_for_certain_gaps():
     is_unobserved = np.zeros(truth.shape[:2], bool)
     is_unobserved[300:306, LEFT] = True
     oracle = Oracle(truth)
-    occluded_joints.infer_occluded_joints(
-        root, truth.copy(), np.full(is_unobserved.shape, 1e-4), is_unobserved, BODY.free_joints, RATE, conditioner=oracle
-    )
+    infer_joints(root, truth.copy(), np.full(is_unobserved.shape, 1e-4), is_unobserved, oracle)
     assert not oracle.calls
