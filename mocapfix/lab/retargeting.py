@@ -31,7 +31,7 @@ from mocapfix.characters.character import (
 from mocapfix.characters.kept_positions import FAR_DISTANCE, LEG_PARTS, find_nearest_point
 from mocapfix.characters.load_character import compute_skin_vertices, load_character
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, Floor
 from mocapfix.errors import MocapfixError, TakeError
 from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.sound_takes import iterate_sound_takes
@@ -163,13 +163,14 @@ def find_landmarks(character: Character, motion: CharacterMotion, corners: Mappi
 
 def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -> Quantities:
     """Measure the landmarks of a figure that moves like the performer; the figure's floor is at height 0."""
-    rate, floor, places, wanted = each.motion.rate, each.contacts.floor, figure.places, performer.places
+    rate, places, wanted = each.motion.rate, figure.places, performer.places
+    floor = replace(each.contacts.floor, level_heights_m=each.contacts.floor.level_heights_m[:1])  # a bench is no floor for hands
     leg, arm, trunk = figure.leg_m / performer.leg_m, figure.arm_m / performer.arm_m, figure.trunk_m / performer.trunk_m
     quantities: Quantities = defaultdict(dict)
 
-    def measure_height(place: Points) -> Float[np.ndarray, " T"]:
-        """Return heights above the level of the scaled floor that is below."""
-        return leg * floor.compute_height_above(place / leg + [0.0, floor.height_m, 0.0])
+    def measure_height(place: Points, below: Floor) -> Float[np.ndarray, " T"]:
+        """Return heights above the scaled floor."""
+        return leg * below.compute_height_above(place / leg + [0.0, below.height_m, 0.0])
 
     for side, (start, end) in product(SIDES, LIMB_ENDS.items()):
         ends = f"{side}_{start}", f"{side}_{end}"
@@ -187,13 +188,14 @@ def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -
             quantities["acceleration_ratio"][name] = compute_accelerations(places[name], rate) / peak
         if part in HALF_THICKNESS_M:
             low = leg * np.minimum(floor.compute_height_above(wanted[name]), HALF_THICKNESS_M[part])
-            quantities["in_floor_mm"][name] = 1e3 * np.maximum(low - measure_height(places[name]), 0.0)
+            quantities["in_floor_mm"][name] = 1e3 * np.maximum(low - measure_height(places[name], floor), 0.0)
     for side in SIDES:
         feet = each.contacts.is_contact[:, [each.contacts.joints.index(joint) for joint in FOOT_JOINTS[side]]]
         for column, name in enumerate((f"{side}_foot", f"{side}_ball")):
             speed = np.linalg.norm(np.gradient(places[name][:, [0, 2]], 1 / rate, axis=0), axis=1)
             quantities["slide_mm_s"][name] = np.where(feet[:, column], 1e3 * speed, np.nan)
-        sole = figure.soles_m[side] - places[f"{side}_foot"][:, 1] + measure_height(places[f"{side}_foot"])
+        ball = places[f"{side}_ball"]
+        sole = figure.soles_m[side] - ball[:, 1] + measure_height(ball, each.contacts.floor)
         for name, sign in (("sole_below_mm", -1.0), ("sole_above_mm", 1.0)):
             quantities[name][side] = np.where(feet.all(axis=1), 1e3 * np.maximum(sign * sole, 0.0), np.nan)
         if f"{side}_hand" in places:
