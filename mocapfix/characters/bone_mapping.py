@@ -14,7 +14,7 @@ from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
@@ -37,6 +37,10 @@ from mocapfix.options import CHARACTER_PRESETS
 
 NAMESPACE_END = re.compile(r"[:|]")
 NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
+FINAL_NUMBER = re.compile(r"_\d+$")  # an exporter numbers all nodes, such as FootL_3
+MIN_NUMBERED_SHARE = (
+    0.8  # share of the names that have such numbers, and of different ones, from which they are no parts of names
+)
 IGNORED_CHARACTERS = re.compile(r"[\W_]+")
 SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
 CENTRE_WORD = "c"  # marks bones in the middle in some conventions, such as J_Bip_C_Hips
@@ -93,6 +97,9 @@ def spell_names(names: Sequence[str]) -> list[tuple[NameKey, NameKey, NameKey, N
     They are the letters of the whole name, those without the prefix of most names, and the words of both.
     """
     bare = [NAMESPACE_END.split(name)[-1] for name in names]
+    numbers = [match[0] for name in bare if (match := FINAL_NUMBER.search(name))]
+    if min(len(numbers) / len(names), len(set(numbers)) / max(len(numbers), 1)) > MIN_NUMBERED_SHARE:
+        bare = [FINAL_NUMBER.sub("", name) or name for name in bare]
     words, prefix = [NAME_PARTS.findall(name) for name in bare], list[str]()
     all_letters = [_join_letters(name) for name in bare]
     # The root is excluded because its whole name may be the prefix, such as Bip01.
@@ -316,8 +323,59 @@ def _fill_chains(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -
             chains[upper] = list_path(int(parents[chains[lower][0]]), int(parents[chains[upper][0]]), parents)
 
 
+MAX_DETACHED_SHARE = 0.3  # distance of a bone of a body from the bone before it, as a share of the size of the whole
+SEGMENTS_OF_HIPS = ("left_thigh", "right_thigh")
+
+
+def find_detached_bones(
+    names: Sequence[str], parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"], is_skinned: Bool[np.ndarray, " J"]
+) -> dict[int, int]:
+    """Find bones that the names give a segment, but that are not below the bone before it; return the bone that carries each.
+
+    In rigs with controls, constraints move bones that have other parents: feet that are targets of inverse kinematics are below
+    the root, and the limbs of a rig that Rigify generated are below bones that follow controls.
+
+    Args:
+        names: Of the bones.
+        parents: Index of each bone's parent, -1 for roots.
+        positions: In the rest pose, in metres in the world.
+        is_skinned: Whether a mesh follows the bone; only such bones are found.
+    """
+    spellings = spell_names(names)
+    best: tuple[tuple[int, float], dict[str, list[int]]] | None = None
+    for table in _load_segment_tables():
+        segments: dict[str, list[int]] = {}
+        for segment, bone in table.find_parts(spellings):
+            segments.setdefault(segment, []).append(bone)
+        score = sum(map(len, segments.values())), table.compare_names(spellings)
+        if all(segments.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
+            best = score, segments
+    if best is None:
+        return {}
+    segments, limit = best[1], MAX_DETACHED_SHARE * float(np.ptp(positions, axis=0).max())
+    hips = np.mean([positions[segments[segment][0]] for segment in SEGMENTS_OF_HIPS], axis=0)
+    common = find_common_joint(parents, [segments["pelvis"][0], *(segments[segment][0] for segment in SEGMENTS_OF_HIPS)])
+    if common >= 0 and np.linalg.norm(positions[common] - hips) < limit:
+        segments["pelvis"] = [common]
+    found: dict[int, int] = {}
+    changed = parents.copy()
+    for order in SEGMENT_CHAINS:
+        above = -1
+        for bone in (bone for segment in order for bone in sorted(segments.get(segment, ()))):
+            if above >= 0 and not is_below(bone, above, changed):
+                is_near = np.linalg.norm(positions[bone] - positions[above]) < limit
+                if not is_near or not is_skinned[bone] or is_below(above, bone, changed):
+                    continue
+                found[bone] = changed[bone] = above
+            above = bone
+    return found
+
+
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
+HANDS = tuple(f"{side}_hand" for side in SIDES)
+NAMED_SEGMENTS = ("spine", *HANDS)
+"""segments that few bodies lack: names that do not give them are searched by shape"""
 CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")  # of the bones between Rigify's controls and its deform bones
 
 
@@ -341,7 +399,7 @@ def map_bones(character: Character) -> BoneMapping:
                 f"{source}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only a "
                 "character on two legs can take a person's motion."
             )
-        return _build_mapping(character, positions, dict(named.bones), named.reason)
+        return _build_mapping(character, positions, _add_missing_segments(character, positions, named.bones), named.reason)
     if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.skeleton.names):
         raise SceneError(
             f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "
@@ -356,6 +414,29 @@ def map_bones(character: Character) -> BoneMapping:
         ) from error
     how = "By the shape of the skeleton" if shape.faces_forward else "By the shape of the skeleton, taken to face +Z"
     return _build_mapping(character, positions, shape.bones, how)
+
+
+def _add_missing_segments(
+    character: Character, positions: Float[np.ndarray, "J 3"], named: Mapping[str, tuple[int, ...]]
+) -> dict[str, tuple[int, ...]]:
+    """Return the segments that names gave, with those of the shape where names gave no spine or no hands and both agree.
+
+    Where several chains begin at the wrist, none of them is the hand.
+    """
+    if all(named.get(segment) for segment in NAMED_SEGMENTS):
+        return dict(named)
+    try:
+        shape = find_segments_by_shape(character.skeleton.parents, positions).bones
+    except ValueError:
+        return dict(named)
+    parents, used = character.skeleton.parents, {bone for chain in named.values() for bone in chain}
+    for hand in HANDS:
+        beside = np.flatnonzero(parents == parents[shape[hand][0]]) if hand in shape else []
+        if sum(bool((parents == bone).any()) for bone in beside) > 1:
+            del shape[hand]
+    agrees = all(set(named[segment]) & set(shape[segment]) for segment in TWISTING_SEGMENTS)
+    added = {segment: chain for segment, chain in shape.items() if not named.get(segment) and not used.intersection(chain)}
+    return {**named, **added} if agrees else dict(named)
 
 
 def _stands_on_hands(positions: Float[np.ndarray, "J 3"], bones: Mapping[str, tuple[int, ...]]) -> bool:

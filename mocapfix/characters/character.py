@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.errors import SceneError
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, compose_transforms, is_below
+from mocapfix.model.skeleton import Skeleton, compose_transforms, is_below, list_path
 
 SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -75,6 +75,41 @@ class CharacterSource:
     data: bytes
     nodes: Int[np.ndarray, " _"]  # index of each bone's node in a glTF file; empty for other formats
     kind: str  # "gltf", "bvh" or "yaml"
+
+
+def reparent_bones(character: Character, carriers: Mapping[int, int]) -> Character:
+    """Return a character of the same rest pose in which some bones have other parents, which are not below them."""
+    skeleton, (positions, rotations) = character.skeleton, character.skeleton.compute_rest_pose()
+    parents, order = skeleton.parents.copy(), list[int]()
+    parents[list(carriers)] = list(carriers.values())
+    for bone in range(len(parents)):
+        order += [each for each in list_path(bone, -1, parents) if each not in order]
+    place = {bone: index for index, bone in enumerate(order)} | {-1: -1}
+    parents = np.array([place[parent] for parent in parents[order].tolist()])
+    positions, rotations = positions[order], rotations[order]
+    is_root = (parents < 0)[:, None]
+    vectors = np.where(is_root, positions, positions - positions[parents])
+    axes = np.where(is_root[..., None], np.eye(3), rotations[parents])
+    bones, twists = (
+        {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
+        for group in (character.mapping.bones, character.mapping.twists)
+    )
+    source = character.source
+    return replace(
+        character,
+        skeleton=Skeleton(
+            names=tuple(skeleton.names[bone] for bone in order),
+            parents=parents,
+            offsets=np.einsum("jba,jb->ja", axes, vectors),
+            ends=skeleton.ends[order],
+            rest_rotations=axes.swapaxes(1, 2) @ rotations,
+            hinge_axes=skeleton.hinge_axes[order],
+            limits_rad=skeleton.limits_rad[order],
+        ),
+        mapping=replace(character.mapping, bones=bones, twists=twists),
+        scales=character.scales[order],
+        source=replace(source, nodes=source.nodes[order]) if source is not None and len(source.nodes) else source,
+    )
 
 
 @dataclass(frozen=True)

@@ -7,25 +7,26 @@ the axes of all bones are the file's.
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.characters.body_frames import compute_facing
-from mocapfix.characters.bone_mapping import map_bones
-from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail
+from mocapfix.characters.bone_mapping import find_detached_bones, map_bones
+from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail, reparent_bones
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
 from mocapfix.characters.fbx import convert_fbx, is_fbx
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
 from mocapfix.characters.rest_poses import build_bone_matrices, choose_rest_pose, open_gltf
-from mocapfix.errors import ReadError, SceneError
+from mocapfix.errors import ReadError, SceneError, format_name_list
 from mocapfix.io.bvh import is_bvh, read_bvh
 from mocapfix.io.capture import extract_head
 from mocapfix.io.file_content import read_file_bytes
-from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
+from mocapfix.io.gltf import parse_glb, read_gltf_nodes
+from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, is_below, load_cmu31_skeleton
@@ -214,9 +215,16 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         skeletons = [replace(character, name=name) for character in read_character_skeletons(path)]
 
     def assign(character: Character) -> Character:
+        character, moved = attach_detached_bones(character)
         if mapping_path is not None:
-            return apply_mapping_file(mapping_path, character)
-        return replace(character, mapping=map_bones(character)) if character.mapping.missing_segments else character
+            character = apply_mapping_file(mapping_path, character)
+        elif character.mapping.missing_segments:
+            character = replace(character, mapping=map_bones(character))
+        character, strays = attach_stray_bones(character)
+        if not (names := moved + strays):
+            return character
+        reason = f"{character.mapping.reason} No bone of the body carries {format_name_list(names)}; they follow it."
+        return replace(character, mapping=replace(character.mapping, reason=reason))
 
     character = _choose_skeleton(skeletons, assign, rest_frame)
     check_lengths(character, str(name_or_path))
@@ -257,15 +265,17 @@ class SkinVertices(NamedTuple):
     """The V vertices of the meshes that the bones of a character carry, skinned or fixed to a bone."""
 
     positions: Float[np.ndarray, "V 3"]  # m: in the world, in the rest pose
-    bones: Int[np.ndarray, " V"]  # the bone of the greatest weight
+    bones: Int[np.ndarray, " V"]  # the bone of the greatest weight, or that carries the mesh
+    is_weighted: Bool[np.ndarray, " V"]  # whether the bone has a weight
 
 
 def compute_skin_vertices(character: Character) -> SkinVertices:
     """Return the vertices that the bones carry in the rest pose, none for a character without a mesh."""
     content, nodes, bone_of = open_gltf(character) or (None, None, {})
-    if content is None or nodes is None:
-        return SkinVertices(np.zeros((0, 3)), np.zeros(0, int))
-    mesh, posed, shown = read_gltf_mesh(content, nodes), build_bone_matrices(character), compute_node_matrices(content, nodes)[0]
+    if content is None or nodes is None or character.source is None:
+        return SkinVertices(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, bool))
+    mesh, shown = _read_mesh(character.source.path, character.source.data), compute_node_matrices(content, nodes)[0]
+    posed = build_bone_matrices(character)
     matrices, carriers = shown.copy(), np.full(len(shown), -1)
     for node in nodes.ordered:
         above = int(nodes.parents[node])
@@ -276,8 +286,14 @@ def compute_skin_vertices(character: Character) -> SkinVertices:
             bone_node = next(each for each in nodes.list_ancestors(node) if each in bone_of)
             matrices[node] = matrices[bone_node] @ np.linalg.inv(shown[bone_node]) @ shown[node]
     strongest = mesh.slots[np.arange(len(mesh.slots)), mesh.weights.argmax(1)]
-    bones = carriers[mesh.nodes[strongest]]
-    return SkinVertices(mesh.pose(matrices)[bones >= 0], bones[bones >= 0])
+    bones, is_weighted = carriers[mesh.nodes[strongest]], np.isin(mesh.nodes[strongest], list(bone_of))
+    return SkinVertices(mesh.pose(matrices)[bones >= 0], bones[bones >= 0], is_weighted[bones >= 0])
+
+
+@lru_cache(maxsize=1)
+def _read_mesh(path: str, data: bytes) -> GltfMesh:
+    content = parse_glb(Path(path), data)
+    return read_gltf_mesh(content, read_gltf_nodes(Path(path), content.document))
 
 
 SOLE_END_SHARE = 0.33  # of a foot's length: its heel, and its front, at whose lowest vertices it stands
@@ -331,3 +347,54 @@ def _level_sole(points: Float[np.ndarray, "V 3"], along: Float[np.ndarray, " 3"]
     if not LEVEL_SOLE_RAD < abs(slope) < MAX_SOLE_RAD:
         return np.eye(3)
     return compute_shortest_rotation(np.cos(slope) * along + np.sin(slope) * np.array([0.0, 1.0, 0.0]), along)
+
+
+def attach_detached_bones(character: Character) -> tuple[Character, list[str]]:
+    """Return a character whose bones of segments are below each other, as far as names show these, and those that were not."""
+    skeleton, bones = character.skeleton, compute_skin_vertices(character).bones
+    is_skinned = np.isin(np.arange(len(skeleton.names)), bones) | (not len(bones))
+    found = find_detached_bones(skeleton.names, skeleton.parents, skeleton.rest_positions, is_skinned)
+    return (reparent_bones(character, found) if found else character), [skeleton.names[bone] for bone in found]
+
+
+MAX_STRAY_DISTANCE_SHARE = 0.15
+"""distance of the vertices of a bone from the body, as a share of the height of all bones, up to which they are a part of it"""
+SAME_DISTANCE_SHARE = 0.005  # difference of two distances that count as the same, as a share of the same height
+MAX_STRAY_SIZE_SHARE = 0.25  # their size, as a share of the same height; larger is a floor or a prop
+
+
+def attach_stray_bones(character: Character) -> tuple[Character, list[str]]:
+    """Return a character in which the nearest bone of the body carries each skinned bone that would stay behind, and those.
+
+    Raises:
+        SceneError: If a bone above the pelvis carries skin of the body. The message names both.
+    """
+    skeleton, mapping, vertices = character.skeleton, character.mapping, compute_skin_vertices(character)
+    heads, ends, height = skeleton.rest_positions, skeleton.compute_rest_ends(), float(np.ptp(skeleton.rest_positions[:, 1]))
+    pelvis, mapped = mapping.bones["pelvis"][0], [bone for chain in mapping.bones.values() for bone in chain]
+    carriers = [bone for bone in mapped if bone not in mapping.bones.get("neck", ()) or not mapping.bones.get("head")]
+    starts, lines = heads[carriers], np.nan_to_num(ends[carriers] - heads[carriers])
+    body = {pelvis, *(bone for bone in range(len(heads)) if is_below(bone, pelvis, skeleton.parents))}
+    strays = sorted(set(vertices.bones.tolist()) - body)
+    found: dict[int, int] = {}
+    for bone in strays:
+        points = vertices.positions[vertices.bones == bone]
+        centre, size = points.mean(0), float(np.ptp(points, axis=0).max())
+        along = ((centre - starts) * lines).sum(1) / np.maximum((lines**2).sum(1), MIN_LIMB_LENGTH_M)
+        distance = np.linalg.norm(centre - starts - np.clip(along, 0, 1)[:, None] * lines, axis=1)
+        is_nearest = distance <= distance.min() + SAME_DISTANCE_SHARE * height
+        nearest = carriers[int(np.flatnonzero(is_nearest)[-1])]  # of two bones that meet there, the outer one
+        if distance.min() > MAX_STRAY_DISTANCE_SHARE * height or size > MAX_STRAY_SIZE_SHARE * height:
+            continue
+        if is_below(pelvis, bone, skeleton.parents):
+            if not vertices.is_weighted[vertices.bones == bone].any():
+                continue
+            pair = f"{skeleton.names[bone]!r} carries skin at {skeleton.names[nearest]!r}"
+            source = character.source.path if character.source else character.name
+            raise SceneError(
+                f"{source}: the bone {pair}, but is above the pelvis and would stay behind; weight that skin to the pelvis, or "
+                "name the bone as the pelvis in a mapping file (--character-map)."
+            )
+        if bone not in mapped and not any(is_below(bone, other, skeleton.parents) for other in strays):
+            found[bone] = nearest
+    return (reparent_bones(character, found) if found else character), [skeleton.names[bone] for bone in found]

@@ -15,6 +15,7 @@ scales of the nodes show which.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import LIMB_ENDS, SIDES, Character
+from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_bones
 from mocapfix.errors import SceneError
 from mocapfix.io.bvh import read_bvh
 from mocapfix.io.gltf import GlbContent, GltfNodes, parse_glb, read_gltf_nodes
@@ -146,7 +147,7 @@ def choose_rest_pose(character: Character, assign: Callable[[Character], Charact
     found += _search_frames(character, assign) if not found and errors else []
     if not found:
         raise errors[0]
-    framed = _find_standing_frame(found[0])
+    framed = _find_standing_frame(character, found[0])
     standing = [each for each in ([] if framed is None else [framed]) + found if not describe_posed_limbs(each)]
     if standing:
         return standing[0]
@@ -218,10 +219,25 @@ def _search_frames(character: Character, assign: Callable[[Character], Character
     return []
 
 
-def _find_standing_frame(character: Character) -> Character | None:
-    """Return the character in the frame of its file that is the most like a T- or A-pose; None if it stands in no frame."""
+def _find_standing_frame(character: Character, mapped: Character) -> Character | None:
+    """Return a character in the frame of its file that is the most like a T- or A-pose; None if it stands in no frame.
+
+    Args:
+        character: As its file was read.
+        mapped: The same with the mapping in some pose, in which bones may have other parents.
+    """
+    place = [character.skeleton.names.index(name) for name in mapped.skeleton.names]
+    bones, twists = (
+        {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
+        for group in (mapped.mapping.bones, mapped.mapping.twists)
+    )
+    character = replace(
+        character, mapping=replace(mapped.mapping, bones=bones, twists=twists), has_feet_flat=mapped.has_feet_flat
+    )
+    carriers = {place[bone]: place[parent] for bone, parent in enumerate(mapped.skeleton.parents.tolist()) if parent >= 0}
+    moved = {bone: carrier for bone, carrier in carriers.items() if character.skeleton.parents[bone] != carrier}
     best: tuple[float, Character, str] | None = None
-    bones, first = character.mapping.bones, 1
+    first = 1
     for poses in _iterate_frames(character):
         positions, rotations = compose_transforms(character.skeleton.parents, poses.offsets, poses.rotations)
         angles = measure_limbs(np.nan_to_num(positions), bones)
@@ -236,7 +252,7 @@ def _find_standing_frame(character: Character) -> Character | None:
                 posed = _straighten(posed, positions[is_standing], rotations[is_standing])
             best = float(cost[frame]), posed, f"frame {first + frame} of its file"
         first += len(cost)
-    return None if best is None else _note_pose(best[1], best[2])
+    return None if best is None else _note_pose(reparent_bones(best[1], moved), best[2])
 
 
 def _straighten(posed: Character, positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Character:
@@ -264,13 +280,17 @@ Matrices = Float[np.ndarray, "N 4 4"]
 
 
 def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, int]] | None:
-    """Return the glTF of a character, and its bones by node; None for a character of another kind."""
+    """Return the glTF of a character, not to be changed, and its bones by node; None for a character of another kind."""
     source = character.source
     if source is None or source.kind != "gltf":
         return None
-    content = parse_glb(Path(source.path), source.data)
-    nodes = read_gltf_nodes(Path(source.path), content.document)
-    return content, nodes, {node: bone for bone, node in enumerate(source.nodes.tolist())}
+    return *_parse_gltf(source.path, source.data), {node: bone for bone, node in enumerate(source.nodes.tolist())}
+
+
+@lru_cache(maxsize=1)
+def _parse_gltf(path: str, data: bytes) -> tuple[GlbContent, GltfNodes]:
+    content = parse_glb(Path(path), data)
+    return content, read_gltf_nodes(Path(path), content.document)
 
 
 def build_bone_matrices(character: Character) -> Matrices:

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.bone_geometry import find_segments_by_shape
-from mocapfix.characters.bone_mapping import find_segments_by_name, map_bones
-from mocapfix.characters.character import SEGMENTS, BoneMapping, Character
+from mocapfix.characters.bone_mapping import find_detached_bones, find_segments_by_name, map_bones
+from mocapfix.characters.character import SEGMENTS, BoneMapping, Character, reparent_bones
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.errors import SceneError
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
@@ -270,18 +270,48 @@ def test_animal_on_four_legs_is_refused_by_names_and_by_shape():
         map_bones(change_bones(animal, names=tuple(f"b{i}" for i in range(len(animal.skeleton.names)))))
 
 
-def test_generated_rigify_rig_is_refused():
-    """Its deform bones are below bones that follow controls, not below each other."""
+def test_generated_rigify_rig_is_joined_by_its_deform_bones():
+    """Its thighs are below bones that follow controls, not below the spine; other bones have the same names but for a prefix."""
     figure = Figure(load_character_preset("rigify"))
-    thigh = figure.names.index("DEF-thigh.L")
+    thigh, pelvis = figure.names.index("DEF-thigh.L"), figure.names.index("DEF-spine")
     figure.add("ORG-spine", -1, [0, 0.9, 0])
-    figure.parents[thigh] = len(figure.names) - 1
+    figure.add("ORG-thigh.L", len(figure.names) - 1, [0.1, 0.9, 0])
+    figure.parents[thigh] = len(figure.names) - 2
     parents, positions, names = figure.parents, np.array(figure.positions), figure.names
-    order = [len(names) - 1, *range(len(names) - 1)]
+    order = [len(names) - 2, len(names) - 1, *range(len(names) - 2)]
     place = {bone: new for new, bone in enumerate(order)} | {-1: -1}
     character = build_character([names[bone] for bone in order], [place[parents[bone]] for bone in order], positions[order])
+    skeleton = character.skeleton
     with pytest.raises(SceneError, match="deform bones alone"):
         map_bones(character)
+    all_skinned = np.ones(len(names), bool)
+    found = find_detached_bones(skeleton.names, skeleton.parents, skeleton.rest_positions, all_skinned)
+    assert found == {place[thigh]: place[pelvis]}
+    assert not find_detached_bones(skeleton.names, skeleton.parents, skeleton.rest_positions, ~all_skinned)
+    joined = reparent_bones(character, found)
+    assert "Rigify (deform bones)" in map_bones(joined).reason
+    np.testing.assert_allclose(
+        joined.skeleton.rest_positions[joined.skeleton.find_joint("DEF-toe.L")],
+        skeleton.rest_positions[skeleton.find_joint("DEF-toe.L")],
+        atol=1e-9,
+    )
+
+
+def test_numbers_that_an_exporter_adds_to_all_names_are_ignored():
+    preset = load_character_preset("mixamo")
+    renamed = change_bones(preset, names=tuple(f"{name}_{2 * k}" for k, name in enumerate(preset.skeleton.names)))
+    mapping = map_bones(renamed)
+    assert "Mixamo names: " in mapping.reason
+    assert mapping.bones == preset.mapping.bones
+
+
+def test_segments_that_names_do_not_give_are_found_by_shape():
+    preset = load_character_preset("mixamo")
+    unknown = {bone for segment in ("spine", "left_hand", "right_hand") for bone in preset.mapping.bones[segment]}
+    names = tuple(f"part{bone}" if bone in unknown else name for bone, name in enumerate(preset.skeleton.names))
+    mapping = map_bones(change_bones(preset, names=names))
+    assert "Mixamo names: " in mapping.reason
+    assert mapping.bones == preset.mapping.bones
 
 
 def test_skeleton_that_lies_down_is_refused():
