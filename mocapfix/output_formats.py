@@ -292,6 +292,7 @@ OPTIONAL_FORMATS = {
     "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
     "fbx": OutputFormat("fbx", _write_skeleton, needs_body=True),
+    "usd": OutputFormat("usd", _write_skeleton, needs_body=True, usage_note="is UsdSkel: metres, Y up."),
     "sheet": OutputFormat(SHEET_SUFFIX, _write_sheet, needs_body=True, timer_stage="show"),
 }
 

@@ -76,7 +76,7 @@ def test_repairable_kinds_are_those_of_faults():
         ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
         (
             {"extra_formats": ("avi",)},
-            "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, sheet, not 'avi'.",
+            "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, usd, sheet, not 'avi'.",
         ),
         ({"up_axis": "W"}, "up_axis must be one of X, -X, Y, -Y, Z, -Z, not 'W'."),
         ({"rate_hz": 1.0}, "rate_hz must be at least 5 Hz and at most 2000 Hz and finite, not 1."),

@@ -56,6 +56,8 @@ def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, t
         "csv",
         "contacts.json",
         "events.csv",
+        "usd",
+        "sheet.png",
         *(f"{name}.bvh" for name in RIG_NAMES),
     }
     assert {path.name for path in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in outputs}

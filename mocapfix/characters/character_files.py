@@ -51,6 +51,7 @@ from mocapfix.io.gltf import (
     read_gltf_nodes,
 )
 from mocapfix.io.npz import write_character_npz
+from mocapfix.io.usd import write_usd
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import ROOT_BONE, OutputOptions
@@ -316,7 +317,7 @@ def _choose_unit(character: Character) -> float:
 
 
 OTHER_SUFFIXES = ("bvh", "npz", "map.yaml")  # of the files beside the GLB
-GLB_CONVERTERS: dict[str, Callable[[Path, Path, float], str | None]] = {"fbx": write_fbx}
+GLB_CONVERTERS: dict[str, Callable[[Path, Path, float], str | None]] = {"fbx": write_fbx, "usd": write_usd}
 """Formats of a whole character that are written from its GLB: suffix to a function of the file, the GLB and frames per second. It
 returns a sentence why no file was written: one that is missing is no reason to fail a whole cleaning."""
 

@@ -9,10 +9,9 @@ import pytest
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.clips import close_loop, find_trimmed_frames
 from mocapfix.characters.root_motion import carry_path, find_root_bone, prepare_root_bone
-from mocapfix.lab.retargeting import build_contacts
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import ROOT_BONE
-from tests.characters.walking_body import RATE, load_walk
+from tests.characters.walking_body import RATE, build_contacts, load_walk
 from tests.io.read_back import motion_of
 
 FRAMES = slice(100, 260)  # of the walk: more than one stride, not a whole number of them
