@@ -373,9 +373,6 @@ def find_detached_bones(
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
-HANDS = tuple(f"{side}_hand" for side in SIDES)
-NAMED_SEGMENTS = ("spine", *HANDS)
-"""segments that few bodies lack: names that do not give them are searched by shape"""
 CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")  # of the bones between Rigify's controls and its deform bones
 
 
@@ -399,7 +396,7 @@ def map_bones(character: Character) -> BoneMapping:
                 f"{source}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only a "
                 "character on two legs can take a person's motion."
             )
-        return _build_mapping(character, positions, _add_missing_segments(character, positions, named.bones), named.reason)
+        return _build_mapping(character, positions, dict(named.bones), named.reason)
     if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.skeleton.names):
         raise SceneError(
             f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "
@@ -414,29 +411,6 @@ def map_bones(character: Character) -> BoneMapping:
         ) from error
     how = "By the shape of the skeleton" if shape.faces_forward else "By the shape of the skeleton, taken to face +Z"
     return _build_mapping(character, positions, shape.bones, how)
-
-
-def _add_missing_segments(
-    character: Character, positions: Float[np.ndarray, "J 3"], named: Mapping[str, tuple[int, ...]]
-) -> dict[str, tuple[int, ...]]:
-    """Return the segments that names gave, with those of the shape where names gave no spine or no hands and both agree.
-
-    Where several chains begin at the wrist, none of them is the hand.
-    """
-    if all(named.get(segment) for segment in NAMED_SEGMENTS):
-        return dict(named)
-    try:
-        shape = find_segments_by_shape(character.skeleton.parents, positions).bones
-    except ValueError:
-        return dict(named)
-    parents, used = character.skeleton.parents, {bone for chain in named.values() for bone in chain}
-    for hand in HANDS:
-        beside = np.flatnonzero(parents == parents[shape[hand][0]]) if hand in shape else []
-        if sum(bool((parents == bone).any()) for bone in beside) > 1:
-            del shape[hand]
-    agrees = all(set(named[segment]) & set(shape[segment]) for segment in TWISTING_SEGMENTS)
-    added = {segment: chain for segment, chain in shape.items() if not named.get(segment) and not used.intersection(chain)}
-    return {**named, **added} if agrees else dict(named)
 
 
 def _stands_on_hands(positions: Float[np.ndarray, "J 3"], bones: Mapping[str, tuple[int, ...]]) -> bool:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_bones
@@ -31,85 +31,65 @@ from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
 from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
-MAX_REST_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical of a figure that stands
-MAX_REST_DIFFERENCE_DEG = 25.0  # angle between a limb and the mirrored one of the other side in T- and A-poses
-MAX_FRAME_TILT_DEG, MAX_FRAME_DIFFERENCE_DEG = 25.0, 15.0  # the same in a frame of a file, where other poses are likely
-MAX_ELBOW_DEG, MAX_ARM_SLOPE_DEG = 30.0, 60.0  # bend of an elbow, and angle between an upper arm and the horizontal, there
-ARM_COST = 0.5  # of a degree of an arm, over that of a degree of a leg that is not vertical
+MAX_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical of a figure that stands
+MAX_ASYMMETRY_DEG = 25.0  # angle between a limb and the mirrored one of the other side in T- and A-poses
+MAX_FRAME_TILT_DEG, MAX_FRAME_ASYMMETRY_DEG, MAX_FRAME_ARM_DEG = 25.0, 15.0, 30.0
+"""the same in a frame of a file, where other poses are likely, and the bend of an elbow"""
+MAX_ARM_SLOPE_DEG = 60.0  # angle between an upper arm and the horizontal in A-poses; a larger one counts as a bend
+ARM_COST, STANDING_COST = 0.5, 1000.0
+"""costs of a degree of an arm, over that of a leg, and of a frame in which the figure stands, but not in a T- or A-pose"""
 LOWEST_FOOT_PERCENTILE = 10.0  # of the heights of a foot, up to which it lies flat
 SAMPLED_POSES = 20  # frames of a file in which a body is searched by its shape
-STANDING_COST = 1000.0  # of a frame in which the figure stands, but not in a T- or A-pose
-FRONT_SEGMENTS = ("thigh", "upper_arm")  # segments whose two sides show where the front is
 SAME_OFFSET_M, SAME_ROTATION = 1e-3, 2e-3  # differences of two poses that count as the same: 1 mm and 0.1 degrees
 UP = np.array([0.0, 1.0, 0.0])
 TRUNK_SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_clavicle" for side in SIDES))
 
 
-class LimbAngles(NamedTuple):
-    """How far T poses are from a T- or A-pose, in degrees, by labels for people."""
+class PoseAngles(NamedTuple):
+    """How far T poses are from a T- or A-pose, in degrees."""
 
-    tilts: dict[str, Float[np.ndarray, " T"]]  # of trunk, thighs and shins from the vertical
-    differences: dict[str, Float[np.ndarray, " T"]]  # of limbs from the mirrored ones of the other side
-    elbows: dict[str, Float[np.ndarray, " T"]]
-    slopes: dict[str, Float[np.ndarray, " T"]]  # of upper arms from the horizontal
-
-    def is_within(self, tilt_deg: float, difference_deg: float, elbow_deg: float, slope_deg: float) -> Bool[np.ndarray, " T"]:
-        """Return which poses have no larger angles."""
-        limits = (tilt_deg, difference_deg, elbow_deg, slope_deg)
-        is_within = [angles <= limit for group, limit in zip(self, limits, strict=True) for angles in group.values()]
-        return np.min(is_within, axis=0)
-
-    @property
-    def cost(self) -> Float[np.ndarray, " T"]:
-        """The sum of all angles; upper arms may have any slope of an A-pose."""
-        legs = np.sum([*self.tilts.values(), *self.differences.values()], axis=0)
-        hanging = [np.maximum(each - MAX_ARM_SLOPE_DEG, 0.0) for each in self.slopes.values()]
-        return legs + ARM_COST * np.sum([*self.elbows.values(), *hanging], axis=0)
+    tilt: Float[np.ndarray, " T"]  # the largest of trunk, thighs and shins from the vertical
+    asymmetry: Float[np.ndarray, " T"]  # the largest of a limb from the mirrored one of the other side
+    arm: Float[np.ndarray, " T"]  # the largest bend of an elbow
+    cost: Float[np.ndarray, " T"]  # the sum of all
 
 
-def measure_limbs(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> LimbAngles:
+def measure_poses(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> PoseAngles:
     """Measure how far poses are from a T- or A-pose, from the positions of the bones in the world, Y up."""
     heads = {segment: positions[:, chain[0]] for segment, chain in bones.items() if chain}
-    facing = _compute_facings(positions, bones)
-    hips, shoulders = (np.mean([heads[f"{side}_{each}"] for side in SIDES], axis=0) for each in ("thigh", "upper_arm"))
-    angles = LimbAngles({"trunk": _measure_angles_deg(shoulders - hips, UP)}, {}, {}, {})
+    facing, thighs, arms = _compute_facings(positions, bones), heads["left_thigh"], heads["left_upper_arm"]
+    trunk = arms + heads["right_upper_arm"] - thighs - heads["right_thigh"]
     vectors = {
         (side, segment): np.einsum("tba,tb->ta", facing, heads[f"{side}_{end}"] - heads[f"{side}_{segment}"])
         for side in SIDES
         for segment, end in LIMB_ENDS.items()
         if f"{side}_{end}" in heads
     }
-    for (side, segment), vector in vectors.items():
-        name, other = segment.replace("_", " "), vectors.get(("right", segment))
-        if segment in ("thigh", "shin"):
-            angles.tilts[f"{side} {name}"] = _measure_angles_deg(vector, -UP)
-        elif segment == "upper_arm":
-            angles.slopes[side] = np.abs(90.0 - _measure_angles_deg(vector, UP))
-        else:
-            angles.elbows[side] = _measure_angles_deg(vectors[side, "upper_arm"], vector)
-        if side == "left" and other is not None:
-            angles.differences[f"{name}s"] = _measure_angles_deg(vector, other * [-1, 1, 1])
-    return angles
+    tilts = [_measure_angles_deg(trunk, UP)]
+    tilts += [_measure_angles_deg(vectors[side, segment], -UP) for side in SIDES for segment in ("thigh", "shin")]
+    asymmetries = [
+        _measure_angles_deg(vector, vectors["right", segment] * [-1, 1, 1])
+        for (side, segment), vector in vectors.items()
+        if side == "left" and ("right", segment) in vectors
+    ]
+    slopes = [np.abs(90.0 - _measure_angles_deg(vectors[side, "upper_arm"], UP)) for side in SIDES]
+    bends = [np.maximum(slope - MAX_ARM_SLOPE_DEG, 0.0) for slope in slopes]
+    bends += [
+        _measure_angles_deg(vectors[s, "upper_arm"], each) for (s, segment), each in vectors.items() if segment == "forearm"
+    ]
+    cost = np.sum(tilts + asymmetries, axis=0) + ARM_COST * np.sum(bends, axis=0)
+    return PoseAngles(np.max(tilts, axis=0), np.max(asymmetries, axis=0), np.max(bends, axis=0), cost)
 
 
 def _compute_facings(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, "T 3 3"]:
     """Return the rotations about Y from axes that face +Z to the figure in each pose, as `compute_facing` of the rest pose."""
-    leftward = np.sum(
-        [positions[:, bones[f"left_{s}"][0]] - positions[:, bones[f"right_{s}"][0]] for s in FRONT_SEGMENTS], axis=0
-    )
+    left, right = (positions[:, [bones[f"{side}_{each}"][0] for each in ("thigh", "upper_arm")]].sum(1) for side in SIDES)
+    leftward = left - right
     return Rotation.from_rotvec(np.arctan2(-leftward[:, 2], leftward[:, 0])[:, None] * UP).as_matrix()
 
 
 def _measure_angles_deg(one: Float[np.ndarray, "T 3"], other: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, " T"]:
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), (one * other).sum(1)))
-
-
-def describe_posed_limbs(character: Character) -> str:
-    """Return what is wrong as the end of a sentence if the figure does not stand in its rest pose, otherwise nothing."""
-    angles = measure_limbs(character.skeleton.rest_positions[None], character.mapping.bones)
-    worst = max(angles.tilts, key=lambda label: round(angles.tilts[label][0]))
-    tilt = float(angles.tilts[worst][0])
-    return f"{worst} {tilt:.0f} degrees from the vertical" if tilt > MAX_REST_TILT_DEG else ""
 
 
 class BonePoses(NamedTuple):
@@ -134,38 +114,34 @@ def choose_rest_pose(character: Character, assign: Callable[[Character], Charact
     if rest_frame is not None:
         return _note_pose(assign(_take_frame(character, rest_frame, source)), f"frame {rest_frame} of its file")
     errors: list[SceneError] = []
-    found: list[Character] = []
-    for posed, name in _iterate_poses(character):
+    found: list[tuple[float, Character]] = []  # with their tilts
+    bind = read_bind_pose(character)
+    is_same = bind is None or (
+        np.allclose(bind.offsets[0], character.skeleton.offsets, atol=SAME_OFFSET_M)
+        and np.allclose(bind.rotations[0], character.skeleton.rest_rotations, atol=SAME_ROTATION)
+    )
+    poses = [] if bind is None or is_same else [(_pose(character, bind, 0), "the bind pose of its mesh")]
+    for posed, name in (*poses, (character, "")):
         try:
-            found.append(_note_pose(assign(posed), name))
+            mapped = _note_pose(assign(posed), name)
         except SceneError as error:
             errors.append(error)
-        else:
-            angles = measure_limbs(found[-1].skeleton.rest_positions[None], found[-1].mapping.bones)
-            if angles.is_within(MAX_REST_TILT_DEG, MAX_REST_DIFFERENCE_DEG, np.inf, np.inf).all():
-                return found[-1]
-    found += _search_frames(character, assign) if not found and errors else []
-    if not found:
+            continue
+        angles = measure_poses(mapped.skeleton.rest_positions[None], mapped.mapping.bones)
+        if angles.tilt[0] <= MAX_TILT_DEG and angles.asymmetry[0] <= MAX_ASYMMETRY_DEG:
+            return mapped
+        found.append((float(angles.tilt[0]), mapped))
+    known = found[0][1] if found else _search_frames(character, assign)
+    if known is None:
         raise errors[0]
-    framed = _find_standing_frame(character, found[0])
-    standing = [each for each in ([] if framed is None else [framed]) + found if not describe_posed_limbs(each)]
+    framed = _find_standing_frame(character, known)
+    standing = [each for tilt, each in [(0.0, framed), *found] if each is not None and tilt <= MAX_TILT_DEG]
     if standing:
         return standing[0]
     raise SceneError(
-        f"{source}: its bones are in no T- or A-pose ({describe_posed_limbs(found[0])}), and it stands in no frame of its file; "
-        "export it in its rest pose."
+        f"{source}: its trunk or a leg is {found[0][0]:.0f} degrees from the vertical in its rest pose, and it stands in no "
+        "frame of its file; export it in a T- or A-pose."
     )
-
-
-def _iterate_poses(character: Character) -> Iterator[tuple[Character, str]]:
-    """Yield the character in the bind pose of its file, with a name of that, and in the pose in which it was read, without."""
-    bind = read_bind_pose(character)
-    if bind is not None and not (
-        np.allclose(bind.offsets[0], character.skeleton.offsets, atol=SAME_OFFSET_M)
-        and np.allclose(bind.rotations[0], character.skeleton.rest_rotations, atol=SAME_ROTATION)
-    ):
-        yield _pose(character, bind, 0), "the bind pose of its mesh"
-    yield character, ""
 
 
 def _pose(character: Character, poses: BonePoses, frame: int) -> Character:
@@ -208,15 +184,15 @@ def _take_frame(character: Character, rest_frame: int, source: str) -> Character
     raise SceneError(f"{source}: {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); choose another.")
 
 
-def _search_frames(character: Character, assign: Callable[[Character], Character]) -> list[Character]:
-    """Return the character in the first of some frames in which its bones form a body, nothing if there is none."""
+def _search_frames(character: Character, assign: Callable[[Character], Character]) -> Character | None:
+    """Return the character in the first of some frames in which its bones form a body, None if there is none."""
     for poses in _iterate_frames(character):
-        for frame in np.unique(np.linspace(0, len(poses.offsets) - 1, SAMPLED_POSES).round().astype(int)).tolist():
+        for frame in range(0, len(poses.offsets), max(1, len(poses.offsets) // SAMPLED_POSES)):
             try:
-                return [assign(_pose(character, poses, frame))]
+                return assign(_pose(character, poses, frame))
             except SceneError:
                 continue
-    return []
+    return None
 
 
 def _find_standing_frame(character: Character, mapped: Character) -> Character | None:
@@ -240,10 +216,10 @@ def _find_standing_frame(character: Character, mapped: Character) -> Character |
     first = 1
     for poses in _iterate_frames(character):
         positions, rotations = compose_transforms(character.skeleton.parents, poses.offsets, poses.rotations)
-        angles = measure_limbs(np.nan_to_num(positions), bones)
-        is_standard = angles.is_within(MAX_FRAME_TILT_DEG, MAX_FRAME_DIFFERENCE_DEG, MAX_ELBOW_DEG, MAX_ARM_SLOPE_DEG)
-        is_whole = np.isfinite(poses.offsets).all(axis=(1, 2))
-        is_standing = is_whole & angles.is_within(MAX_REST_TILT_DEG, np.inf, np.inf, np.inf)
+        angles = measure_poses(np.nan_to_num(positions), bones)
+        limits = zip(angles, (MAX_FRAME_TILT_DEG, MAX_FRAME_ASYMMETRY_DEG, MAX_FRAME_ARM_DEG), strict=False)
+        is_standard = np.min([angle <= limit for angle, limit in limits], axis=0)
+        is_standing = np.isfinite(poses.offsets).all(axis=(1, 2)) & (angles.tilt <= MAX_TILT_DEG)
         cost = np.where(is_standing, angles.cost + np.where(is_standard, 0.0, STANDING_COST), np.inf)
         frame = int(cost.argmin())
         if np.isfinite(cost[frame]) and (best is None or cost[frame] < best[0]):

@@ -305,15 +305,6 @@ def test_numbers_that_an_exporter_adds_to_all_names_are_ignored():
     assert mapping.bones == preset.mapping.bones
 
 
-def test_segments_that_names_do_not_give_are_found_by_shape():
-    preset = load_character_preset("mixamo")
-    unknown = {bone for segment in ("spine", "left_hand", "right_hand") for bone in preset.mapping.bones[segment]}
-    names = tuple(f"part{bone}" if bone in unknown else name for bone, name in enumerate(preset.skeleton.names))
-    mapping = map_bones(change_bones(preset, names=names))
-    assert "Mixamo names: " in mapping.reason
-    assert mapping.bones == preset.mapping.bones
-
-
 def test_skeleton_that_lies_down_is_refused():
     preset = load_character_preset("vrm")
     positions = preset.skeleton.compute_rest_pose()[0] @ Rotation.from_euler("x", 90, degrees=True).as_matrix().T
