@@ -26,7 +26,7 @@ from mocapfix.io.bvh import is_bvh, read_bvh
 from mocapfix.io.capture import extract_head
 from mocapfix.io.file_content import read_file_bytes
 from mocapfix.io.gltf import parse_glb, read_gltf_nodes
-from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, read_gltf_mesh
+from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, is_below, load_cmu31_skeleton
@@ -274,17 +274,11 @@ def compute_skin_vertices(character: Character) -> SkinVertices:
     content, nodes, bone_of = open_gltf(character) or (None, None, {})
     if content is None or nodes is None or character.source is None:
         return SkinVertices(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, bool))
-    mesh, shown = _read_mesh(character.source.path, character.source.data), compute_node_matrices(content, nodes)[0]
-    posed = build_bone_matrices(character)
-    matrices, carriers = shown.copy(), np.full(len(shown), -1)
+    mesh, posed = _read_mesh(character.source.path, character.source.data), build_bone_matrices(character)
+    placed, carriers = {node: posed[bone] for node, bone in bone_of.items()}, np.full(len(nodes.parents), -1)
     for node in nodes.ordered:
-        above = int(nodes.parents[node])
-        if node in bone_of:
-            matrices[node], carriers[node] = posed[bone_of[node]], bone_of[node]
-        elif above >= 0 and carriers[above] >= 0:
-            carriers[node] = carriers[above]
-            bone_node = next(each for each in nodes.list_ancestors(node) if each in bone_of)
-            matrices[node] = matrices[bone_node] @ np.linalg.inv(shown[bone_node]) @ shown[node]
+        carriers[node] = bone_of.get(node, carriers[nodes.parents[node]] if nodes.parents[node] >= 0 else -1)
+    matrices = move_nodes(nodes, compute_node_matrices(content, nodes)[0], placed)
     strongest = mesh.slots[np.arange(len(mesh.slots)), mesh.weights.argmax(1)]
     bones, is_weighted = carriers[mesh.nodes[strongest]], np.isin(mesh.nodes[strongest], list(bone_of))
     return SkinVertices(mesh.pose(matrices)[bones >= 0], bones[bones >= 0], is_weighted[bones >= 0])

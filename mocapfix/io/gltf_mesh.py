@@ -5,13 +5,14 @@ one mesh here. Left out are meshes whose arrays are compressed or damaged, lines
 transparent. A material is one colour for each triangle.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Num
+from jaxtyping import Bool, Float, Int, Num
 from scipy.spatial.transform import Rotation
 
 from mocapfix.io.gltf import GlbContent, GltfNodes, are_numbers
@@ -19,13 +20,14 @@ from mocapfix.io.gltf import GlbContent, GltfNodes, are_numbers
 COMPONENT_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4  # mode of a primitive
+MAX_NODES = 8  # that a corner follows: the first two sets of a file count
 MIN_OPACITY = 0.5  # a triangle with a more transparent texture is left out
 UNREADABLE = (KeyError, IndexError, TypeError, ValueError)  # what damaged or compressed arrays raise
 
 
 @dataclass(frozen=True)
 class GltfMesh:
-    """All triangles of a file; its V corners follow at most K of the S nodes in `nodes`, each by a weight."""
+    """All triangles of a file; its V corners follow K of the S nodes in `nodes`, each by a weight."""
 
     positions: Float[np.ndarray, "V 3"]  # in the axes of the mesh
     slots: Int[np.ndarray, "V K"]  # indices in `nodes`
@@ -44,43 +46,25 @@ class GltfMesh:
             posed += weights[:, None] * (np.einsum("vij,vj->vi", used[:, :3, :3], self.positions) + used[:, :3, 3])
         return posed
 
+    def join(self, other: "GltfMesh") -> "GltfMesh":
+        """Return this mesh and another one as one."""
+        other = replace(other, slots=other.slots + len(self.nodes), triangles=other.triangles + len(self.positions))
+        return GltfMesh(*(np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)))
+
 
 def read_gltf_mesh(content: GlbContent, nodes: GltfNodes) -> GltfMesh:
     """Read the mesh of a file, without any triangle if nothing can be read. Only the binary chunk is used."""
-    parts: list[GltfMesh] = []
+    mesh = GltfMesh(
+        np.empty((0, 3)), np.empty((0, MAX_NODES), int), np.empty((0, MAX_NODES)), np.empty(0, int), np.empty((0, 4, 4)),
+        np.empty((0, 3), int), np.empty((0, 3)),
+    )  # fmt: skip
     for node, entry in enumerate(nodes.entries):
-        for primitive in _list_primitives(content.document, entry):
-            try:
-                parts.append(_read_primitive(content, node, entry, primitive))
-            except UNREADABLE:
-                continue
-    if not parts:
-        none = np.empty((0, 3))
-        slots = np.empty((0, 1), int)
-        return GltfMesh(none, slots, slots.astype(float), slots[:, 0], np.empty((0, 4, 4)), none.astype(int), none)
-    width = max(part.slots.shape[1] for part in parts)
-    first_slots = np.cumsum([0, *(len(part.nodes) for part in parts)])
-    first_corners = np.cumsum([0, *(len(part.positions) for part in parts)])
-
-    def widen(values: Num[np.ndarray, "V k"]) -> Num[np.ndarray, "V K"]:
-        return np.pad(values, ((0, 0), (0, width - values.shape[1])))
-
-    return GltfMesh(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate([widen(part.slots) + first for part, first in zip(parts, first_slots, strict=False)]),
-        np.concatenate([widen(part.weights) for part in parts]),
-        np.concatenate([part.nodes for part in parts]),
-        np.concatenate([part.inverse_bind for part in parts]),
-        np.concatenate([part.triangles + first for part, first in zip(parts, first_corners, strict=False)]),
-        np.concatenate([part.colours for part in parts]),
-    )
-
-
-def _list_primitives(document: Mapping[str, Any], entry: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    try:
-        yield from (each for each in document["meshes"][entry["mesh"]]["primitives"] if each.get("mode", TRIANGLES) == TRIANGLES)
-    except (AttributeError, *UNREADABLE):
-        return
+        with suppress(AttributeError, *UNREADABLE):
+            for primitive in content.document["meshes"][entry["mesh"]]["primitives"]:
+                if primitive.get("mode", TRIANGLES) == TRIANGLES:
+                    with suppress(*UNREADABLE):
+                        mesh = mesh.join(_read_primitive(content, node, entry, primitive))
+    return mesh
 
 
 def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], primitive: Mapping[str, Any]) -> GltfMesh:
@@ -98,7 +82,7 @@ def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], pr
         inverse_bind = np.tile(np.eye(4), (len(nodes), 1, 1))
         if "inverseBindMatrices" in skin:
             inverse_bind = read_array(content, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2).astype(float)
-        sets = range(sum(name.startswith("JOINTS_") for name in attributes))
+        sets = range(min(MAX_NODES // 4, sum(name.startswith("JOINTS_") for name in attributes)))
         slots = np.concatenate([read_array(content, attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(int)
         weights = np.concatenate([read_array(content, attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(float)
         weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(float).tiny)
@@ -106,6 +90,7 @@ def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], pr
     is_complete = len(slots) == len(weights) == count and len(inverse_bind) >= len(nodes)
     if not (is_finite and is_complete) or triangles.max(initial=0) >= count or slots.max(initial=0) >= len(nodes):
         raise ValueError("an index of the mesh is out of range")
+    slots, weights = (np.pad(each, ((0, 0), (0, MAX_NODES - each.shape[1]))) for each in (slots, weights))
     colours, is_opaque = _read_colours(content, primitive, triangles)
     return GltfMesh(positions, slots, weights, nodes, inverse_bind[: len(nodes)], triangles[is_opaque], colours[is_opaque])
 
@@ -129,39 +114,30 @@ def read_array(content: GlbContent, index: int) -> Num[np.ndarray, "N n"]:
 
 def _read_colours(
     content: GlbContent, primitive: Mapping[str, Any], triangles: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, "F 3"], np.ndarray]:
-    """Return the colour of each triangle, and whether it is opaque: of its material, by the texture at the triangle's centre."""
-    materials = content.document.get("materials", [])
-    material = materials[primitive["material"]] if "material" in primitive else {}
+) -> tuple[Float[np.ndarray, "F 3"], Bool[np.ndarray, " F"]]:
+    """Return the colour of each triangle, that of the material and of the texture at its centre, and whether it is opaque."""
+    material = content.document["materials"][primitive["material"]] if "material" in primitive else {}
     surface = material.get("pbrMetallicRoughness", {})
-    factor = np.array(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), float) ** ([1 / 2.2] * 3 + [1.0])  # linear to sRGB
-    colours = np.tile(factor, (len(triangles), 1))
-    is_opaque = np.ones(len(triangles), bool)
+    factor = np.array(surface.get("baseColorFactor", np.ones(4)), float)[:3] ** (1 / 2.2)  # linear to sRGB
+    colours = np.tile([*factor, 1.0], (len(triangles), 1))  # exporters write the opacity 0 too
     if texture := surface.get("baseColorTexture"):
         image = _read_image(content, content.document["textures"][texture["index"]]["source"])
-        if image is not None:
-            height, width = image.shape[:2]
-            place = read_array(content, primitive["attributes"][f"TEXCOORD_{texture.get('texCoord', 0)}"])[triangles].mean(1) % 1
-            colours *= image[(place[:, 1] * height).astype(int) % height, (place[:, 0] * width).astype(int) % width] / 255
-            if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-                is_opaque = colours[:, 3] >= MIN_OPACITY
-    return colours[:, :3], is_opaque
+        place = read_array(content, primitive["attributes"][f"TEXCOORD_{texture.get('texCoord', 0)}"])[triangles].mean(1) % 1
+        column, row = (place * image.shape[1::-1]).astype(int).clip(0, np.array(image.shape[1::-1]) - 1).T
+        colours *= image[row, column] / 255
+    return colours[:, :3], (colours[:, 3] >= MIN_OPACITY) | (material.get("alphaMode", "OPAQUE") == "OPAQUE")
 
 
-def _read_image(content: GlbContent, index: int) -> Num[np.ndarray, "h w 4"] | None:
-    """Return the pixels of an image in the binary chunk, None if it is in another file or of a kind that cannot be read."""
-    from PIL import Image  # only few outputs need it
+def _read_image(content: GlbContent, index: int) -> Num[np.ndarray, "h w 4"]:
+    """Return the pixels of an image in the binary chunk, one white pixel if it is in another file or of another kind."""
+    from PIL import Image  # few outputs need it
 
-    entry = content.document["images"][index]
-    if "bufferView" not in entry:
-        return None
-    view = content.document["bufferViews"][entry["bufferView"]]
-    start = view.get("byteOffset", 0)
-    try:
+    with suppress(KeyError, OSError, Image.DecompressionBombError):
+        view = content.document["bufferViews"][content.document["images"][index]["bufferView"]]
+        start = view.get("byteOffset", 0)
         with Image.open(BytesIO(content.binary[start : start + view["byteLength"]])) as image:
             return np.asarray(image.convert("RGBA"))
-    except (OSError, Image.DecompressionBombError):
-        return None
+    return np.full((1, 1, 4), 255)
 
 
 NODE_PROPERTIES = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
@@ -190,11 +166,11 @@ def compute_node_matrices(
             nearest = np.abs(keys[:, 0] - np.array(times_s)[:, None]).argmin(1)
             values[target["path"]][:, target["node"]] = output[nearest]
             animated.add(target["node"])
-    rotation = values["rotation"].reshape(-1, 4)
-    is_zero = np.linalg.norm(rotation, axis=1) == 0
-    rotation = Rotation.from_quat(np.where(is_zero[:, None], NODE_PROPERTIES["rotation"], rotation)).as_matrix()
+    rotation = values["rotation"]
+    rotation[np.linalg.norm(rotation, axis=-1) == 0] = NODE_PROPERTIES["rotation"]
     matrices = np.tile(np.eye(4), (*shape, 1, 1))
-    matrices[..., :3, :3] = rotation.reshape(*shape, 3, 3) * values["scale"][..., None, :]
+    matrices[..., :3, :3] = Rotation.from_quat(rotation.reshape(-1, 4)).as_matrix().reshape(*shape, 3, 3)
+    matrices[..., :3, :3] *= values["scale"][..., None, :]
     matrices[..., :3, 3] = values["translation"]
     for node in nodes.ordered:
         entry = nodes.entries[node]

@@ -21,7 +21,7 @@ from mocapfix.characters.rest_poses import build_bone_matrices
 from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, list_path
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.stats.sequences import sample_evenly
@@ -87,7 +87,7 @@ def draw_contact_sheet(performer: Performer, character: Character | None = None,
         glb: The written file of the character, whose last animation is drawn.
     """
     skeleton, take = performer.skeleton, performer.take
-    hips, head, left, right = map(skeleton.find_joint, ("Hips", "Head", "LeftUpLeg", "RightUpLeg"))
+    hips, left, right, ankle = map(skeleton.find_joint, ("Hips", "LeftUpLeg", "RightUpLeg", "LeftFoot"))
     joints, rotations = compute_world_poses(skeleton, performer.motion)
     turned = np.einsum("tab,tjb->tja", build_views(joints[:, left] - joints[:, right]), joints - joints[:, [hips]] * LEVEL)
     frames = choose_frames(turned)
@@ -104,7 +104,8 @@ def draw_contact_sheet(performer: Performer, character: Character | None = None,
     title, reason, scale, characters, colours = "The solved body (blue) and its markers (orange)", "", 1.0, [], np.empty((0, 3))
     if character and glb:
         characters, colours = _show_character(character, glb, views, (frames / performer.rate).tolist())
-        height_m = max(poses[0, head, 1], joints[:, head, 1].max())  # at rest the legs are apart
+        leg_m = np.linalg.norm(skeleton.offsets[list_path(ankle, left, skeleton.parents)], axis=1).sum()  # apart in the rest pose
+        height_m = np.nanmax(np.concatenate([poses[0], tips[0]])[:, 1]) - poses[0, left, 1] + leg_m + poses[0, ankle, 1]
         scale = float(characters[0].points[:, 1].max() / height_m) or 1.0
         title = f"{character.name}, beside the performer enlarged by {scale:.2f} (blue: solved body, orange: markers)"
         reason = character.mapping.reason
@@ -129,8 +130,11 @@ def _show_character(
     pelvis, left, right = (bones[character.mapping.bones[name][0]] for name in ("pelvis", "left_thigh", "right_thigh"))
     mesh, has_own_mesh = read_gltf_mesh(content, nodes), character.source is not None and character.source.kind == "gltf"
     triangles = mesh.triangles if has_own_mesh else mesh.triangles[:0]
-    parents = set[int]() if len(triangles) else set(bones)
-    sticks = np.array([(parent, bone) for bone in bones if (parent := int(nodes.parents[bone])) in parents], int).reshape(-1, 2)
+    below = set[int]() if len(triangles) else {pelvis}
+    for bone in bones:
+        if nodes.parents[bone] in below:
+            below.add(bone)
+    sticks = np.array([(nodes.parents[bone], bone) for bone in below - {pelvis}], int).reshape(-1, 2)
     views = np.concatenate([build_views(matrices[:1, left, :3, 3] - matrices[:1, right, :3, 3]), views[1:]])
     figures = [
         _Figure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)
