@@ -34,7 +34,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take
-from mocapfix.options import OutputOptions
+from mocapfix.options import ROOT_IN_PLACE, OutputOptions
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.subject import library
@@ -190,7 +190,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
 
         frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
         notes = files.write(target, *content.motion.parts, content.exported_contacts, frames)
-        sheet = draw_contact_sheet(content.build_performer(frames), files.character, target)
+        turns = options.root_motion != ROOT_IN_PLACE
+        sheet = draw_contact_sheet(content.build_performer(frames), files.character, target, turns=turns)
         content.sheets.append(ContactSheet(target.name, sheet))
         if is_sheet_written:
             target.with_suffix(f".{SHEET_SUFFIX}").write_bytes(sheet)

@@ -163,7 +163,7 @@ def compute_node_matrices(
         sampler, target = (animation or {})["samplers"][channel["sampler"]], channel["target"]
         if "node" in target and target["path"] in values:
             keys, output = (read_array(content, sampler[name]).astype(float) for name in ("input", "output"))
-            nearest = np.abs(keys[:, 0] - np.array(times_s)[:, None]).argmin(1)
+            nearest = np.searchsorted((keys[1:, 0] + keys[:-1, 0]) / 2, times_s)
             values[target["path"]][:, target["node"]] = output[nearest]
             animated.add(target["node"])
     rotation = values["rotation"]

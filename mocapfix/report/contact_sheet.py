@@ -78,13 +78,16 @@ class _Figure(NamedTuple):
         return points[np.isfinite(points).all(1)]
 
 
-def draw_contact_sheet(performer: Performer, character: Character | None = None, glb: Path | None = None) -> bytes:
+def draw_contact_sheet(
+    performer: Performer, character: Character | None = None, glb: Path | None = None, *, turns: bool = True
+) -> bytes:
     """Draw the sheet of a take as PNG.
 
     Args:
         performer: The solved body.
         character: A character that it moves; None for the body alone.
         glb: The written file of the character, whose last animation is drawn.
+        turns: Whether the character turns with the body; otherwise it is seen from its own front.
     """
     skeleton, take = performer.skeleton, performer.take
     hips, left, right, ankle = map(skeleton.find_joint, ("Hips", "LeftUpLeg", "RightUpLeg", "LeftFoot"))
@@ -103,7 +106,9 @@ def draw_contact_sheet(performer: Performer, character: Character | None = None,
     views = build_views(poses[:, left] - poses[:, right])
     title, reason, scale, characters, colours = "The solved body (blue) and its markers (orange)", "", 1.0, [], np.empty((0, 3))
     if character and glb:
-        characters, colours = _show_character(character, glb, views, (frames / performer.rate).tolist())
+        characters, colours = _show_character(
+            character, glb, views[1:] if turns else views[:0], (frames / performer.rate).tolist()
+        )
         leg_m = np.linalg.norm(skeleton.offsets[list_path(ankle, left, skeleton.parents)], axis=1).sum()  # apart in the rest pose
         height_m = np.nanmax(np.concatenate([poses[0], tips[0]])[:, 1]) - poses[0, left, 1] + leg_m + poses[0, ankle, 1]
         scale = float(characters[0].points[:, 1].max() / height_m) or 1.0
@@ -119,7 +124,7 @@ def draw_contact_sheet(performer: Performer, character: Character | None = None,
 def _show_character(
     character: Character, glb: Path, views: Float[np.ndarray, "F 3 3"], times_s: Sequence[float]
 ) -> tuple[list[_Figure], Float[np.ndarray, "N 3"]]:
-    """Return the character in the rest pose, from its own front, and at some times as the body is seen; colours of triangles."""
+    """Return the character in the rest pose and at some times, and the colours of triangles; in the views given for the last."""
     content = parse_glb(glb, glb.read_bytes())
     nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][-1]
     numbers = {name: node for node, name in enumerate(nodes.names)}
@@ -135,7 +140,8 @@ def _show_character(
         if nodes.parents[bone] in below:
             below.add(bone)
     sticks = np.array([(nodes.parents[bone], bone) for bone in below - {pelvis}], int).reshape(-1, 2)
-    views = np.concatenate([build_views(matrices[:1, left, :3, 3] - matrices[:1, right, :3, 3]), views[1:]])
+    own_count = len(matrices) - len(views)
+    views = np.concatenate([build_views((matrices[:, left] - matrices[:, right])[:own_count, :3, 3]), views])
     figures = [
         _Figure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)
         for each, axes in zip(matrices, views, strict=True)
