@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
@@ -243,6 +244,56 @@ def compute_kept_positions(
         kept = scale_positions(ball, scale, floor_height_m + flat.ball_height_m, target.ball_height_m)
         ankles[side] = kept - motion.rotation[f"{side}_foot"] @ flat.inclination.T @ target.compute_ball(side)
     return KeptPositions(hips - motion.rotation["pelvis"] @ target.hip_centre, ankles)
+
+
+SETTLING_S = 0.06  # before and after a contact in which a foot comes to the floor or leaves it, and its standard deviation
+LIFT_S = 0.04  # standard deviation of the time over which changes of a foot's height are smoothed
+SETTLING_ROUNDS = 3  # the bend of the toe depends on the height of the foot, and that on the toe
+MAX_TOE_BEND_RAD = np.deg2rad(70.0)
+TOE_TIP_SHARE = 0.3  # of a toe's length, from which its points are ahead of the ball
+
+
+def settle_soles(
+    source: BodyFrame, target: BodyFrame, kept: KeptPositions, motion: SegmentMotion, contacts: BodyContacts | None
+) -> tuple[KeptPositions, SegmentMotion]:
+    """Return the targets with soles on the floor in contacts, and never below it, and the segments with toes bent so far up.
+
+    The soles are those of the target's mesh; without one nothing changes. The contacts are those of the feet at the rate of the
+    motion, the segments those of the source, whose feet are level when they lie flat.
+    """
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d  # slow to import
+
+    if contacts is None:
+        return kept, motion
+    ankles, rotations, scale = dict(kept.ankles), dict(motion.rotation), target.leg_length_m / source.leg_length_m
+    for side in SIDES:
+        foot, toe = f"{side}_foot", f"{side}_toe"
+        sole, toe_sole, ball = target.compute_sole(foot), target.compute_sole(toe), target.compute_ball(side)
+        if not len(sole):
+            continue
+        place = motion.carry(foot, source.compute_ball(side))
+        level = scale * (place[:, 1] - contacts.floor.compute_height_above(place) - contacts.floor.height_m)
+        reach = SETTLING_S * contacts.rate
+        contact = gaussian_filter1d(maximum_filter1d(contacts.find_foot_contact(side) * 1.0, 2 * round(reach) + 1), reach)
+        upward, free = motion.rotation[foot][:, 1], kept.ankles[side][:, 1] - level
+        height = free
+        for _ in range(SETTLING_ROUNDS if len(toe_sole) else 1):
+            rotations[toe] = bend_toe(motion.rotation[toe], toe_sole, height + upward @ ball)
+            lowest = (upward @ sole.T).min(1)
+            if len(toe_sole):
+                lowest = np.minimum(lowest, upward @ ball + (rotations[toe][:, 1] @ toe_sole.T).min(1))
+            height = free + np.maximum(-free - lowest, 0.0) - contact * np.maximum(free + lowest, 0.0)
+        ankles[side] = ankles[side] + gaussian_filter1d(height - free, LIFT_S * contacts.rate)[:, None] * UPWARD
+    return replace(kept, ankles=ankles), replace(motion, rotation=rotations)
+
+
+def bend_toe(rotation: Rotations, sole: Float[np.ndarray, "P 3"], height: Float[np.ndarray, " T"]) -> Rotations:
+    """Return the rotation S of a toe, bent up until no point of its sole ahead of the ball at this height is below the floor."""
+    ahead = sole[sole[:, 2] > TOE_TIP_SHARE * sole[:, 2].max(initial=0.0)]
+    pitch = np.arcsin(np.clip(rotation[:, 1, 2], -1.0, 1.0))[:, None] + np.arctan2(ahead[:, 1], ahead[:, 2])
+    least = np.arcsin(np.clip(-height[:, None] / np.hypot(ahead[:, 1], ahead[:, 2]), -1.0, 1.0))
+    bend = np.clip((least - pitch).max(axis=1, initial=0.0), 0.0, MAX_TOE_BEND_RAD)
+    return rotation @ Rotation.from_rotvec(-bend[:, None] * [1.0, 0.0, 0.0]).as_matrix()
 
 
 def scale_positions(position: Points, scale: float, source_height_m: float, target_height_m: float) -> Points:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import compute_facing
 from mocapfix.characters.bone_mapping import find_detached_bones, map_bones
@@ -29,7 +30,7 @@ from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import Skeleton, is_below, load_cmu31_skeleton
+from mocapfix.model.skeleton import Skeleton, find_ancestor, is_below, load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
@@ -328,7 +329,26 @@ def stand_on_soles(character: Character) -> Character | None:
     above = int(skeleton.parents[pelvis])
     lowered = np.array([0.0, -float(np.mean(heights)), 0.0])
     offsets[pelvis] += lowered if above < 0 else world[above].T @ lowered
-    return replace(character, skeleton=replace(skeleton, offsets=offsets, rest_rotations=rotations), has_feet_flat=True)
+    standing = replace(character, skeleton=replace(skeleton, offsets=offsets, rest_rotations=rotations), has_feet_flat=True)
+    return replace(standing, soles=find_soles(standing))
+
+
+def find_soles(character: Character) -> dict[str, Float[np.ndarray, "P 3"]]:
+    """Return by segment the vertices of feet and toes that touch the floor first when the foot is inclined in any direction."""
+    vertices, bones, parents = compute_skin_vertices(character), character.mapping.bones, character.skeleton.parents
+    directions = -Rotation.from_euler("xz", SOLE_INCLINATIONS_DEG, degrees=True).as_matrix()[:, 1] @ compute_facing(character).T
+    carriers = {chain[0]: segment for segment, chain in bones.items() if segment.endswith(("foot", "toe"))}
+    is_end = np.isin(np.arange(len(parents)), list(carriers))
+    carrier = np.array([bone if is_end[bone] else find_ancestor(bone, parents, is_end) for bone in range(len(parents))])
+    soles: dict[str, Float[np.ndarray, "P 3"]] = {}
+    for bone, segment in carriers.items():
+        points = vertices.positions[carrier[vertices.bones] == bone]
+        if len(points):
+            soles[segment] = points[np.unique((points @ directions.T).argmax(0))]
+    return soles
+
+
+SOLE_INCLINATIONS_DEG = np.array([[pitch, roll] for pitch in range(-80, 81, 10) for roll in range(-40, 41, 10)], float)
 
 
 def _level_sole(points: Float[np.ndarray, "V 3"], along: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:

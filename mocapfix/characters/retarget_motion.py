@@ -318,6 +318,7 @@ def build_retarget_problem(
     flat_feet = kept_positions.measure_flat_feet(source_frame, segments, feet_contacts)
     kept = kept_positions.compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
     segments = kept_positions.level_feet(segments, flat_feet)
+    kept, segments = kept_positions.settle_soles(source_frame, target_frame, kept, segments, feet_contacts)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     kept = kept_positions.keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
     ankles = kept.ankles

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import SIDES, compute_character_poses
-from mocapfix.characters.kept_positions import hold_kept_feet, resample_foot_contacts
+from mocapfix.characters.kept_positions import bend_toe, hold_kept_feet, resample_foot_contacts
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
@@ -76,3 +77,43 @@ def test_contacts_at_half_the_rate_are_those_of_every_second_frame(contacts):
 def test_motion_longer_than_its_contacts_keeps_the_last(contacts):
     longer = resample_foot_contacts(contacts, len(contacts.is_contact) + 5, RATE)
     np.testing.assert_array_equal(longer.is_contact[-6:], np.repeat(contacts.is_contact[-1:, :4], 6, axis=0))
+
+
+@pytest.mark.parametrize("has_toes", [True, False])
+def test_soles_of_the_mesh_stand_on_the_floor_and_never_pass_it(contacts, has_toes):
+    """Shoes are boxes: heel and ball on the foot, the tip on the toe if there is one, else on the foot."""
+    character, motion = load_walk()
+    target = load_character_preset("mixamo")
+    bones, heads = target.mapping.bones, target.skeleton.rest_positions
+    parts = {f"{side}_foot": heads[bones[f"{side}_foot"][0]] * [1, 0, 1] for side in SIDES}
+    tips = {f"{side}_toe": heads[bones[f"{side}_toe"][0]] * [1, 0, 1] + [0, 0, 0.09] for side in SIDES}
+    widths = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0]])
+    soles = {foot: np.concatenate([place + widths + [0, 0, z] for z in (-0.07, 0.12)]) for foot, place in parts.items()}
+    for toe, place in tips.items():
+        carrier = toe if has_toes else toe.replace("toe", "foot")
+        soles[carrier] = np.concatenate([soles.get(carrier, np.zeros((0, 3))), place + widths])
+    target = replace(target, soles=soles)
+    positions, rotations = compute_character_poses(target, retarget_motion(character, motion, target, contacts=contacts))
+    _, axes = target.skeleton.compute_rest_pose()
+    feet = resample_foot_contacts(contacts, motion.frame_count, motion.rate)
+    for side in SIDES:
+        lowest = np.full(motion.frame_count, np.inf)
+        for segment, points in soles.items():
+            if segment.startswith(side):
+                bone = bones[segment][0]
+                vectors = (points - heads[bone]) @ axes[bone]
+                heights = positions[:, None, bone, 1] + np.einsum("tb,pb->tp", rotations[:, bone, 1], vectors)
+                lowest = np.minimum(lowest, heights.min(1))
+        is_standing = feet.find_foot_contact(side)
+        assert lowest.min() > -0.005
+        assert np.percentile(lowest[is_standing], 95) < 0.005
+
+
+def test_a_toe_is_bent_until_its_tip_is_on_the_floor():
+    pitch = np.deg2rad([-30.0, 5.0, 40.0])
+    rotation = Rotation.from_rotvec(pitch[:, None] * [1, 0, 0]).as_matrix()  # of a heel that is lifted by these angles
+    sole = np.array([[0.0, -0.02, 0.0], [0.0, -0.02, 0.1]])
+    bent = bend_toe(rotation, sole, np.full(3, 0.03))
+    heights = 0.03 + bent[:, 1] @ sole[1]
+    np.testing.assert_allclose(bent[:2], rotation[:2], atol=1e-9)
+    np.testing.assert_allclose(heights[2], 0.0, atol=1e-9)
