@@ -173,6 +173,7 @@ class OpenTake:
                 "bones": view.bones,
                 "characters": list(self.take.find_characters()),
                 "motion_floor_m": output.floor_height_m,
+                "motion_start": max(0, output.trim[0] - view.first_frame) if output.trim else 0,
                 "notes": [*view.notes, *self.take.report.get("notes", [])],
                 "run": asdict(self.status),
                 "difference": self._difference,

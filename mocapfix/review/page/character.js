@@ -3,6 +3,7 @@
 import { GLTFLoader, THREE } from "./three.js";
 
 const BESIDE_M = new THREE.Vector3(1.0, 0, -0.6); // to the right in the first view of a take
+const MAX_FRAME_S = 0.05; // after the last key the pose stays for a frame
 const HEIGHT_M = 1.75; // with which each character is shown
 
 export class CharacterView {
@@ -28,7 +29,7 @@ export class CharacterView {
 
   // Shows the pose at a time, beside the place of the body's root, [x, y, z]. It stands on the floor of the motion files.
   show(time, root, floor) {
-    this.group.visible = root.length > 0 && !Number.isNaN(root[0]);
+    this.group.visible = root.length > 0 && !Number.isNaN(root[0]) && time >= 0 && time < this.clip.duration + MAX_FRAME_S;
     if (!this.group.visible) return;
     this.mixer.setTime(Math.min(time, this.clip.duration * (1 - 1e-6)));
     this.group.position.set(0, floor, 0);

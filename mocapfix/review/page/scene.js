@@ -102,7 +102,8 @@ export class SceneView {
     this.updateBones(frame);
     this.updateTrails(frame, selected[0]);
     const root = this.samples.counts.joints * 3 * frame;
-    this.character?.show(frame / this.take.rate, this.samples.joints.subarray(root, root + 3), this.take.motion_floor_m);
+    const time = (frame - this.take.motion_start) / this.take.rate;
+    this.character?.show(time, this.samples.joints.subarray(root, root + 3), this.take.motion_floor_m);
     this.requestRender();
   }
 
