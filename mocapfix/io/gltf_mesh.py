@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 from scipy.spatial.transform import Rotation
 
-from mocapfix.io.gltf import GlbContent, GltfNodes, are_numbers
+from mocapfix.io.gltf import MAX_COORDINATE_M, GlbContent, GltfNodes, are_numbers
 
 COMPONENT_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4  # mode of a primitive
 MAX_NODES = 8  # that a corner follows: the first two sets of a file count
 MIN_OPACITY = 0.5  # a triangle with a more transparent texture is left out
-UNREADABLE = (KeyError, IndexError, TypeError, ValueError)  # what damaged or compressed arrays raise
+UNREADABLE = (AttributeError, LookupError, OverflowError, TypeError, ValueError)  # what damaged or compressed data raise
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ def read_gltf_mesh(content: GlbContent, nodes: GltfNodes) -> GltfMesh:
         np.empty((0, 3), int), np.empty((0, 3)),
     )  # fmt: skip
     for node, entry in enumerate(nodes.entries):
-        with suppress(AttributeError, *UNREADABLE):
+        with suppress(*UNREADABLE):
             for primitive in content.document["meshes"][entry["mesh"]]["primitives"]:
                 if primitive.get("mode", TRIANGLES) == TRIANGLES:
-                    with suppress(*UNREADABLE):
+                    with suppress(*UNREADABLE), np.errstate(all="ignore"):
                         mesh = mesh.join(_read_primitive(content, node, entry, primitive))
     return mesh
 
@@ -78,7 +78,7 @@ def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], pr
     slots, weights = np.zeros((count, 1), int), np.ones((count, 1))
     if "skin" in entry:
         skin = content.document["skins"][entry["skin"]]
-        nodes = np.array(skin["joints"])
+        nodes = np.array(skin["joints"], int)
         inverse_bind = np.tile(np.eye(4), (len(nodes), 1, 1))
         if "inverseBindMatrices" in skin:
             inverse_bind = read_array(content, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2).astype(float)
@@ -86,9 +86,10 @@ def _read_primitive(content: GlbContent, node: int, entry: Mapping[str, Any], pr
         slots = np.concatenate([read_array(content, attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(int)
         weights = np.concatenate([read_array(content, attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(float)
         weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(float).tiny)
-    is_finite = all(np.isfinite(each).all() for each in (positions, weights, inverse_bind))
+    is_finite = all((np.abs(each) < MAX_COORDINATE_M).all() for each in (positions, weights, inverse_bind))
     is_complete = len(slots) == len(weights) == count and len(inverse_bind) >= len(nodes)
-    if not (is_finite and is_complete) or triangles.max(initial=0) >= count or slots.max(initial=0) >= len(nodes):
+    limits = ((triangles, count), (slots, len(nodes)), (nodes, len(content.document["nodes"])))
+    if not (is_finite and is_complete) or any(each.max(initial=0) >= limit for each, limit in limits):
         raise ValueError("an index of the mesh is out of range")
     slots, weights = (np.pad(each, ((0, 0), (0, MAX_NODES - each.shape[1]))) for each in (slots, weights))
     colours, is_opaque = _read_colours(content, primitive, triangles)
@@ -118,7 +119,7 @@ def _read_colours(
     """Return the colour of each triangle, that of the material and of the texture at its centre, and whether it is opaque."""
     material = content.document["materials"][primitive["material"]] if "material" in primitive else {}
     surface = material.get("pbrMetallicRoughness", {})
-    factor = np.array(surface.get("baseColorFactor", np.ones(4)), float)[:3] ** (1 / 2.2)  # linear to sRGB
+    factor = np.array(surface.get("baseColorFactor", np.ones(4)), float)[:3].clip(0, 1) ** (1 / 2.2)  # linear to sRGB
     colours = np.tile([*factor, 1.0], (len(triangles), 1))  # exporters write the opacity 0 too
     if texture := surface.get("baseColorTexture"):
         image = _read_image(content, content.document["textures"][texture["index"]]["source"])
@@ -132,7 +133,7 @@ def _read_image(content: GlbContent, index: int) -> Num[np.ndarray, "h w 4"]:
     """Return the pixels of an image in the binary chunk, one white pixel if it is in another file or of another kind."""
     from PIL import Image  # few outputs need it
 
-    with suppress(KeyError, OSError, Image.DecompressionBombError):
+    with suppress(KeyError, OSError, SyntaxError, Image.DecompressionBombError):
         view = content.document["bufferViews"][content.document["images"][index]["bufferView"]]
         start = view.get("byteOffset", 0)
         with Image.open(BytesIO(content.binary[start : start + view["byteLength"]])) as image:

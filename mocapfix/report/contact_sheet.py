@@ -33,6 +33,7 @@ CELL_WIDTH_PX, CELL_HEIGHT_PX, MARGIN_PX = 420, 320, 14  # the most that the fig
 TITLE_HEIGHT_PX, LABEL_HEIGHT_PX, TITLE_PX, LABEL_PX, LETTER_PX = 58, 22, 20, 14, 7  # the last: mean width of a letter of a label
 OVERSAMPLING = 2  # the figures are drawn larger by this factor, for smooth edges
 STICK_PX, DOT_PX = 3, 2  # width, and radius
+MAX_TRIED_PIXELS = 4_000_000  # of the triangles of a figure: an ordinary one has a million, the largest of others are left out
 MAX_COLOURS = 128  # of the picture
 YAW_RAD = np.radians(25)
 GAP_M = 0.15  # between the two figures of a cell
@@ -186,9 +187,11 @@ def rasterise_triangles(corners: Float[np.ndarray, "F 3 3"], width: int, height:
     """
     low = np.clip(np.floor(corners[..., :2].min(1)), 0, [width, height]).astype(int)
     size = np.clip(np.ceil(corners[..., :2].max(1)), 0, [width, height]).astype(int) - low
-    counts = size.prod(1)
-    triangle = np.repeat(np.arange(len(corners)), counts)
-    place = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
+    kept = np.argsort(size.prod(1), kind="stable")
+    counts, ends = size.prod(1)[kept], np.cumsum(size.prod(1)[kept])
+    kept, counts, ends = (each[ends <= MAX_TRIED_PIXELS] for each in (kept, counts, ends))
+    triangle = np.repeat(kept, counts)
+    place = np.arange(len(triangle)) - np.repeat(ends - counts, counts)
     column = low[triangle, 0] + place % size[triangle, 0]
     row = low[triangle, 1] + place // size[triangle, 0]
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(corners, 0, -1)

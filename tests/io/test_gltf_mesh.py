@@ -100,6 +100,8 @@ def test_the_texture_colours_triangles_and_hides_transparent_ones():
         lambda document: document["skins"][0].update(joints=[]),
         lambda document: document["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}}),
         lambda document: document.update(meshes=[7]),
+        lambda document: document.update(materials=[[]]),
+        lambda document: document["bufferViews"][0].update(byteOffset=10**30),
     ],
 )
 def test_a_mesh_that_cannot_be_read_is_left_out(damage):
