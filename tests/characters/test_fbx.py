@@ -3,13 +3,16 @@
 import os
 import stat
 import sys
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters import fbx
 from mocapfix.characters.character_files import write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, find_blender, write_fbx
-from mocapfix.characters.fbx_export import find_difference, split_rate
+from mocapfix.characters.fbx_export import find_difference, keep_rotations_exact, split_rate
 from mocapfix.characters.load_character import read_character
 from mocapfix.errors import ReadError, WriteError
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion
@@ -134,3 +137,23 @@ def test_an_fbx_is_read_as_the_glb_to_which_blender_converts_it(tmp_path, monkey
         ReadError, match=r"hero\.fbx: an FBX is read by Blender, and it was not found; install it, set MOCAPFIX_BL"
     ):
         read_character(tmp_path / "hero.fbx")
+
+
+@pytest.mark.parametrize("pitch_deg", [89.99, -89.999, 30.0])
+def test_euler_angles_give_the_rotation_near_gimbal_lock(pitch_deg):
+    """The errors of Blender's angles, a milliradian there, no longer add up."""
+    rotation = Rotation.from_euler("xyz", [70.0, pitch_deg, -160.0], degrees=True)
+    x, y, z, w = rotation.as_quat()
+
+    class Wrapper:
+        def fbx_object_tx(self):
+            roll, pitch, yaw = np.deg2rad([70.0, pitch_deg, 200.0])
+            matrix = SimpleNamespace(decompose=lambda: (None, (w, x, y, z), None))
+            return "location", SimpleNamespace(x=roll + 1e-3, y=pitch, z=yaw - 3e-4), "scale", matrix, "rotation"
+
+    keep_rotations_exact(Wrapper)
+    _, euler, *_ = Wrapper().fbx_object_tx()
+    found = Rotation.from_euler("xyz", [euler.x, euler.y, euler.z])
+    limit = 1e-6 if abs(pitch_deg) > 45 else 1e-3  # elsewhere Blender's first two angles are exact
+    assert (found * rotation.inv()).magnitude() < limit
+    assert np.rad2deg(euler.z) == pytest.approx(200.0, abs=0.1)  # without a jump by a turn
