@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame
@@ -34,7 +34,7 @@ from mocapfix.characters.fbx import write_fbx
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.characters.root_motion import carry_path, list_source_joints, prepare_root_bone
-from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.contacts.contacts import BodyContacts, build_no_contacts
 from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
@@ -365,7 +365,10 @@ class CharacterFiles:
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
         if self.options.loop:
-            delivered, seam = close_loop(character, delivered, _find_standing_feet(contacts, motion.frame_count, rate, frames))
+            count = motion.frame_count
+            feet = resample_foot_contacts(contacts or build_no_contacts(count, rate), count, rate)
+            is_standing = {side: feet.find_foot_contact(side)[frames] for side in SIDES}
+            delivered, seam = close_loop(character, delivered, is_standing)
             notes.append(f"{target.name}: {seam}")
         delivered = carry_path(character, delivered, root_motion, is_loop=self.options.loop)
         write_character_bvh(target.with_suffix(".bvh"), character, delivered)
@@ -375,16 +378,6 @@ class CharacterFiles:
         write_character_glb(target, character, delivered, target.name.partition(".")[0])
         problems = [GLB_CONVERTERS[suffix](target.with_suffix(f".{suffix}"), target, rate) for suffix in self.converted]
         return notes + [each for each in problems if each]
-
-
-def _find_standing_feet(
-    contacts: BodyContacts | None, frame_count: int, rate: float, frames: slice
-) -> dict[str, Bool[np.ndarray, " T"]]:
-    """Return when each foot is in contact, by side, in some frames of a motion at a rate."""
-    if contacts is None:
-        return {side: np.zeros(frame_count, bool)[frames] for side in SIDES}
-    resampled = resample_foot_contacts(contacts, frame_count, rate)
-    return {side: resampled.find_foot_contact(side)[frames] for side in SIDES}
 
 
 def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:

@@ -53,18 +53,6 @@ class CycleStep(NamedTuple):
         return (position - self.translation) @ self.rotation
 
 
-class Seam(NamedTuple):
-    """The largest differences of the bones between the last frame and the first."""
-
-    position_m: float
-    rotation_rad: float
-    velocity_m_s: float
-
-    def describe(self) -> str:
-        """Return the differences as part of a sentence."""
-        return f"{1e3 * self.position_m:.1f} mm, {np.rad2deg(self.rotation_rad):.1f} degrees and {self.velocity_m_s:.2f} m/s"
-
-
 def find_trimmed_frames(trim: tuple[int, int] | None, take: Take, rate: float) -> slice:
     """Return the frames of a motion at a rate that lie within the first and the last frame of a range of the take."""
     if trim is None:
@@ -88,13 +76,10 @@ def close_loop(
     step = _measure_step(character, motion)
     blended = _blend_poses(character, motion, step)
     closed = _place_feet(character, motion, blended, step, is_standing)
-    before, after = (_measure_seam(character, each, step) for each in (motion, closed))
-    duration_s = (motion.frame_count - 1) / motion.rate
-    sentence = (
-        f"Loop of {duration_s:.2f} s: its ends differed by {before.describe()}, now by {after.describe()}. A cycle travels "
-        f"{step.distance_m:.2f} m and turns by {np.rad2deg(step.yaw_rad):.0f} degrees."
-    )
-    return closed, sentence
+    before, after = (_describe_seam(character, each, step) for each in (motion, closed))
+    duration_s, turn_deg = (motion.frame_count - 1) / motion.rate, np.rad2deg(step.yaw_rad)
+    path = f"A cycle travels {step.distance_m:.2f} m and turns by {turn_deg:.0f} degrees."
+    return closed, f"Loop of {duration_s:.2f} s: its ends differed by {before}, now by {after}. {path}"
 
 
 def _measure_step(character: Character, motion: CharacterMotion) -> CycleStep:
@@ -107,17 +92,19 @@ def _measure_step(character: Character, motion: CharacterMotion) -> CycleStep:
     return CycleStep(yaw, last - turn_about_vertical(yaw).apply(first), float(np.linalg.norm(last - first)))
 
 
-def _measure_seam(character: Character, motion: CharacterMotion, step: CycleStep) -> Seam:
-    positions, rotations = compute_character_poses(character, motion)
+def _describe_seam(character: Character, motion: CharacterMotion, step: CycleStep) -> str:
+    """Return the largest differences of the body's bones between the last frame and the first, as part of a sentence."""
     bones = sorted({bone for chain in character.mapping.bones.values() for bone in chain})
-    positions, rotations = positions[:, bones], rotations[:, bones]
-    turned = rotations[0].swapaxes(1, 2) @ step.rotation.T @ rotations[-1]
-    velocity = (positions[-1] - positions[-2]) @ step.rotation - (positions[1] - positions[0])
-    return Seam(
-        float(np.linalg.norm(step.undo(positions[-1]) - positions[0], axis=1).max()),
-        float(Rotation.from_matrix(turned).magnitude().max()),
-        float(np.linalg.norm(velocity, axis=1).max() * motion.rate),
-    )
+    positions, rotations = (each[:, bones] for each in compute_character_poses(character, motion))
+    place_mm = 1e3 * np.linalg.norm(step.undo(positions[-1]) - positions[0], axis=1).max()
+    turn_deg = np.rad2deg(np.linalg.norm(_compute_vectors(rotations[0], step.rotation.T @ rotations[-1]), axis=1).max())
+    speed = np.linalg.norm(_compute_speed_gap(positions, step, motion.rate), axis=1).max()
+    return f"{place_mm:.1f} mm, {turn_deg:.1f} degrees and {speed:.2f} m/s"
+
+
+def _compute_speed_gap(positions: Float[np.ndarray, "T *n 3"], step: CycleStep, rate: float) -> Float[np.ndarray, "*n 3"]:
+    """Return the velocity in m/s at the end less that at the beginning, as seen in the first cycle."""
+    return rate * ((positions[-1] - positions[-2]) @ step.rotation - (positions[1] - positions[0]))
 
 
 class Fade(NamedTuple):
@@ -138,14 +125,31 @@ class Fade(NamedTuple):
         speed = s - 6.0 * s**3 + 8.0 * s**4 - 3.0 * s**5
         return Fade(place, speed_share * duration / rate * speed)
 
-    def correct(
-        self, end: "Fade", gap: Float[np.ndarray, "*n 3"], speed_gap: Float[np.ndarray, "*n 3"]
-    ) -> tuple[Float[np.ndarray, "T *n 3"], Float[np.ndarray, "T *n 3"]]:
-        """Return what is added at the beginning, which fades as this, and at the end, from the differences end - beginning."""
 
-        beginning, ending = (np.multiply.outer(each.place, 0.5 * gap) for each in (self, end))
-        start_speed, end_speed = (np.multiply.outer(each.speed_s, speed_gap) for each in (self, end))
-        return beginning + start_speed, (end_speed - ending)[::-1]
+def _close(
+    fades: tuple[Fade, Fade], gap: Float[np.ndarray, "*n 3"], speed_gap: Float[np.ndarray, "*n 3"]
+) -> tuple[Float[np.ndarray, "T *n 3"], Float[np.ndarray, "T *n 3"]]:
+    """Return what is added at the beginning and at the end, from the fades of both and the differences end less beginning."""
+    start, end = (np.multiply.outer(each.place, 0.5 * gap) for each in fades)
+    start_speed, end_speed = (np.multiply.outer(each.speed_s, speed_gap) for each in fades)
+    return start + start_speed, (end_speed - end)[::-1]
+
+
+def _close_places(
+    place: Float[np.ndarray, "T 3"], step: CycleStep, fades: tuple[Fade, Fade], rate: float
+) -> Float[np.ndarray, "T 3"]:
+    start, end = _close(fades, step.undo(place[-1]) - place[0], _compute_speed_gap(place, step, rate))
+    return place + start + end @ step.rotation.T
+
+
+def _close_rotations(
+    rotations: Float[np.ndarray, "T n 3 3"], turns: Float[np.ndarray, "n 3 3"], fades: tuple[Fade, Fade], rate: float
+) -> Float[np.ndarray, "T n 3 3"]:
+    """Return rotations closed; the last of them, turned by `turns`, become the first."""
+    gap = _compute_vectors(rotations[0], turns @ rotations[-1])
+    speed_gap = rate * (_compute_vectors(rotations[-2], rotations[-1]) - _compute_vectors(rotations[0], rotations[1]))
+    turn = np.sum(_close(fades, gap, speed_gap), axis=0)
+    return rotations @ Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(rotations.shape)
 
 
 def _blend_poses(character: Character, motion: CharacterMotion, step: CycleStep) -> CharacterMotion:
@@ -153,18 +157,10 @@ def _blend_poses(character: Character, motion: CharacterMotion, step: CycleStep)
     count, rate, pelvis = motion.frame_count, motion.rate, character.mapping.bones["pelvis"][0]
     fade = Fade.build(count, rate, 0, _limit_fade(count, rate), 0.5)
     positions, rotations = compute_character_poses(character, motion)
-    local = motion.local_rotations.copy()
-    local[:, pelvis] = rotations[:, pelvis]
-    last = local[-1].copy()
-    last[pelvis] = step.rotation.T @ last[pelvis]
-    gap = _compute_vectors(local[0], last)
-    speed_gap = rate * (_compute_vectors(local[-2], local[-1]) - _compute_vectors(local[0], local[1]))
-    turn = np.sum(fade.correct(fade, gap, speed_gap), axis=0)
-    local = local @ Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(local.shape)
-    place = positions[:, pelvis]
-    speed_gap = rate * ((place[-1] - place[-2]) @ step.rotation - (place[1] - place[0]))
-    beginning, end = fade.correct(fade, step.undo(place[-1]) - place[0], speed_gap)
-    place = place + beginning + end @ step.rotation.T
+    local, turns = motion.local_rotations.copy(), np.tile(np.eye(3), (rotations.shape[1], 1, 1))
+    local[:, pelvis], turns[pelvis] = rotations[:, pelvis], step.rotation.T
+    local = _close_rotations(local, turns, (fade, fade), rate)
+    place = _close_places(positions[:, pelvis], step, (fade, fade), rate)
     above = int(character.skeleton.parents[pelvis])
     if above >= 0:
         local[:, pelvis] = rotations[:, above].swapaxes(1, 2) @ local[:, pelvis]
@@ -197,18 +193,14 @@ def _place_feet(
     local = blended.local_rotations.copy()
     for side in SIDES:
         thigh, shin, foot = (bones[f"{side}_{segment}"][0] for segment in ("thigh", "shin", "foot"))
-        place, axes, stands = positions[:, foot], rotations[:, foot], is_standing[side]
+        place, axes, stands = positions[:, foot], rotations[:, [foot]], is_standing[side]
         shares = SPEED_SHARES[bool(stands[0]), bool(stands[-1])]
-        start, end = (
-            Fade.build(count, rate, *_find_fade(each, rate), share)
-            for each, share in zip((stands, stands[::-1]), shares, strict=True)
+        fades = (
+            Fade.build(count, rate, *_find_fade(stands, rate), shares[0]),
+            Fade.build(count, rate, *_find_fade(stands[::-1], rate), shares[1]),
         )
-        speed_gap = rate * ((place[-1] - place[-2]) @ step.rotation - (place[1] - place[0]))
-        beginning, ending = start.correct(end, step.undo(place[-1]) - place[0], speed_gap)
-        target = place + beginning + ending @ step.rotation.T
-        turn_gap = _compute_vectors(axes[0], step.rotation.T @ axes[-1])
-        turn_speed = rate * (_compute_vectors(axes[-2], axes[-1]) - _compute_vectors(axes[0], axes[1]))
-        turned = axes @ Rotation.from_rotvec(np.sum(start.correct(end, turn_gap, turn_speed), axis=0)).as_matrix()
+        target = _close_places(place, step, fades, rate)
+        turned = _close_rotations(axes, step.rotation.T[None], fades, rate)[:, 0]
         leg = blended_positions[:, [thigh, shin, foot]]
         swing, bend = _reach(leg, blended_rotations[:, thigh], target)
         above_thigh, above_shin, above_foot = (blended_rotations[:, parents[bone]] for bone in (thigh, shin, foot))

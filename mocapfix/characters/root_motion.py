@@ -20,8 +20,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
-from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb
-from mocapfix.io.gltf_mesh import UNREADABLE, read_array
+from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb, read_gltf_nodes
+from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
 from mocapfix.options import ROOT_BONE, ROOT_IN_PLACE
 
 SMOOTHING_S = 0.4
@@ -50,17 +50,15 @@ class FloorPath(NamedTuple):
 
     def continue_path(self, count: int) -> "FloorPath":
         """Return the path of a loop with `count` frames more before and behind: each cycle begins where the one before ended."""
-        period, frames = max(len(self.yaw_rad) - 1, 1), np.arange(-count, len(self.yaw_rad) + count)
-        cycle, place = np.floor_divide(frames, period), np.mod(frames, period)
+        frames = np.arange(-count, len(self.yaw_rad) + count)
+        cycle, place = np.divmod(frames, max(len(self.yaw_rad) - 1, 1))
         turn = float(self.yaw_rad[-1] - self.yaw_rad[0])
-        step = self.position[-1] - turn_about_vertical(turn).apply(self.position[0])
-        origins = {0: np.zeros(3)}
-        for k in range(1, int(cycle.max(initial=0)) + 1):
-            origins[k] = step + turn_about_vertical(turn).apply(origins[k - 1])
-        for k in range(-1, int(cycle.min(initial=0)) - 1, -1):
-            origins[k] = turn_about_vertical(-turn).apply(origins[k + 1] - step)
-        rotated = turn_about_vertical(cycle * turn).apply(self.position[place])
-        return FloorPath(rotated + np.array([origins[k] for k in cycle.tolist()]), self.yaw_rad[place] + cycle * turn)
+        step = np.eye(4)  # from one cycle to the next
+        step[:3, :3] = turn_about_vertical(turn).as_matrix()
+        step[:3, 3] = self.position[-1] - step[:3, :3] @ self.position[0]
+        steps = np.stack([np.linalg.matrix_power(step, k) for k in range(cycle[0], cycle[-1] + 1)])[cycle - cycle[0]]
+        moved = np.einsum("tab,tb->ta", steps[:, :3, :3], self.position[place]) + steps[:, :3, 3]
+        return FloorPath(moved, self.yaw_rad[place] + cycle * turn)
 
 
 def measure_floor_path(character: Character, motion: CharacterMotion) -> FloorPath:
@@ -198,20 +196,10 @@ def _add_root_joint(buffer: GltfBuffer, content: GlbContent, skin: dict[str, Any
             inverse_bind = read_array(content, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
         except UNREADABLE:  # compressed: the node moves the character without being a joint
             return
-        pelvis_to_root = compute_local_matrix(nodes[pelvis])
-        added = pelvis_to_root @ inverse_bind[skin["joints"].index(pelvis)]
+        matrices = compute_node_matrices(content, read_gltf_nodes(Path(), content.document))[0]
+        added = np.linalg.inv(matrices[-1]) @ matrices[pelvis] @ inverse_bind[skin["joints"].index(pelvis)]
         matrices = np.concatenate([inverse_bind[: len(skin["joints"])], added[None]])
         skin["inverseBindMatrices"] = buffer.add_array(matrices.swapaxes(1, 2).reshape(-1, 16), "MAT4")
     skin["joints"] = [*skin["joints"], len(nodes) - 1]
     if skin.get("skeleton") == pelvis:
         skin["skeleton"] = len(nodes) - 1
-
-
-def compute_local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
-    """Return the matrix of a node of a glTF to its parent."""
-    if "matrix" in node:
-        return np.reshape(node["matrix"], (4, 4)).T
-    matrix = np.eye(4)
-    rotation = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
-    matrix[:3, :3], matrix[:3, 3] = rotation * node.get("scale", (1.0, 1.0, 1.0)), node.get("translation", (0.0, 0.0, 0.0))
-    return matrix
