@@ -162,8 +162,10 @@ def limit_reach(wanted: Points, shoulder: Points, arm_length_m: float) -> Points
 
 
 MIN_FLAT_S = 0.1  # time in which a foot must be flat, all contacts together, to be measured
-MAX_INCLINATION_RAD = np.deg2rad(15.0)
-"""A foot that is more inclined in contact does not lie flat: it stands on its toes or on an edge."""
+MAX_INCLINATION_RAD, MAX_STEADY_INCLINATION_RAD = np.deg2rad(15.0), np.deg2rad(50.0)
+"""A foot that is more inclined in contact does not lie flat: it stands on its toes or on an edge. The second limit is for a foot
+that is always inclined alike, because its skeleton has the ankle higher above the ball."""
+MAX_UNSTEADINESS_RAD = np.deg2rad(5.0)  # median difference of the inclinations of such a foot from their median
 MAX_HEIGHT_CHANGE = 0.05  # largest difference of the measured height of the ball from that of the skeleton, in lengths of the leg
 LOWEST_BALL_PERCENTILE = 2.0
 MAX_HEIGHT_ABOVE_LOWEST_M = 0.01
@@ -200,8 +202,11 @@ def measure_flat_feet(source: BodyFrame, motion: SegmentMotion, contacts: BodyCo
         lowest_m = float(np.percentile(heights, LOWEST_BALL_PERCENTILE))
         height_m = min(float(np.median(heights[is_flat])), lowest_m + MAX_HEIGHT_ABOVE_LOWEST_M)
         limit_m = MAX_HEIGHT_CHANGE * source.leg_length_m
-        upward = np.median(motion.rotation[f"{side}_foot"][is_flat, 1], axis=0)  # the vertical in the foot's axes
-        is_plausible = upward[1] > np.cos(MAX_INCLINATION_RAD) * np.linalg.norm(upward)
+        verticals = motion.rotation[f"{side}_foot"][is_flat, 1]  # in the foot's axes
+        upward = np.median(verticals, axis=0)
+        is_steady = np.median(np.linalg.norm(verticals - upward, axis=1)) < MAX_UNSTEADINESS_RAD
+        limit_rad = MAX_STEADY_INCLINATION_RAD if is_steady else MAX_INCLINATION_RAD
+        is_plausible = upward[1] > np.cos(limit_rad) * np.linalg.norm(upward)
         feet[side] = FlatFoot(
             float(np.clip(height_m, source.ball_height_m - limit_m, source.ball_height_m + limit_m)),
             compute_shortest_rotation(upward, UPWARD) if is_plausible else np.eye(3),

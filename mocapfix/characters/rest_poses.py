@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_bones
@@ -162,6 +162,7 @@ def _iterate_frames(character: Character) -> Iterator[BonePoses]:
     if source is not None and source.kind == "bvh":
         animation = read_bvh(Path(source.path), source.data)
         rotations, offsets = animation.compute_local_rotations(), animation.compute_local_positions()
+        offsets[:, 0] -= animation.compute_world_poses()[0][:, animation.moving_joint] * [1, 0, 1]  # stands over the origin
         axes = animation.rotation_y_up_file
         rotations[:, 1:] = axes.T @ rotations[:, 1:] @ axes
         rotations[:, 0] = rotations[:, 0] @ axes
@@ -219,35 +220,45 @@ def _find_standing_frame(character: Character, mapped: Character) -> Character |
         angles = measure_poses(np.nan_to_num(positions), bones)
         limits = zip(angles, (MAX_FRAME_TILT_DEG, MAX_FRAME_ASYMMETRY_DEG, MAX_FRAME_ARM_DEG), strict=False)
         is_standard = np.min([angle <= limit for angle, limit in limits], axis=0)
-        is_standing = np.isfinite(poses.offsets).all(axis=(1, 2)) & (angles.tilt <= MAX_TILT_DEG)
+        is_whole = np.isfinite(poses.offsets).all(axis=(1, 2))
+        is_standing = is_whole & (angles.tilt <= MAX_TILT_DEG)
         cost = np.where(is_standing, angles.cost + np.where(is_standard, 0.0, STANDING_COST), np.inf)
         frame = int(cost.argmin())
         if np.isfinite(cost[frame]) and (best is None or cost[frame] < best[0]):
             posed = _pose(character, poses, frame)
             if not is_standard[frame]:
-                posed = _straighten(posed, positions[is_standing], rotations[is_standing])
+                posed = _straighten(posed, BonePoses(positions[is_whole], rotations[is_whole]), is_standing[is_whole])
             best = float(cost[frame]), posed, f"frame {first + frame} of its file"
         first += len(cost)
     return None if best is None else _note_pose(reparent_bones(best[1], moved), best[2])
 
 
-def _straighten(posed: Character, positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Character:
-    """Return a character with trunk and feet as in T frames in which it stands: in the mean, and where the feet are lowest."""
+def _straighten(posed: Character, world: BonePoses, is_standing: Bool[np.ndarray, " T"]) -> Character:
+    """Return a character that stands as in the poses of its file, which are given in the world.
+
+    Trunk and head are turned as in the mean of the poses in which it stands, the feet as where they are lowest; on that height
+    they stand.
+    """
     bones, skeleton = posed.mapping.bones, posed.skeleton
-    place, world = skeleton.compute_rest_pose()
-    facing = _compute_facings(place[None], bones)[0] @ _compute_facings(positions, bones).swapaxes(1, 2)
-    straight = world.copy()
+    place, axes = skeleton.compute_rest_pose()
+    standing = BonePoses(world.offsets[is_standing], world.rotations[is_standing])
+    facing = _compute_facings(place[None], bones)[0] @ _compute_facings(standing.offsets, bones).swapaxes(1, 2)
+    straight, lowest = axes.copy(), dict[int, float]()
     for segment in TRUNK_SEGMENTS:
         for bone in bones.get(segment, ()):
-            straight[bone] = Rotation.from_matrix(facing @ rotations[:, bone]).mean().as_matrix()
+            straight[bone] = Rotation.from_matrix(facing @ standing.rotations[:, bone]).mean().as_matrix()
     for side in SIDES:
         foot = [bones[f"{side}_{segment}"][0] for segment in ("foot", "toe") if bones.get(f"{side}_{segment}")]
-        height = positions[:, foot, 1].max(1)
+        height = world.offsets[:, foot, 1].max(1)
         is_flat = height <= np.percentile(height, LOWEST_FOOT_PERCENTILE)
+        lowest[foot[-1]] = float(np.median(world.offsets[is_flat, foot[-1], 1]))
         for bone in foot:
-            upward = rotations[is_flat, bone, 1].mean(0)
-            straight[bone] = compute_shortest_rotation(world[bone] @ upward, UP) @ world[bone]
-    return replace(posed, skeleton=replace(skeleton, rest_rotations=compute_local_rotations(straight, skeleton.parents)))
+            upward = world.rotations[is_flat, bone, 1].mean(0)
+            straight[bone] = compute_shortest_rotation(axes[bone] @ upward, UP) @ axes[bone]
+    turned = replace(skeleton, rest_rotations=compute_local_rotations(straight, skeleton.parents))
+    drop = np.mean(turned.rest_positions[list(lowest), 1] - list(lowest.values()))
+    offsets = turned.offsets - drop * UP * (skeleton.parents < 0)[:, None]
+    return replace(posed, skeleton=replace(turned, offsets=offsets))
 
 
 MAX_BIND_SCALE_ERROR = 0.02  # relative difference of the scale of a bone in the bind pose from that of its node

@@ -83,7 +83,21 @@ def test_a_foot_that_stands_on_an_edge_is_not_taken_to_be_flat(standing):
     character, motion, contacts = standing
     steep = motion.local_rotations.copy()
     bone = character.mapping.bones["left_foot"][0]
-    steep[:, bone] = steep[:, bone] @ Rotation.from_euler("x", 40, degrees=True).as_matrix()
+    steep[:, bone] = steep[:, bone] @ Rotation.from_euler("x", 60, degrees=True).as_matrix()
     frame = build_body_frame(character)
     segments = compute_segment_motion(frame, replace(motion, local_rotations=steep))
     np.testing.assert_array_equal(measure_flat_feet(frame, segments, contacts)["left"].inclination, np.eye(3))
+
+
+@pytest.mark.parametrize(("sway_deg", "is_levelled"), [(2.0, True), (20.0, False)])
+def test_a_foot_that_always_stands_inclined_alike_lies_flat(standing, sway_deg, is_levelled):
+    """Skeletons of other programs have the ankle higher above the ball, so that their feet point down by 40 degrees."""
+    character, motion, contacts = standing
+    local = motion.local_rotations.copy()
+    pitch = 30.0 + sway_deg * np.sin(np.arange(FRAMES))
+    foot = character.mapping.bones["left_foot"][0]
+    local[:, foot] = Rotation.from_euler("x", pitch[:, None], degrees=True).as_matrix() @ local[:, foot]
+    frame = build_body_frame(character)
+    feet = measure_flat_feet(frame, compute_segment_motion(frame, replace(motion, local_rotations=local)), contacts)
+    angle_deg = np.degrees(np.linalg.norm(Rotation.from_matrix(feet["left"].inclination).as_rotvec()))
+    assert angle_deg == pytest.approx(30.0 + INCLINATION_DEG if is_levelled else 0.0, abs=3.0)
