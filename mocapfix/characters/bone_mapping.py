@@ -38,9 +38,7 @@ from mocapfix.options import CHARACTER_PRESETS
 NAMESPACE_END = re.compile(r"[:|]")
 NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
 FINAL_NUMBER = re.compile(r"_\d+$")  # an exporter numbers all nodes, such as FootL_3
-MIN_NUMBERED_SHARE = (
-    0.8  # share of the names that have such numbers, and of different ones, from which they are no parts of names
-)
+MIN_NUMBERED_SHARE = 0.8  # share of names that have such numbers, and of different ones, from which they are not parts of names
 IGNORED_CHARACTERS = re.compile(r"[\W_]+")
 SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
 CENTRE_WORD = "c"  # marks bones in the middle in some conventions, such as J_Bip_C_Hips
@@ -373,7 +371,6 @@ def find_detached_bones(
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
-CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")  # of the bones between Rigify's controls and its deform bones
 
 
 def map_bones(character: Character) -> BoneMapping:
@@ -397,11 +394,6 @@ def map_bones(character: Character) -> BoneMapping:
                 "character on two legs can take a person's motion."
             )
         return _build_mapping(character, positions, dict(named.bones), named.reason)
-    if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.skeleton.names):
-        raise SceneError(
-            f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "
-            "alone, or give the metarig."
-        )
     try:
         shape = find_segments_by_shape(character.skeleton.parents, positions)
     except ValueError as error:

@@ -81,6 +81,8 @@ class CharacterSource:
 
 def reparent_bones(character: Character, carriers: Mapping[int, int]) -> Character:
     """Return a character of the same rest pose in which some bones have other parents, which are not below them."""
+    if not carriers:
+        return character
     skeleton, (positions, rotations) = character.skeleton, character.skeleton.compute_rest_pose()
     parents, order = skeleton.parents.copy(), list[int]()
     parents[list(carriers)] = list(carriers.values())

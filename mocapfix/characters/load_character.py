@@ -71,41 +71,24 @@ def check_sides(character: Character, name: str) -> None:
 
 
 def are_soles_flat(character: Character) -> bool:
-    """Return whether the soles lie flat in the rest pose of a character that is no YAML file, which has this itself.
+    """Return whether the soles lie flat in the rest pose of a character without a mesh of its own.
 
     They do, except in skeletons like those of CMU's recordings: their legs are spread to the sides, and the feet are turned with
-    the shins, straight ahead only when the shins are vertical. A mesh in a glTF stands on its soles; that of a solved skeleton,
-    which shows its 31 joints, does not.
+    the shins, straight ahead only when the shins are vertical.
     """
-    kind = character.source.kind if character.source else "yaml"
+    kind, bones = character.source.kind if character.source else "yaml", character.mapping.bones
     is_bare = kind == "bvh" or (kind == "gltf" and set(load_cmu31_skeleton().names) <= set(character.skeleton.names))
-    bones = character.mapping.bones
     if not is_bare or not all(bones.get(f"{side}_toe") for side in SIDES):
         return True
-    position, _ = character.skeleton.compute_rest_pose()
-    axes, vectors = compute_facing(character), _list_limb_vectors(character)
-    spreads: list[float] = []
+    place, spreads = character.skeleton.rest_positions @ compute_facing(character), list[float]()
     for side, outward in zip(SIDES, (1.0, -1.0), strict=True):
-        shin = axes.T @ vectors[f"{side}_shin"]
-        foot = axes.T @ (position[bones[f"{side}_toe"][0]] - position[bones[f"{side}_foot"][0]])
+        shin, foot = np.diff([place[bones[f"{side}_{segment}"][0]] for segment in ("shin", "foot", "toe")], axis=0)
         turned = compute_shortest_rotation(shin, np.array([0.0, -1.0, 0.0])) @ foot
         yaw, turned_yaw = (float(np.arctan2(outward * each[0], each[2])) for each in (foot, turned))
         spreads.append(float(np.arctan2(outward * shin[0], -shin[1])))
         if not MIN_SPREAD_RAD < spreads[-1] < MAX_SPREAD_RAD or abs(turned_yaw) > min(MAX_STRAIGHT_YAW_RAD, abs(yaw)):
             return True
     return bool(np.ptp(spreads) > MAX_SPREAD_DIFFERENCE_RAD)
-
-
-def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"]]:
-    """Return the vector along each segment of a limb in the world, of those that end at another segment."""
-    position, _ = character.skeleton.compute_rest_pose()
-    bones = character.mapping.bones
-    return {
-        f"{side}_{segment}": position[bones[f"{side}_{end}"][0]] - position[bones[f"{side}_{segment}"][0]]
-        for side in SIDES
-        for segment, end in LIMB_ENDS.items()
-        if bones.get(f"{side}_{end}")
-    }
 
 
 @cache
@@ -216,16 +199,19 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         skeletons = [replace(character, name=name) for character in read_character_skeletons(path)]
 
     def assign(character: Character) -> Character:
-        character, moved = attach_detached_bones(character)
+        skeleton, skinned = character.skeleton, compute_skin_vertices(character).bones
+        is_skinned = np.isin(np.arange(len(skeleton.names)), skinned) | (not len(skinned))
+        moved = find_detached_bones(skeleton.names, skeleton.parents, skeleton.rest_positions, is_skinned)
+        character = reparent_bones(character, moved)
         if mapping_path is not None:
             character = apply_mapping_file(mapping_path, character)
         elif character.mapping.missing_segments:
             character = replace(character, mapping=map_bones(character))
         character, strays = attach_stray_bones(character)
-        if not (names := moved + strays):
-            return character
-        reason = f"{character.mapping.reason} No bone of the body carries {format_name_list(names)}; they follow it."
-        return replace(character, mapping=replace(character.mapping, reason=reason))
+        if names := [skeleton.names[bone] for bone in moved] + strays:
+            reason = f"{character.mapping.reason} No bone of the body carries {format_name_list(names)}; they follow it."
+            character = replace(character, mapping=replace(character.mapping, reason=reason))
+        return character
 
     character = _choose_skeleton(skeletons, assign, rest_frame)
     check_lengths(character, str(name_or_path))
@@ -363,14 +349,6 @@ def _level_sole(points: Float[np.ndarray, "V 3"], along: Float[np.ndarray, " 3"]
     return compute_shortest_rotation(np.cos(slope) * along + np.sin(slope) * np.array([0.0, 1.0, 0.0]), along)
 
 
-def attach_detached_bones(character: Character) -> tuple[Character, list[str]]:
-    """Return a character whose bones of segments are below each other, as far as names show these, and those that were not."""
-    skeleton, bones = character.skeleton, compute_skin_vertices(character).bones
-    is_skinned = np.isin(np.arange(len(skeleton.names)), bones) | (not len(bones))
-    found = find_detached_bones(skeleton.names, skeleton.parents, skeleton.rest_positions, is_skinned)
-    return (reparent_bones(character, found) if found else character), [skeleton.names[bone] for bone in found]
-
-
 MAX_STRAY_DISTANCE_SHARE = 0.15
 """distance of the vertices of a bone from the body, as a share of the height of all bones, up to which they are a part of it"""
 SAME_DISTANCE_SHARE = 0.005  # difference of two distances that count as the same, as a share of the same height
@@ -411,4 +389,4 @@ def attach_stray_bones(character: Character) -> tuple[Character, list[str]]:
             )
         if bone not in mapped and not any(is_below(bone, other, skeleton.parents) for other in strays):
             found[bone] = nearest
-    return (reparent_bones(character, found) if found else character), [skeleton.names[bone] for bone in found]
+    return reparent_bones(character, found), [skeleton.names[bone] for bone in found]

@@ -90,7 +90,7 @@ def test_a_foot_that_stands_on_an_edge_is_not_taken_to_be_flat(standing):
 
 
 @pytest.mark.parametrize(("sway_deg", "is_levelled"), [(2.0, True), (20.0, False)])
-def test_a_foot_that_always_stands_inclined_alike_lies_flat(standing, sway_deg, is_levelled):
+def test_a_foot_of_constant_inclination_lies_flat(standing, sway_deg, is_levelled):
     """Skeletons of other programs have the ankle higher above the ball, so that their feet point down by 40 degrees."""
     character, motion, contacts = standing
     local = motion.local_rotations.copy()
