@@ -19,9 +19,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.character import Character, CharacterMotion, CharacterSource, compute_character_poses, reparent_bones
 from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
+from mocapfix.model.skeleton import UNLIMITED_RAD
 from mocapfix.options import ROOT_BONE, ROOT_IN_PLACE
 
 SMOOTHING_S = 0.4
@@ -147,28 +148,20 @@ def prepare_root_bone(character: Character) -> Character:
     skeleton, pelvis = character.skeleton, character.mapping.bones["pelvis"][0]
     name = next((each for each in ROOT_NAMES if each not in skeleton.names), f"root of {character.name}")
     above = int(skeleton.parents[pelvis])
-    parents = np.insert(np.where(skeleton.parents >= pelvis, skeleton.parents + 1, skeleton.parents), pelvis, above)
-    parents[pelvis + 1] = pelvis
-    rest = {"offsets": np.zeros(3), "ends": np.full(3, np.nan), "rest_rotations": np.eye(3), "hinge_axes": np.full(3, np.nan)}
-    fields = {field: np.insert(getattr(skeleton, field), pelvis, value, axis=0) for field, value in rest.items()}
-    limits = np.insert(skeleton.limits_rad, pelvis, [-np.inf, np.inf], axis=0)
-    names = (*skeleton.names[:pelvis], name, *skeleton.names[pelvis:])
-    mapping = character.mapping
-    bones, twists = (
-        {segment: tuple(bone + (bone >= pelvis) for bone in chain) for segment, chain in group.items()}
-        for group in (mapping.bones, mapping.twists)
-    )
+    bone: dict[str, Any] = {"parents": above, "offsets": np.zeros(3), "ends": np.full(3, np.nan), "rest_rotations": np.eye(3)}
+    bone |= {"hinge_axes": np.full(3, np.nan), "limits_rad": UNLIMITED_RAD}
+    fields: dict[str, Any] = {field: np.concatenate([getattr(skeleton, field), [value]]) for field, value in bone.items()}
     scale = character.scales[above] if above >= 0 else character.root_scale
-    return replace(
+    extended = replace(
         character,
-        skeleton=replace(skeleton, names=names, parents=parents, limits_rad=limits, **fields),
-        mapping=replace(mapping, bones=bones, twists=twists),
-        scales=np.insert(character.scales, pelvis, scale),
-        source=character.source and _add_root_node(character, name),
+        skeleton=replace(skeleton, names=(*skeleton.names, name), **fields),
+        scales=np.append(character.scales, scale),
+        source=_add_root_node(character, name),
     )
+    return reparent_bones(extended, {pelvis: len(skeleton.names)})
 
 
-def _add_root_node(character: Character, name: str) -> Any:
+def _add_root_node(character: Character, name: str) -> CharacterSource | None:
     """Return the file of a character with a node between the pelvis and what is above it, as the last node and joint."""
     source, pelvis = character.source, character.mapping.bones["pelvis"][0]
     if source is None or source.kind != "gltf":
@@ -185,7 +178,7 @@ def _add_root_node(character: Character, name: str) -> Any:
         if node in skin["joints"]:
             _add_root_joint(buffer, content, skin, node)
     data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
-    return replace(source, data=data, nodes=np.insert(source.nodes, pelvis, len(nodes) - 1))
+    return replace(source, data=data, nodes=np.append(source.nodes, len(nodes) - 1))
 
 
 def _add_root_joint(buffer: GltfBuffer, content: GlbContent, skin: dict[str, Any], pelvis: int) -> None:
