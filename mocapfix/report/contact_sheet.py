@@ -5,7 +5,6 @@ are drawn as sticks. The body is as tall as the character, in the same view: fro
 level, so that the floor is a line.
 """
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -24,16 +23,13 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, list_path
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.stats.sequences import sample_evenly
 
 COLUMNS, ROWS = 4, 2
-MAX_COMPARED_FRAMES = 2000  # among which the frames are chosen
 TAKE_LENGTH_M = 0.5  # the whole take counts as so much difference between two poses, so that the frames are spread over it
 CELL_WIDTH_PX, CELL_HEIGHT_PX, MARGIN_PX = 420, 320, 14  # the most that the figures of a cell may fill, and the space around them
-TITLE_HEIGHT_PX, LABEL_HEIGHT_PX, TITLE_PX, LABEL_PX, LETTER_PX = 58, 22, 20, 14, 7  # the last: mean width of a letter of a label
+TITLE_HEIGHT_PX, LABEL_HEIGHT_PX, TITLE_PX, LABEL_PX = 58, 22, 20, 14
 OVERSAMPLING = 2  # the figures are drawn larger by this factor, for smooth edges
 STICK_PX, DOT_PX = 3, 2  # width, and radius
-MAX_TRIED_PIXELS = 4_000_000  # of the triangles of a figure: an ordinary one has a million, the largest of others are left out
 MAX_COLOURS = 128  # of the picture
 YAW_RAD = np.radians(25)
 GAP_M = 0.15  # between the two figures of a cell
@@ -62,16 +58,16 @@ class ContactSheet(NamedTuple):
     png: bytes
 
 
-class _Figure(NamedTuple):
+class SheetFigure(NamedTuple):
     """What is drawn of one figure: right of its pelvis, above the floor, and towards the viewer, in metres."""
 
     triangles: Float[np.ndarray, "F 3 3"]
     sticks: Float[np.ndarray, "L 2 3"]
     dots: Float[np.ndarray, "M 3"]
 
-    def view(self, place: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], scale: float = 1.0) -> "_Figure":
+    def view(self, place: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], scale: float = 1.0) -> "SheetFigure":
         """Return the figure as seen in a view, given in the world with the place of its pelvis."""
-        return _Figure(*(scale * (each - place * LEVEL) @ axes.T for each in self))
+        return SheetFigure(*(scale * (each - place * LEVEL) @ axes.T for each in self))
 
     @property
     def points(self) -> Float[np.ndarray, "N 3"]:
@@ -116,7 +112,7 @@ def draw_contact_sheet(
         title = f"{character.name}, beside the performer enlarged by {scale:.2f} (blue: solved body, orange: markers)"
         reason = character.mapping.reason
     bodies = [
-        _Figure(np.empty((0, 3, 3)), np.concatenate([pose, tip])[np.array(bones)], dots).view(pose[hips], axes, scale)
+        SheetFigure(np.empty((0, 3, 3)), np.concatenate([pose, tip])[np.array(bones)], dots).view(pose[hips], axes, scale)
         for pose, tip, dots, axes in zip(poses, tips, markers, views, strict=True)
     ]
     return _draw_cells([bodies, characters] if characters else [bodies], colours, labels, (title, reason))
@@ -124,7 +120,7 @@ def draw_contact_sheet(
 
 def _show_character(
     character: Character, glb: Path, views: Float[np.ndarray, "F 3 3"], times_s: Sequence[float]
-) -> tuple[list[_Figure], Float[np.ndarray, "N 3"]]:
+) -> tuple[list[SheetFigure], Float[np.ndarray, "N 3"]]:
     """Return the character in the rest pose and at some times, and the colours of triangles; in the views given for the last."""
     content = parse_glb(glb, glb.read_bytes())
     nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][-1]
@@ -144,7 +140,7 @@ def _show_character(
     own_count = len(matrices) - len(views)
     views = np.concatenate([build_views((matrices[:, left] - matrices[:, right])[:own_count, :3, 3]), views])
     figures = [
-        _Figure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)
+        SheetFigure(mesh.pose(each)[triangles], each[:, :3, 3][sticks], np.empty((0, 3))).view(each[pelvis, :3, 3], axes)
         for each, axes in zip(matrices, views, strict=True)
     ]
     return figures, mesh.colours
@@ -158,16 +154,14 @@ def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:
     Args:
         poses: Positions in metres relative to the place of the root on the floor, in axes that turn with the body.
     """
-    candidates = sample_evenly(len(poses), MAX_COMPARED_FRAMES)
-    joints = poses[candidates].reshape(len(candidates), -1) / np.sqrt(poses.shape[1])
-    time = TAKE_LENGTH_M * candidates / max(1, len(poses) - 1)
-    features = np.concatenate([joints, time[:, None]], axis=1)
-    chosen = [int(poses[candidates, 0, 1].argmin())]
-    distances = np.full(len(candidates), np.inf)
-    while len(chosen) < min(COLUMNS * ROWS - 1, len(candidates)):
+    joints = poses.reshape(len(poses), -1) / np.sqrt(poses.shape[1])
+    features = np.concatenate([joints, np.linspace(0.0, TAKE_LENGTH_M, len(poses))[:, None]], axis=1)
+    chosen = [int(poses[:, 0, 1].argmin())]
+    distances = np.full(len(poses), np.inf)
+    while len(chosen) < min(COLUMNS * ROWS - 1, len(poses)):
         distances = np.minimum(distances, np.linalg.norm(features - features[chosen[-1]], axis=1))
         chosen.append(int(distances.argmax()))
-    return candidates[sorted(set(chosen))]
+    return np.array(sorted(set(chosen)))
 
 
 def build_views(left: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
@@ -179,40 +173,8 @@ def build_views(left: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     return np.stack([right, np.broadcast_to(UP, right.shape), np.cross(right, UP)], axis=-2)
 
 
-def rasterise_triangles(corners: Float[np.ndarray, "F 3 3"], width: int, height: int) -> Int[np.ndarray, "height width"]:
-    """Return the triangle that is nearest to the viewer at the centre of each pixel, -1 where there is none.
-
-    Args:
-        corners: In pixels right and down, and towards the viewer in any unit.
-    """
-    low = np.clip(np.floor(corners[..., :2].min(1)), 0, [width, height]).astype(int)
-    size = np.clip(np.ceil(corners[..., :2].max(1)), 0, [width, height]).astype(int) - low
-    kept = np.argsort(size.prod(1), kind="stable")
-    counts, ends = size.prod(1)[kept], np.cumsum(size.prod(1)[kept])
-    kept, counts, ends = (each[ends <= MAX_TRIED_PIXELS] for each in (kept, counts, ends))
-    triangle = np.repeat(kept, counts)
-    place = np.arange(len(triangle)) - np.repeat(ends - counts, counts)
-    column = low[triangle, 0] + place % size[triangle, 0]
-    row = low[triangle, 1] + place // size[triangle, 0]
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(corners, 0, -1)
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    scale = np.where(area == 0, np.nan, 1 / np.where(area == 0, 1.0, area))
-    x, y = column + 0.5 - ax[triangle], row + 0.5 - ay[triangle]
-    second = ((cy - ay) * scale)[triangle] * x - ((cx - ax) * scale)[triangle] * y  # barycentric coordinates
-    third = ((bx - ax) * scale)[triangle] * y - ((by - ay) * scale)[triangle] * x
-    inside = np.flatnonzero((second >= 0) & (third >= 0) & (second + third <= 1))
-    triangle, pixel = triangle[inside], row[inside] * width + column[inside]
-    depth = az[triangle] + second[inside] * (bz - az)[triangle] + third[inside] * (cz - az)[triangle]
-    nearest = np.full(width * height, -np.inf)
-    np.maximum.at(nearest, pixel, depth)
-    is_nearest = depth == nearest[pixel]
-    shown = np.full(width * height, -1)
-    shown[pixel[is_nearest]] = triangle[is_nearest]
-    return shown.reshape(height, width)
-
-
 def _draw_cells(
-    series: Sequence[Sequence[_Figure]], colours: Float[np.ndarray, "F 3"], labels: Sequence[str], title: tuple[str, str]
+    series: Sequence[Sequence[SheetFigure]], colours: Float[np.ndarray, "F 3"], labels: Sequence[str], title: tuple[str, str]
 ) -> bytes:
     """Return the picture with a cell for each frame, in which the figures of each series stand side by side, the first left."""
     points = [np.concatenate([figure.points for figure in each]) for each in series]
@@ -228,38 +190,31 @@ def _draw_cells(
         cell = Image.new("RGB", (OVERSAMPLING * width, OVERSAMPLING * height), PAPER)
         for figure, centre, colour in zip(figures, centres, (BODY, INK), strict=False):
             origin, scale = [MARGIN_PX + centre * px_per_m, MARGIN_PX + top * px_per_m, 0.0], [px_per_m, -px_per_m, px_per_m]
-            cell = _draw_figure(cell, _Figure(*(OVERSAMPLING * (origin + each * scale) for each in figure)), colours, colour)
+            draw_figure(cell, SheetFigure(*(OVERSAMPLING * (origin + each * scale) for each in figure)), colours, colour)
         left, upper = k % COLUMNS * width, TITLE_HEIGHT_PX + k // COLUMNS * (height + LABEL_HEIGHT_PX)
         sheet.paste(cell.reduce(OVERSAMPLING), (left, upper))
         floor = upper + MARGIN_PX + top * px_per_m
         pen.line([(left, floor), (left + width, floor)], FLOOR)
         pen.text((left + width / 2, upper + height), labels[k], INK, ImageFont.load_default(LABEL_PX), anchor="ma")
     pen.text((MARGIN_PX, MARGIN_PX / 2), title[0], INK, ImageFont.load_default(TITLE_PX))
-    line = textwrap.shorten(title[1], sheet.width // LETTER_PX, placeholder=" …")
-    pen.text((MARGIN_PX, MARGIN_PX + TITLE_PX), line, INK, ImageFont.load_default(LABEL_PX))
+    pen.text((MARGIN_PX, MARGIN_PX + TITLE_PX), title[1], INK, ImageFont.load_default(LABEL_PX))
     encoded = BytesIO()
     sheet.quantize(MAX_COLOURS).save(encoded, "PNG", optimize=True)
     return encoded.getvalue()
 
 
-def _draw_figure(
-    cell: Image.Image, figure: _Figure, colours: Float[np.ndarray, "F 3"], stick_colour: tuple[int, int, int]
-) -> Image.Image:
-    """Return the picture with a figure, given in pixels, over it. Triangles are lit on both sides."""
-    corners = figure.triangles
-    if len(corners):
-        shown = rasterise_triangles(corners, *cell.size)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * [1.0, -1.0, 1.0]  # y is down
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0) / np.where(lengths > 0, lengths, 1.0)
-        light = AMBIENT + DIFFUSE * np.maximum(normals @ LIGHT, 0.0)
-        shaded = np.clip((DARKEST + (1 - DARKEST) * colours) * light[:, None], 0.0, 1.0)
-        pixels = np.array(cell)
-        pixels[shown >= 0] = (shaded * 255).astype(np.uint8)[shown[shown >= 0]]
-        cell = Image.fromarray(pixels)
-    pen, radius = ImageDraw.Draw(cell), DOT_PX * OVERSAMPLING
+def draw_figure(picture: Image.Image, figure: SheetFigure, colours: Float[np.ndarray, "F 3"], ink: tuple[int, int, int]) -> None:
+    """Draw a figure, given in pixels and without NaN in its triangles, the nearest triangles last. They are lit on both sides."""
+    pen, corners, radius = ImageDraw.Draw(picture), figure.triangles, DOT_PX * OVERSAMPLING
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * [1.0, -1.0, 1.0]  # y is down
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0) / np.where(lengths > 0, lengths, 1.0)
+    light = AMBIENT + DIFFUSE * np.maximum(normals @ LIGHT, 0.0)
+    shaded = (255 * (DARKEST + (1 - DARKEST) * colours[: len(light)]) * light[:, None]).clip(0, 255).astype(int)
+    order = np.argsort(corners[..., 2].mean(1))
+    for triangle, colour in zip(corners[order, :, :2].reshape(-1, 6).tolist(), shaded[order].tolist(), strict=True):
+        pen.polygon(triangle, tuple(colour))
     for start, end in figure.sticks[np.isfinite(figure.sticks).all((1, 2)), :, :2]:
-        pen.line([tuple(start), tuple(end)], stick_colour, STICK_PX * OVERSAMPLING)
+        pen.line([tuple(start), tuple(end)], ink, STICK_PX * OVERSAMPLING)
     for x, y, _ in figure.dots[np.isfinite(figure.dots).all(1)]:
         pen.ellipse([x - radius, y - radius, x + radius, y + radius], MARKER)
-    return cell

@@ -17,51 +17,49 @@ from mocapfix.report.contact_sheet import (
     COLUMNS,
     INK,
     MARKER,
+    PAPER,
     ROWS,
     Performer,
+    SheetFigure,
     build_views,
     choose_frames,
     draw_contact_sheet,
-    rasterise_triangles,
+    draw_figure,
 )
 from tests.io.test_gltf_mesh import build_cube, read_back
 
-SQUARE = np.array([[[10.0, 5, 0], [30, 5, 0], [30, 25, 0]], [[10.0, 5, 0], [30, 25, 0], [10, 25, 0]]])
+RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
-def test_triangles_cover_the_pixels_with_their_centres_inside():
-    shown = rasterise_triangles(SQUARE, 40, 30)
-    expected = np.zeros((30, 40), bool)
-    expected[5:25, 10:30] = True
-    np.testing.assert_array_equal(shown >= 0, expected)
-    assert shown[6, 28] == 0
-    assert shown[23, 12] == 1
+def draw_triangles(corners, colours) -> np.ndarray:
+    """Return the pixels of a picture of 40 x 40 with triangles."""
+    picture = Image.new("RGB", (40, 40), PAPER)
+    draw_figure(picture, SheetFigure(np.asarray(corners, float), np.empty((0, 2, 3)), np.empty((0, 3))), np.array(colours), INK)
+    return np.array(picture, int)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
 def test_the_nearer_of_two_triangles_is_shown(order):
-    """One triangle is level, the other is nearer on its left half only; the order in which they are given does not matter."""
-    level = np.array([[0.0, 0, 0], [40, 0, 0], [0, 40, 0]])
-    tilted = level.copy()
-    tilted[:, 2] = 10 - level[:, 0]
-    shown = rasterise_triangles(np.stack([level, tilted])[order], 40, 40)
-    near = np.array(order)[shown[20]]
-    assert (near[:9] == 1).all()
-    assert (near[11:19] == 0).all()
+    """The red one is nearer, and covers the blue one on the left; the order in which they are given does not matter."""
+    blue, red = [[0, 0, 0], [39, 0, 0], [0, 39, 0]], [[0, 0, 5], [10, 0, 5], [0, 39, 5]]
+    pixels = draw_triangles(np.array([blue, red])[order], np.array([BLUE, RED])[order])
+    assert pixels[5, 4, 0] > 100 > pixels[5, 4, 2]
+    assert pixels[5, 25, 2] > 100 > pixels[5, 25, 0]
+    assert tuple(pixels[35, 35]) == PAPER
 
 
-def test_what_lies_outside_the_picture_or_has_no_area_is_not_drawn():
-    flat = np.array([[[5.0, 5, 0], [15, 15, 0], [25, 25, 0]]])
-    outside = SQUARE - [100.0, 0, 0]
-    assert (rasterise_triangles(np.concatenate([flat, outside]), 40, 30) == -1).all()
+def test_a_surface_is_brightest_towards_the_light_on_either_side():
+    facing, edge = [[5, 5, 0], [35, 5, 0], [5, 35, 0]], [[5, 5, 0], [35, 5, 60], [5, 35, 0]]
+    bright, turned, dark = (draw_triangles([each], [RED])[10, 10, 0] for each in (facing, facing[::-1], edge))
+    assert bright == turned > dark
 
 
 def test_a_cube_that_a_bone_carries_is_drawn_where_it_is():
     content, nodes = read_back(*build_cube(bone_at=(1.0, 3.0, 0.0)))
     mesh = read_gltf_mesh(content, nodes)
     corners = mesh.pose(compute_node_matrices(content, nodes)[0])[mesh.triangles] * [10.0, 10.0, 1.0]
-    rows, columns = np.nonzero(rasterise_triangles(corners, 40, 40) >= 0)
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 19, 10, 19)
+    rows, columns = np.nonzero((draw_triangles(corners, mesh.colours) != PAPER).any(-1))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 20, 10, 20)
 
 
 def test_the_left_of_a_figure_is_right_in_its_view():
