@@ -34,6 +34,8 @@ BEND_SHARE = 0.05  # weight of the mean plane in which a knee bends, beside that
 MIN_LOOP_FRAMES = 5
 SPEED_SHARES = {(False, False): (0.5, 0.5), (True, False): (0.0, 1.0), (False, True): (1.0, 0.0), (True, True): (0.0, 0.0)}
 """How much of a difference of a foot's speeds is taken at the beginning and at the end, by whether the foot stands there."""
+MIN_RESERVE_M = 1e-4  # length by which a leg is shorter than its bones, at least
+SHORT_SWING_SHARE = 0.4  # of BLEND_S: a foot that swings for less than 0.16 s is held
 
 
 class CycleStep(NamedTuple):
@@ -114,16 +116,27 @@ class Fade(NamedTuple):
     speed_s: Float[np.ndarray, " T"]  # 0 at the seam, where it rises by the share of the speed per second, and 0 later
 
     @staticmethod
-    def build(frame_count: int, rate: float, held: int, duration: int, speed_share: float) -> "Fade":
-        """Return a fade of `duration` frames that begins after `held` frames at full weight.
+    def build(frame_count: int, rate: float, lasts: "FadeFrames", speed_share: float) -> "Fade":
+        """Return a fade.
 
         Args:
+            lasts: How long.
             speed_share: How much of the difference of speeds is taken at this side of the seam.
         """
-        s = np.clip((np.arange(frame_count) - held) / duration, 0.0, 1.0)
+        s, u = (np.clip(each, 0.0, 1.0) for each in (
+            (np.arange(frame_count) - lasts.held) / lasts.fading, np.arange(frame_count) / lasts.speed_fading,
+        ))  # fmt: skip
         place = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        speed = s - 6.0 * s**3 + 8.0 * s**4 - 3.0 * s**5
-        return Fade(place, speed_share * duration / rate * speed)
+        speed = u - 6.0 * u**3 + 8.0 * u**4 - 3.0 * u**5
+        return Fade(place, speed_share * lasts.speed_fading / rate * speed)
+
+
+class FadeFrames(NamedTuple):
+    """How many frames a correction lasts."""
+
+    held: int  # in which the difference of places is corrected in full
+    fading: int  # in which that fades then
+    speed_fading: int  # in which the difference of speeds fades, from the seam on
 
 
 def _close(
@@ -155,7 +168,7 @@ def _close_rotations(
 def _blend_poses(character: Character, motion: CharacterMotion, step: CycleStep) -> CharacterMotion:
     """Return the motion with the differences of all rotations and of the pelvis at the seam taken out."""
     count, rate, pelvis = motion.frame_count, motion.rate, character.mapping.bones["pelvis"][0]
-    fade = Fade.build(count, rate, 0, _limit_fade(count, rate), 0.5)
+    fade = Fade.build(count, rate, _find_fade(np.zeros(count, bool), rate), 0.5)
     positions, rotations = compute_character_poses(character, motion)
     local, turns = motion.local_rotations.copy(), np.tile(np.eye(3), (rotations.shape[1], 1, 1))
     local[:, pelvis], turns[pelvis] = rotations[:, pelvis], step.rotation.T
@@ -166,11 +179,6 @@ def _blend_poses(character: Character, motion: CharacterMotion, step: CycleStep)
         local[:, pelvis] = rotations[:, above].swapaxes(1, 2) @ local[:, pelvis]
         place = np.einsum("tba,tb->ta", rotations[:, above], place - positions[:, above])
     return replace(motion, pelvis_position=place, local_rotations=local)
-
-
-def _limit_fade(frame_count: int, rate: float) -> int:
-    """Return the frames in which a difference fades: it is gone in the middle of the motion."""
-    return max(min(round(BLEND_S * rate), (frame_count - 1) // 2), 1)
 
 
 def _compute_vectors(one: Float[np.ndarray, "*n 3 3"], other: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3"]:
@@ -196,8 +204,8 @@ def _place_feet(
         place, axes, stands = positions[:, foot], rotations[:, [foot]], is_standing[side]
         shares = SPEED_SHARES[bool(stands[0]), bool(stands[-1])]
         fades = (
-            Fade.build(count, rate, *_find_fade(stands, rate), shares[0]),
-            Fade.build(count, rate, *_find_fade(stands[::-1], rate), shares[1]),
+            Fade.build(count, rate, _find_fade(stands, rate), shares[0]),
+            Fade.build(count, rate, _find_fade(stands[::-1], rate), shares[1]),
         )
         target = _close_places(place, step, fades, rate)
         turned = _close_rotations(axes, step.rotation.T[None], fades, rate)[:, 0]
@@ -210,15 +218,24 @@ def _place_feet(
     return replace(blended, local_rotations=local)
 
 
-def _find_fade(stands: Bool[np.ndarray, " T"], rate: float) -> tuple[int, int]:
-    """Return for how many frames a foot keeps the whole difference from the seam on, and in how many it then fades."""
-    duration, middle = _limit_fade(len(stands), rate), (len(stands) - 1) // 2
-    runs = find_runs(stands)
-    held = runs[0][1] if stands[0] else 0
-    if held >= middle:  # it stands half of the cycle: the difference fades all the time
-        return 0, max(middle, 1)
-    following = next((first for first, _ in runs if first > held), len(stands))
-    return held, max(min(duration, following - held, middle - held), 1)
+def _find_fade(stands: Bool[np.ndarray, " T"], rate: float) -> FadeFrames:
+    """Return how long the difference of a foot lasts from the seam on.
+
+    It is held while the foot stands. A foot that soon stands, or soon stands again, keeps it too: in a short swing it would move
+    too fast.
+    """
+    last_frame = len(stands) - 1
+    duration = max(min(round(BLEND_S * rate), last_frame // 2), 1)  # it is gone in the middle of the motion
+    held, following = 0, last_frame
+    for first, last in find_runs(stands):
+        if first - held > SHORT_SWING_SHARE * duration:
+            following = first
+            break
+        held = last
+    if last_frame - held < SHORT_SWING_SHARE * duration:  # it stands all the time: the difference fades all the time
+        return FadeFrames(0, last_frame, duration)
+    swing = int(np.argmax(stands)) or duration
+    return FadeFrames(held, min(duration, following - held), min(duration, swing))
 
 
 def _reach(
@@ -229,7 +246,7 @@ def _reach(
     Args:
         leg: Hip, knee and ankle.
         thigh_axes: Rotation of the thigh in the world.
-        target: Where the ankle shall be; it comes as near as the leg reaches.
+        target: Where the ankle shall be; it comes near smoothly where the leg becomes straight.
     """
     hip, knee, ankle = leg.swapaxes(0, 1)
     upper, lower = knee - hip, ankle - knee
@@ -243,7 +260,10 @@ def _reach(
         cosine = (distance**2 - upper_m**2 - lower_m**2) / (2.0 * upper_m * lower_m)
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
-    change = measure_flexion(np.linalg.norm(target - hip, axis=1)) - measure_flexion(np.linalg.norm(ankle - hip, axis=1))
+    distance = np.linalg.norm(ankle - hip, axis=1)
+    longer, reserve = np.linalg.norm(target - hip, axis=1) - distance, np.maximum(upper_m + lower_m - distance, MIN_RESERVE_M)
+    longer = np.where(longer > 0, -reserve * np.expm1(-np.maximum(longer, 0.0) / reserve), longer)
+    change = measure_flexion(distance + longer) - measure_flexion(distance)
     bend = Rotation.from_rotvec(change[:, None] * normal).as_matrix()
     swing = compute_shortest_rotations(upper + np.einsum("tab,tb->ta", bend, lower), target - hip)
     return swing, bend
