@@ -49,7 +49,8 @@ def test_the_last_frame_of_a_walk_is_the_pose_of_the_first_farther_on(walk):
     original, _ = compute_character_poses(character, motion)
     assert np.linalg.norm(translation - find_step(character, motion)[1]) < 0.05
     middle = slice(len(positions) // 2 - 5, len(positions) // 2 + 5)
-    np.testing.assert_allclose(positions[middle], original[middle], atol=1e-3)
+    above = [bone for segment in ("pelvis", "head", "left_hand", "right_hand") for bone in character.mapping.bones[segment]]
+    np.testing.assert_allclose(positions[middle][:, above], original[middle][:, above], atol=1e-3)
     assert "now by 0.0 mm, 0.0 degrees" in sentence
 
 
