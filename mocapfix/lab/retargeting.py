@@ -127,7 +127,7 @@ def find_marker_middles(subject: Subject, labels: Sequence[str], position: Float
 
 def find_foot_corners(character: Character) -> dict[int, Points]:
     """Return by bone of the feet the corners of the mesh that mostly move with it, in its axes, in metres; {} without a mesh."""
-    corners, bones = compute_skin_vertices(character)
+    corners, bones, _ = compute_skin_vertices(character)
     position, rotation = character.skeleton.compute_rest_pose()
     feet = [character.mapping.bones[f"{side}_foot"][0] for side in SIDES]
     own = {bone for bone in bones.tolist() for foot in feet if bone == foot or is_below(bone, foot, character.skeleton.parents)}
