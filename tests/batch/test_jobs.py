@@ -7,7 +7,9 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.batch import jobs
 from mocapfix.batch.child_process import JobLimits, JobOutcome
-from mocapfix.options import CleanOptions
+from mocapfix.characters.fbx import BLENDER_VARIABLE
+from mocapfix.errors import WriteError
+from mocapfix.options import CleanOptions, build_clean_options
 from mocapfix.result import CleaningResult
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
@@ -35,3 +37,15 @@ def test_failure_has_the_time_of_its_last_attempt(tmp_path: Path, monkeypatch: p
     request = jobs.CleanRequest("walk.c3d", tmp_path / "walk.c3d", tmp_path / "out", CleanOptions())
     record = jobs.clean_take(request, JobLimits(retries=1))
     assert (record.reason, record.seconds) == ("error", 0.5)
+
+
+def test_an_output_that_cannot_be_written_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other outputs are written; the sentence says what is missing."""
+    monkeypatch.setenv(BLENDER_VARIABLE, "/nowhere/blender")
+    take = tmp_path / "walk.c3d"
+    write_synthetic_take(take, compose_take(seconds=1.0, rate=30.0))
+    options = build_clean_options(extra_formats=("fbx",), prior="none")
+    request = jobs.CleanRequest("walk.c3d", take, tmp_path / "out", options)
+    with pytest.raises(WriteError, match=r"walk\.fbx was not written: /nowhere/blender cannot be started"):
+        jobs.clean_recorded_take(request)
+    assert (tmp_path / "out" / "walk" / "walk.bvh").is_file()

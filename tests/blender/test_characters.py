@@ -16,8 +16,9 @@ from mocapfix.characters.character import Character, CharacterMotion, compute_ch
 from mocapfix.characters.character_files import write_character_bvh, write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, write_fbx
 from mocapfix.characters.load_character import load_character_preset, read_character
+from mocapfix.characters.root_motion import carry_path, prepare_root_bone
 from mocapfix.io.gltf import GlbContent, GltfBuffer, add_animation, build_glb, parse_glb
-from mocapfix.options import CHARACTER_PRESETS
+from mocapfix.options import CHARACTER_PRESETS, ROOT_BONE
 from tests.characters.character_files import (
     FIGURE,
     build_figure_character,
@@ -48,10 +49,15 @@ def build_glb_that_moves_a_finger() -> bytes:
     return build_glb(GlbContent(content.document, buffer.finish()))
 
 
-USER_FILES = {"user-mixamo": build_mixamo_glb, "user-fingers": build_glb_that_moves_a_finger, "user-vrm": lambda: build_vrm(1)}
+USER_FILES = {
+    "user-mixamo": build_mixamo_glb,
+    "user-fingers": build_glb_that_moves_a_finger,
+    "user-root": build_mixamo_glb,  # with a root bone that carries the path
+    "user-vrm": lambda: build_vrm(1),
+}
 CHARACTERS = (*USER_FILES, "figure", *CHARACTER_PRESETS)
 FILES = [f"{name}.{suffix}" for name in CHARACTERS for suffix in ("glb", "bvh")]
-FBX_CHARACTERS = ("user-mixamo", "user-fingers", "unreal")
+FBX_CHARACTERS = ("user-mixamo", "user-fingers", "user-root", "unreal")
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,10 @@ def written(tmp_path_factory) -> dict[str, WrittenCharacter]:
     for name in CHARACTERS:
         character = load(name, folder)
         motion = build_motion(character, FRAME_COUNT, RATE_HZ)
+        if name == "user-root":
+            character = prepare_root_bone(character)
+            motion = carry_path(character, build_motion(character, FRAME_COUNT, RATE_HZ), ROOT_BONE)
+            assert "root" in character.skeleton.names
         write_character_glb(folder / f"{name}.glb", character, motion, "take")
         write_character_bvh(folder / f"{name}.bvh", character, motion)
         characters[name] = WrittenCharacter(character, motion, find_bvh_unit(character), folder)
