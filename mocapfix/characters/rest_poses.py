@@ -39,7 +39,6 @@ MAX_ARM_SLOPE_DEG = 60.0  # angle between an upper arm and the horizontal in A-p
 ARM_COST, STANDING_COST = 0.5, 1000.0
 """costs of a degree of an arm, over that of a leg, and of a frame in which the figure stands, but not in a T- or A-pose"""
 LOWEST_FOOT_PERCENTILE = 10.0  # of the heights of a foot, up to which it lies flat
-SAMPLED_POSES = 20  # frames of a file in which a body is searched by its shape
 SAME_OFFSET_M, SAME_ROTATION = 1e-3, 2e-3  # differences of two poses that count as the same: 1 mm and 0.1 degrees
 UP = np.array([0.0, 1.0, 0.0])
 TRUNK_SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_clavicle" for side in SIDES))
@@ -131,10 +130,9 @@ def choose_rest_pose(character: Character, assign: Callable[[Character], Charact
         if angles.tilt[0] <= MAX_TILT_DEG and angles.asymmetry[0] <= MAX_ASYMMETRY_DEG:
             return mapped
         found.append((float(angles.tilt[0]), mapped))
-    known = found[0][1] if found else _search_frames(character, assign)
-    if known is None:
+    if not found:
         raise errors[0]
-    framed = _find_standing_frame(character, known)
+    framed = _find_standing_frame(character, found[0][1])
     standing = [each for tilt, each in [(0.0, framed), *found] if each is not None and tilt <= MAX_TILT_DEG]
     if standing:
         return standing[0]
@@ -181,19 +179,8 @@ def _take_frame(character: Character, rest_frame: int, source: str) -> Character
             if np.isfinite(posed.skeleton.offsets).all():
                 return posed
         count += len(poses.offsets)
-    has = f"has frames from 1 to {count}, and not all of them are whole" if count else "has no frames"
-    raise SceneError(f"{source}: {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); choose another.")
-
-
-def _search_frames(character: Character, assign: Callable[[Character], Character]) -> Character | None:
-    """Return the character in the first of some frames in which its bones form a body, None if there is none."""
-    for poses in _iterate_frames(character):
-        for frame in range(0, len(poses.offsets), max(1, len(poses.offsets) // SAMPLED_POSES)):
-            try:
-                return assign(_pose(character, poses, frame))
-            except SceneError:
-                continue
-    return None
+    has = f"frames from 1 to {count}, some of which may be incomplete" if count else "no frames"
+    raise SceneError(f"{source}: has {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); choose another.")
 
 
 def _find_standing_frame(character: Character, mapped: Character) -> Character | None:
