@@ -25,12 +25,13 @@ from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.repair import repair_animation
 from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
-from mocapfix.characters.bone_mapping import map_joints
+from mocapfix.characters.bone_mapping import map_joints, map_joints_by_shape
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_take_options
+from mocapfix.io.animation_inference import estimate_height
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
@@ -53,11 +54,13 @@ from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.sequences import sample_evenly
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
 
 
+MAX_MAPPING_POSES = 100  # frames in which a figure whose joint names are unknown may stand upright
 JOINT_SOURCE = "joints"  # the source of events that follow from joints
 
 
@@ -243,17 +246,22 @@ class AnimationBody:
 
 
 def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tuple[AnimationBody | None, str]:
-    """Find the 31-joint skeleton in an animation by its joint names.
+    """Find the 31-joint skeleton in an animation by its joint names, or else by the shape of the skeleton.
 
     The naming convention `hierarchy`, or a YAML file, is used, by default the one that matches the most joints.
 
     Returns:
-        The body, None if the animation is not of a whole body, and a sentence that gives the reason.
+        The body, None if the animation is not of a whole body, and a sentence: what was found, or why nothing.
 
     Raises:
         SceneError: If there is no such convention or if the given one does not match.
     """
     mapping = map_joints(animation.names, animation.parents, hierarchy)
+    if mapping.file_joints is None and hierarchy is None:
+        frames = sample_evenly(animation.frame_count, MAX_MAPPING_POSES)
+        posed = animation.replace_values(animation.values[frames]).compute_world_poses()[0]
+        poses = (each for each in (animation.skeleton.rest_positions, *posed) if np.isfinite(each).all())
+        mapping = map_joints_by_shape(animation.names, animation.parents, poses) or mapping
     if mapping.file_joints is None:
         if hierarchy is not None:
             raise SceneError(f"{hierarchy}: does not fit {animation.name}. {mapping.reason}")
@@ -265,7 +273,9 @@ def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tupl
             "The figure is upright neither in its rest pose nor in any frame, so it cannot be aligned with the body model; "
             "if another axis of the file is vertical, give it with --up.",
         )
-    return AnimationBody(animation.parents, alignment), mapping.reason
+    frame = f"in frame {animation.first_frame + alignment.upright_frame}" if alignment.upright_frame >= 0 else "in the rest pose"
+    scale = f"{estimate_height(animation):.2f} m tall with {animation.unit_m * 1e3:.4g} mm a unit"
+    return AnimationBody(animation.parents, alignment), f"{mapping.reason.rstrip('.')}; {scale}, upright {frame}."
 
 
 def clean_animation(

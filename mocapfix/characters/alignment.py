@@ -49,6 +49,7 @@ class SkeletonAlignment:
     skeleton: Skeleton
     source_joints: Int[np.ndarray, " J"]  # index of the source's joint for each, -1 if there is none
     rotation_source_joint: Float[np.ndarray, "J 3 3"]  # A: the axes of each joint in those of the source's joint
+    upright_frame: int = -1  # the source's frame from which A follows, -1 for its rest pose
 
     @property
     def is_sharing(self) -> Bool[np.ndarray, " J"]:
@@ -141,9 +142,11 @@ def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) ->
         animation: The animation.
         file_joints: As in `JointMapping`, with the required joints.
     """
-    sampled = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
+    step = max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)
+    sampled = animation.replace_values(animation.values[::step])
     names, moving_poses = load_cmu31_body().skeleton.names, sampled.compute_world_poses()
-    for positions, rotations in ([each[None] for each in animation.skeleton.compute_rest_pose()], moving_poses):
+    rest_pose = [each[None] for each in animation.skeleton.compute_rest_pose()]
+    for (positions, rotations), is_moving in ((rest_pose, False), (moving_poses, True)):
         places = {name: positions[:, joint] for name, joint in zip(names, file_joints.tolist(), strict=True) if joint >= 0}
         uprightness = np.nan_to_num(_compute_uprightness(places), nan=-1.0)
         frame = int(np.argmax(uprightness))
@@ -151,7 +154,7 @@ def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) ->
             pose = {name: place[frame] for name, place in places.items()}
             rotation_file_model = _compute_axis_rotations(animation.skeleton, file_joints, pose, rotations[frame])
             skeleton = _build_aligned_skeleton(animation.skeleton, *moving_poses, file_joints, rotation_file_model)
-            return SkeletonAlignment(skeleton, file_joints, rotation_file_model)
+            return SkeletonAlignment(skeleton, file_joints, rotation_file_model, frame * step if is_moving else -1)
     return None
 
 

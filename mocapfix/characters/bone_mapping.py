@@ -7,7 +7,8 @@ gives its side are ignored.
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import takewhile
@@ -17,7 +18,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
+from mocapfix.characters.bone_geometry import (
+    MAX_AXIS_DISTANCE_SHARE,
+    MIN_TWIST_SHARE,
+    find_segments_by_shape,
+)
 from mocapfix.characters.character import (
     REQUIRED_SEGMENTS,
     SEGMENT_CHAINS,
@@ -207,11 +212,71 @@ def _match_joints(
     file_joints = np.full(len(model.names), -1)
     for part, bone in table.find_parts(spellings):
         file_joints[model.find_joint(part)] = bone
+    return _discard_misplaced_joints(file_joints, parents)
+
+
+def _discard_misplaced_joints(file_joints: Int[np.ndarray, " 31"], parents: Int[np.ndarray, " J"]) -> Int[np.ndarray, " 31"]:
+    """Return the file's joints without those that are not below that of the nearest joint above them."""
+    file_joints, model = file_joints.copy(), load_cmu31_body().skeleton
     for joint, file_joint in enumerate(file_joints.tolist()):
         above = find_ancestor(joint, model.parents, file_joints >= 0)
         if above >= 0 and file_joint >= 0 and not is_below(file_joint, int(file_joints[above]), parents):
             file_joints[joint] = -1
     return file_joints
+
+
+def map_joints_by_shape(
+    names: Sequence[str], parents: Int[np.ndarray, " J"], poses: Iterable[Float[np.ndarray, "J 3"]]
+) -> JointMapping | None:
+    """Map the joints of a tree whose names are not all known: by the shape of the skeleton, and by the names that agree with it.
+
+    Args:
+        names: The names of the joints.
+        parents: The index of each joint's parent, -1 for roots.
+        poses: Positions in metres, Y up. The pose is used in which the most joints are found: both sides must be alike, and limbs
+            that are bent differently are found in part, or not at all. If the feet never show the front, the first pose in which
+            a body is found faces +Z.
+    """
+    found: Counter[tuple[tuple[bool, bool, int], tuple[tuple[str, tuple[int, ...]], ...]]] = Counter()
+    for positions in poses:
+        with suppress(ValueError):
+            shape = find_segments_by_shape(parents, positions)
+            score = _has_aligned_sides(shape.bones, positions), shape.faces_forward, sum(map(len, shape.bones.values()))
+            found[score, tuple(sorted(shape.bones.items()))] += 1
+    if not found:
+        return None
+    best = max(found, key=lambda each: (each[0], found[each]))
+    if not best[0][1]:
+        best = next(iter(found))
+    chains = best[1]
+    model = load_cmu31_body().skeleton
+    shaped = np.full(len(model.names), -1)
+    for segment, chain in chains:
+        joints = [joint for joint, own in SEGMENT_OF_JOINT.items() if own == segment]
+        if segment == "spine":  # the thorax carries the arms
+            chain, joints = [chain[-1], *chain[:-1]], [joints[-1], *joints[:-1]]
+        for joint, bone in zip(joints, chain[:1] if segment in TWISTING_SEGMENTS else chain, strict=False):
+            shaped[model.find_joint(joint)] = bone
+    spellings = spell_names(names)
+    named = [_match_joints(each, spellings, parents) for each in load_shipped_conventions()]
+    agreeing = [each for each in named if ((each == shaped) | (each < 0) | (shaped < 0)).all()]
+    by_name = max(agreeing, key=lambda each: int((each >= 0).sum()), default=shaped)
+    merged = np.where(by_name >= 0, by_name, np.where(np.isin(shaped, by_name), -1, shaped))
+    merged = _discard_misplaced_joints(merged, parents)
+    file_joints = shaped if _find_missing_joints(merged) else merged
+    count = int((file_joints >= 0).sum())
+    return JointMapping(file_joints, f"By the shape of the skeleton: found {count} of the {len(file_joints)} joints.")
+
+
+MIN_SIDE_COSINE = 0.8  # cosine of the angle between the directions across the hips and across shoulders and elbows
+
+
+def _has_aligned_sides(bones: Mapping[str, tuple[int, ...]], positions: Float[np.ndarray, "J 3"]) -> bool:
+    """Return whether the left shoulder and elbow are on the same side of the right ones as the left hip."""
+    pairs = [[bones[f"{side}_{segment}"][0] for side in SIDES] for segment in ("thigh", "upper_arm", "forearm")]
+    across = np.array([positions[left] - positions[right] for left, right in pairs])[:, [0, 2]]
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return bool((across @ across[0] > MIN_SIDE_COSINE).all())
 
 
 def _find_missing_joints(file_joints: Int[np.ndarray, " 31"]) -> list[str]:

@@ -22,6 +22,7 @@ CANDIDATE_UNITS_M = {
     "feet": 0.3048,
 }
 MIN_UP_AXIS_COSINE = 0.8  # of the angle between an axis and the vector from feet to head of a standing figure
+MAX_PAIR_DIFFERENCE_SHARE = 0.05  # difference of the distances of two tips from the body root, as a share of one
 MAX_INSPECTED_POSES = 200  # poses from which the up axis is inferred
 
 
@@ -40,7 +41,7 @@ def infer_conventions(animation: Animation, options: ReadOptions) -> Animation:
     if options.unit is not None:
         return replace(animation, unit_m=METRES_PER_UNIT[options.unit])
     animation = infer_unit(animation)
-    height_m = compute_reach(animation) * animation.unit_m / REACH_TO_HEIGHT_RATIO
+    height_m = estimate_height(animation)
     if options.accept_contradictions or not height_m or FIGURE_HEIGHT_RANGE_M[0] <= height_m <= FIGURE_HEIGHT_RANGE_M[1]:
         return animation
     raise ReadError(
@@ -62,27 +63,44 @@ def infer_unit(animation: Animation) -> Animation:
     if lowest <= reach * animation.unit_m / REACH_TO_HEIGHT_RATIO <= highest:
         return animation
     if not fitting:
-        height = format_length(reach * animation.unit_m / REACH_TO_HEIGHT_RATIO)
+        height = format_length(estimate_height(animation))
         unit = f"{animation.unit_m * 100:.4g} cm"
         note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall (--unit sets it)."
         return replace(animation, notes=(*animation.notes, note))
     name, unit_m = next(iter(fitting.items()))
-    note = f"Lengths are assumed to be {name}; the figure is {reach * unit_m / REACH_TO_HEIGHT_RATIO:.2f} m tall."
-    return replace(animation, unit_m=unit_m, notes=(*animation.notes, note))
+    animation = replace(animation, unit_m=unit_m)
+    note = f"Lengths are assumed to be {name}; the figure is {estimate_height(animation):.2f} m tall."
+    return replace(animation, notes=(*animation.notes, note))
+
+
+def estimate_height(animation: Animation) -> float:
+    """Return the height in metres of a person whose bones are as long as those of the figure."""
+    return compute_reach(animation) * animation.unit_m / REACH_TO_HEIGHT_RATIO
 
 
 def compute_reach(animation: Animation) -> float:
     """Return the longest path along the bones from one tip of the body to another, in file units.
 
-    The bones are those of the posed figure, below its body root: a reference node above the hips is no part of it.
+    The bones are those of the posed figure, below its body root: a reference node above the hips is no part of it. Nor is what
+    one side alone carries, such as a sword in a hand: a tip is left out if no other is about as far from the body root.
     """
-    depth = np.array([np.linalg.norm(ends, axis=1).max(initial=0.0) for ends in animation.end_sites])
-    longest = depth.copy()
+    lengths = np.linalg.norm(animation.bone_offsets, axis=1)
+    ends = np.array([np.linalg.norm(sites, axis=1).max(initial=0.0) for sites in animation.end_sites])
+    distance = np.zeros(len(ends))
+    for joint in np.flatnonzero(animation.is_below_body_root).tolist():
+        distance[joint] = distance[animation.parents[joint]] + lengths[joint]
+    tips = np.setdiff1d(np.flatnonzero(animation.is_below_body_root), animation.parents)
+    tip_distance = (distance + ends)[tips]
+    is_alike = np.abs(tip_distance[:, None] - tip_distance) <= MAX_PAIR_DIFFERENCE_SHARE * tip_distance
+    is_left_out = np.zeros(len(ends), bool)
+    is_left_out[tips] = (is_alike.sum(1) == 1) & (is_alike.sum(1).max(initial=0) > 1)
+    depth, longest = np.where(is_left_out, -np.inf, ends), np.where(is_left_out, 0.0, ends)
     for joint in range(len(depth) - 1, 0, -1):
         parent = animation.parents[joint]
-        path_length = depth[joint] + np.linalg.norm(animation.bone_offsets[joint])
-        longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
-        depth[parent] = max(depth[parent], path_length)
+        if np.isfinite(depth[joint]) and parent >= 0:
+            path_length = depth[joint] + lengths[joint]
+            longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
+            depth[parent] = max(depth[parent], path_length)
     return float(longest[animation.body_root])
 
 

@@ -10,13 +10,14 @@ other joint three. All rotations are Z Y X in degrees, R = Rz Ry Rx, continuous 
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.errors import ReadError, WriteError
+from mocapfix.errors import ReadError, WriteError, format_name_list
 from mocapfix.io.animation_inference import infer_conventions
 from mocapfix.io.file_content import (
     COMMENT_LINE_PATTERN,
@@ -31,7 +32,7 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
 from mocapfix.io.source_file import format_rows
 from mocapfix.kernels import euler_angles
-from mocapfix.model.animation import Animation
+from mocapfix.model.animation import FOOT_JOINT_PATTERN, Animation
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
@@ -84,6 +85,11 @@ class _HierarchyParser:
         for joint in self.joints:
             if joint.offset is None:
                 self.raise_error(line_number, f"joint {joint.name} has no OFFSET")
+        roots = [joint for joint, each in enumerate(self.joints) if each.parent < 0]
+        trees = [self.joints[start:stop] for start, stop in pairwise([*roots, len(self.joints)])]
+        figures = [tree[0].name for tree in trees if any(FOOT_JOINT_PATTERN.search(joint.name) for joint in tree)]
+        if len(figures) > 1:
+            self.raise_error(line_number, f"{format_name_list(figures)} are the roots of two figures; give each its own file")
         return self.joints
 
     def parse_item(self, line_number: int, item: str) -> None:
@@ -113,12 +119,12 @@ class _HierarchyParser:
                 self.raise_error(line_number, f"{quoted} is not one of ROOT, JOINT, End Site, OFFSET, CHANNELS")
 
     def add_joint(self, line_number: int, keyword: str, name: str) -> None:
-        if keyword.upper() == "ROOT" and self.joints:
-            problem = f"a second ROOT, {name}, follows {self.joints[0].name}"
-            self.raise_error(line_number, f"{problem}; give each figure its own file")
         if not name:
             self.raise_error(line_number, "a joint has no name")
-        parent = -1 if keyword.upper() == "ROOT" else self.get_open_joint(line_number, f"JOINT {name}")
+        is_root = keyword.upper() == "ROOT"
+        if is_root and (self.open_joints or self.pending_joints):
+            self.raise_error(line_number, f"ROOT {name} is inside of another joint; a brace is missing before it")
+        parent = -1 if is_root else self.get_open_joint(line_number, f"JOINT {name}")
         self.joints.append(_BvhJoint(name, parent))
         self.pending_joints.append(len(self.joints) - 1)
 
@@ -163,8 +169,8 @@ class _HierarchyParser:
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAME_COUNT_PATTERN = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 FRAME_TIME_PATTERN = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
-# Ratios of a joint's median position to its offset below which positions are displacements from the offset.
-MAX_DISPLACEMENT_RATIO = 0.1
+# Ratios of a joint's median position to its offset, the median of all joints, below which positions are displacements.
+MAX_DISPLACEMENT_RATIO = 0.3
 MAX_CONSTANT_DISPLACEMENT_RATIO = 0.005
 MAX_BONE_CHANGE_RATIO = 0.01  # of the range of a joint's positions to their median, if they are constant
 MIN_NOTED_STRETCH_M = 0.02  # change of a bone's length; constant positions, as most programs write them, change by 0
@@ -284,14 +290,14 @@ def _find_displacements(animation: Animation) -> tuple[Bool[np.ndarray, " J"], t
     """Return the joints whose position channels are added to their offsets, and a note if there are any.
 
     Position channels replace the offset of a joint. Some files have displacements from the offset in those of the joints below
-    the hips. All of these joints are taken so if most of them have positions near zero, which would leave no bones. Positions
+    the hips. All of these joints are taken so if their positions are short on the whole, which would leave no bones. Positions
     that are short and constant are those of bones whose offset lies far away.
     """
     is_below = animation.is_below_body_root
     positioned = [joint for joint in np.flatnonzero(is_below).tolist() if animation.get_position_channels(joint)[0].size]
     lengths = np.linalg.norm(animation.offsets, axis=1)[is_below]
     usual_length = np.median(lengths[lengths > 0]) if lengths.any() else 0.0
-    votes: list[bool] = []
+    ratios, constant = list[float](), list[bool]()
     for joint in positioned:
         columns, axes = animation.get_position_channels(joint)
         length = min(float(np.linalg.norm(animation.offsets[joint, axes])), float(usual_length))
@@ -299,10 +305,11 @@ def _find_displacements(animation: Animation) -> tuple[Bool[np.ndarray, " J"], t
         values = values[np.isfinite(values).all(1)]
         if length > 0 and len(values):
             position = float(np.linalg.norm(np.median(values, axis=0)))
-            is_constant = float(np.ptp(values, axis=0).max()) < MAX_BONE_CHANGE_RATIO * position
-            votes.append(position < (MAX_CONSTANT_DISPLACEMENT_RATIO if is_constant else MAX_DISPLACEMENT_RATIO) * length)
+            constant.append(float(np.ptp(values, axis=0).max()) < MAX_BONE_CHANGE_RATIO * position)
+            ratios.append(position / length)
     is_added = np.zeros(len(animation.names), bool)
-    if 2 * sum(votes) <= len(votes):
+    max_ratio = MAX_CONSTANT_DISPLACEMENT_RATIO if 2 * sum(constant) > len(constant) else MAX_DISPLACEMENT_RATIO
+    if not ratios or np.median(ratios) >= max_ratio:
         return is_added, ()
     is_added[positioned] = True
     shown = animation.names[positioned[0]] + (f" and {len(positioned) - 1} more joints" if len(positioned) > 1 else "")

@@ -16,6 +16,7 @@ from mocapfix.stats.sequences import find_runs
 
 AXIS_LETTERS = "XYZ"
 HEAD_JOINT_PATTERN = re.compile(r"head|skull", re.IGNORECASE)
+MIN_LIMB_JOINTS = 3  # of a limb; what has fewer joints may be a prop or a camera
 FOOT_JOINT_PATTERN = re.compile(r"foot|feet|ankle|toe", re.IGNORECASE)
 
 
@@ -126,7 +127,7 @@ class Animation:
         """The joint from which the body branches: the hips, whatever reference nodes are above them.
 
         It is the last joint above both the first head and the first foot by their names or, without such names, the first joint
-        that has several children.
+        from which several limbs go.
         """
         head, foot = (
             [joint for joint, name in enumerate(self.names) if pattern.search(name)][:1]
@@ -134,8 +135,11 @@ class Animation:
         )
         if head and foot:
             return find_common_joint(self.parents, (head[0], foot[0]))
-        joint = 0
-        while len(children := np.flatnonzero(self.parents == joint)) == 1:
+        size = np.ones(len(self.names), int)
+        for joint in range(len(self.names) - 1, 0, -1):
+            size[self.parents[joint]] += size[joint] if self.parents[joint] >= 0 else 0
+        joint = int(np.argmax(np.where(self.parents < 0, size, 0)))
+        while len(children := np.flatnonzero((self.parents == joint) & (size >= MIN_LIMB_JOINTS))) == 1:
             joint = int(children[0])
         return joint
 

@@ -3,11 +3,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.bone_mapping import NameTable, load_naming_convention, load_shipped_conventions, map_joints
+from mocapfix.characters.bone_mapping import (
+    NameTable,
+    load_naming_convention,
+    load_shipped_conventions,
+    map_joints,
+    map_joints_by_shape,
+)
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import read_shipped_yaml
-from mocapfix.model.skeleton import find_ancestor, load_cmu31_body
+from mocapfix.model.skeleton import find_ancestor, is_below, load_cmu31_body
 
 MODEL = load_cmu31_body().skeleton
 
@@ -123,3 +130,43 @@ def test_unknown_or_invalid_convention_is_refused(tmp_path):
     (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}", encoding="utf-8")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Hips"):
         load_naming_convention(Path(tmp_path / "a.yaml"))
+
+
+BODY = [joint for joint, name in enumerate(MODEL.names) if not name.endswith(("FingerBase", "HandIndex1", "Thumb"))]
+BODY_NAMES = [MODEL.names[joint] for joint in BODY]
+BODY_PARENTS = np.array([BODY.index(parent) if parent >= 0 else -1 for parent in MODEL.parents[BODY].tolist()])
+
+
+def pose_body(bend_rad: float) -> np.ndarray:
+    """Return the places of a standing body's joints without fingers; its left elbow is bent."""
+    positions, elbow = MODEL.rest_positions.copy(), MODEL.find_joint("LeftForeArm")
+    below = [joint for joint in BODY if is_below(joint, elbow, MODEL.parents)]
+    turn = Rotation.from_euler("z", bend_rad).as_matrix()
+    positions[below] = positions[elbow] + (positions[below] - positions[elbow]) @ turn.T
+    return positions[BODY]
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 2.0])
+def test_unknown_names_are_mapped_by_the_shape_in_the_pose_that_shows_most(heading_rad: float):
+    turn = Rotation.from_euler("y", heading_rad).as_matrix()
+    poses = [pose_body(bend) @ turn.T for bend in (1.0, 0.0)]
+    mapping = map_joints_by_shape([f"bone_{joint}" for joint in range(len(BODY))], BODY_PARENTS, poses)
+    assert mapping is not None
+    assert mapping.file_joints is not None
+    found = {name: BODY_NAMES[joint] for name, joint in zip(MODEL.names, mapping.file_joints, strict=True) if joint >= 0}
+    assert all(name == own for name, own in found.items())
+    assert {side + bone for side in ("Left", "Right") for bone in ("Shoulder", "Hand", "ToeBase")} <= set(found)
+    assert {"Hips", "Spine1", "Head"} <= set(found)
+
+
+def test_one_unknown_name_is_mapped_by_the_shape_and_the_others_by_their_names():
+    names = [name.replace("LeftArm", "Linker_Arm") for name in BODY_NAMES]
+    assert map_joints(names, BODY_PARENTS).file_joints is None
+    mapping = map_joints_by_shape(names, BODY_PARENTS, [pose_body(0.0)])
+    assert mapping is not None
+    assert mapping.file_joints is not None
+    np.testing.assert_array_equal(mapping.file_joints[BODY], np.arange(len(BODY)))
+
+
+def test_tree_that_is_no_body_is_not_mapped_by_its_shape():
+    assert map_joints_by_shape(["a", "b", "c"], np.array([-1, 0, 1]), [np.eye(3)]) is None

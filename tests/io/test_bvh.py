@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
 from mocapfix.io import bvh, capture
-from mocapfix.io.animation_inference import infer_up_axis
+from mocapfix.io.animation_inference import estimate_height, infer_up_axis
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.model.animation import Animation
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import ReadOptions
+from mocapfix.synthetic import compose_motion, draw_subject
 from tests.bvh_files import HIERARCHY, ROWS, TEXT
 from tests.captures import CAPTURES, needs_captures
 
@@ -82,7 +84,8 @@ def test_a_wrong_frame_count_is_noted(tmp_path):
         ("ROOT Hips\n{", "ROOT Hips\n", r"a\.bvh, line 4: an OFFSET is outside"),
         ("}\nMOTION", "MOTION", "1 braces not closed"),
         ("}\nMOTION", "}\n}\nMOTION", r"line 43: a brace closes that was not opened"),
-        ("}\nMOTION", "}\nROOT Other\n{\nOFFSET 0 0 0\n}\nMOTION", "line 43: a second ROOT, Other, follows Hips"),
+        ("}\nMOTION", "}\nROOT Foot\n{\nOFFSET 0 0 0\n}\nMOTION", "line 46: Hips, Foot are the roots of two figures"),
+        ("}\nMOTION", "ROOT Other\n{\nOFFSET 0 0 0\n}\n}\nMOTION", "line 42: ROOT Other is inside of another joint"),
         ("CHANNELS 1 Xrotation", "CHANNELS 2 Xrotation", "line 9: 2 channels are declared and 1 named"),
         ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 9: channel Wrotation is neither"),
         ("CHANNELS 1 Xrotation", "CHANNELS", "line 9: no number of channels"),
@@ -221,6 +224,42 @@ def test_displacements_are_distinguished_from_positions(tmp_path):
     assert found.notes == ("The positions of Chest are near zero; they are taken as displacements from the offsets.",)
     assert found.is_position_added.tolist() == [False, False, False, True, False]
     np.testing.assert_allclose(found.compute_local_positions()[:, 3, 1], [0.601, 0.602, 0.603])
+
+
+def test_displacements_that_are_not_small_are_those_of_the_whole_file(tmp_path):
+    found = read(tmp_path, TEXT.replace(" 60.0000 ", " 11.0 ").replace(" 60.5000 ", " 12.0 ").replace(" 61.0000 ", " 13.0 "))
+    np.testing.assert_allclose(found.compute_local_positions()[:, 3, 1], [0.71, 0.72, 0.73])
+
+
+def test_prop_with_a_root_of_its_own_is_read_beside_the_figure(tmp_path):
+    prop = "ROOT Sword\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\nEnd Site\n{\nOFFSET 0 0 90\n}\n}\nMOTION"
+    rows = [f"{row} {10 * frame} 0 5" for frame, row in enumerate(ROWS)]
+    found = read(tmp_path, TEXT.replace("MOTION", prop).replace("\n".join(ROWS), "\n".join(rows)))
+    plain = read(tmp_path, TEXT)
+    assert (found.names[-1], found.parents[-1], found.unit_m) == ("Sword", -1, plain.unit_m)
+    position = found.compute_world_poses()[0]
+    np.testing.assert_allclose(position[:, -1], [[0, 0, 0.05], [0.1, 0, 0.05], [0.2, 0, 0.05]])
+    np.testing.assert_array_equal(position[:, :-1], plain.compute_world_poses()[0])
+
+
+def test_a_sword_in_one_hand_is_no_part_of_the_height(tmp_path):
+    body = compose_motion(draw_subject(np.random.default_rng(0), asymmetric=False), 0.2, 30.0)
+    skeleton = load_cmu31_body().skeleton
+    bvh.write_bvh(tmp_path / "body.bvh", skeleton, body, 30.0)
+    text = (tmp_path / "body.bvh").read_text()
+    hand = text.index("JOINT RightFingerBase")
+    channels = text.index("\n", text.index("CHANNELS", hand)) + 1
+    sword = "JOINT Sword\n{\nOFFSET 0 -5 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 -90 0\n}\n}\n"
+    armed = read(tmp_path, text[:channels] + sword + text[channels:])
+    assert estimate_height(armed) == pytest.approx(estimate_height(bvh.read_bvh(tmp_path / "body.bvh")), rel=1e-6)
+
+
+def test_body_below_a_floor_with_a_camera_is_found_without_known_names():
+    parents = np.array([-1, 0, 0, 2, 3, 4, 2, 6, 7, 2, 9, 10])
+    count = len(parents)
+    names, none = tuple(f"j{joint}" for joint in range(count)), tuple(np.zeros((0, 3)) for _ in parents)
+    figure = Animation(names, parents, np.zeros((count, 3)), none, ((),) * count, np.zeros((1, 0)), 30.0)
+    assert figure.body_root == 2
 
 
 @settings(max_examples=200)
