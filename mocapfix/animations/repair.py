@@ -14,22 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.repair_methods import (
-    INTERPOLATION_CONTEXT_S,
-    FrameSpan,
-    InterpolatedBody,
-    RepairMethod,
-    SpanEstimate,
-    exclude_span,
-    find_context_frames,
-    interpolate_body,
-    interpolate_linearly,
-    interpolate_rotations,
-    interpolate_values,
-    remove_position_offset,
-    remove_rotation_offset,
-    smooth_joint_jitter,
-)
+from mocapfix.animations import repair_methods as methods
+from mocapfix.animations.repair_methods import FrameSpan, RepairMethod, SpanEstimate
 from mocapfix.fill.gap_windows import find_stretches
 from mocapfix.kernels import lie
 from mocapfix.model.faults import Fault, build_fault_mask
@@ -163,12 +149,12 @@ def _interpolate_tracks(track: np.ndarray, is_known: Bool[np.ndarray, "T L"], sp
     """
     linear, smooth, variances = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for n in range(track.shape[1]):
-        context = find_context_frames(is_known[:, n], span, round(INTERPOLATION_CONTEXT_S * span.rate))
+        context = methods.find_context_frames(is_known[:, n], span, round(methods.INTERPOLATION_CONTEXT_S * span.rate))
         if not len(context):
             return []
-        interpolate = interpolate_values if track.ndim == 3 else interpolate_rotations
+        interpolate = methods.interpolate_values if track.ndim == 3 else methods.interpolate_rotations
         values, variance = interpolate(track[context, n], context, span)
-        linear.append(interpolate_linearly(track[:, n], is_known[:, n], span))
+        linear.append(methods.interpolate_linearly(track[:, n], is_known[:, n], span))
         smooth.append(values)
         variances.append(variance)
     variance = np.stack(variances, axis=1)
@@ -199,10 +185,10 @@ def _remove_offset(
 
     def remove(damaged: np.ndarray, is_sound: Bool[np.ndarray, " T"], span: FrameSpan) -> SpanEstimate:
         if is_position:
-            values, variance = remove_position_offset(damaged[:, 0], is_sound, span)
+            values, variance = methods.remove_position_offset(damaged[:, 0], is_sound, span)
         else:
             joint = lie.extract_joint_quaternions(damaged, 0, is_sound)
-            corrected, variance = remove_rotation_offset(joint, is_sound, span, rotation_orders[n])
+            corrected, variance = methods.remove_rotation_offset(joint, is_sound, span, rotation_orders[n])
             values = Rotation.from_quat(corrected).as_matrix()
         return SpanEstimate(RepairMethod.OFFSET_REMOVED, values[:, None], np.full((len(values), 1), variance))
 
@@ -213,7 +199,7 @@ def _remove_offset(
     def estimate(at: FrameSpan) -> list[SpanEstimate]:
         if at == span:
             return [*_interpolate_tracks(track, is_sound[:, None], span), own]
-        other, is_intact = track.copy(), exclude_span(is_sound, at)
+        other, is_intact = track.copy(), methods.exclude_span(is_sound, at)
         inside = track[at.frames]
         other[at.frames] = inside + damaged - repaired if is_position else damaged @ repaired.T @ inside
         return [*_interpolate_tracks(other, is_intact[:, None], at), remove(other, is_intact, at)]
@@ -241,10 +227,10 @@ def _smooth_jitter(repair: AnimationRepair, fault: Fault, is_faulty: np.ndarray,
         is_trained = is_steady.copy()
         is_trained[at.frames] = True
         joint = lie.extract_joint_quaternions(jittery, 0, np.ones(len(track), bool))
-        smoothed, variance = smooth_joint_jitter(*poses, joint, other_joints, is_trained, at, fault.severity)
+        smoothed, variance = methods.smooth_joint_jitter(*poses, joint, other_joints, is_trained, at, fault.severity)
         values = Rotation.from_quat(smoothed).as_matrix()[:, None]
         own = SpanEstimate(RepairMethod.JITTER_SMOOTHED, values, variance[:, None])
-        return [*_interpolate_tracks(jittery, exclude_span(is_sound, at)[:, None], at), own]
+        return [*_interpolate_tracks(jittery, methods.exclude_span(is_sound, at)[:, None], at), own]
 
     _store(repair, choose_estimate(estimate, track, np.array([-1]), is_steady, span), [n], span)
 
@@ -303,11 +289,10 @@ def _interpolate_gaps(
             is_body_lost[first : last + 1] = False
             continue
         frames, mask = slice(first, last + 1), remaining[first : last + 1]
-        body = interpolate_body(parents, repair.root_position, repair.local_rotations, is_known, FrameSpan(first, last, rate))
+        poses = repair.root_position, repair.local_rotations
+        body = methods.interpolate_body(parents, *poses, is_known, FrameSpan(first, last, rate))
         if conditioner:
-            context = GapContext(
-                repair.root_position, repair.local_rotations, ~is_lost[:, :-1] & ~is_lost[:, -1:], first, last, rate
-            )
+            context = GapContext(*poses, ~is_lost[:, :-1] & ~is_lost[:, -1:], first, last, rate)
             body = _combine_body(body, context, conditioner)
         repair.root_position[frames] = np.where(mask[:, -1:], body.root_position, repair.root_position[frames])
         repair.local_rotations[frames] = np.where(mask[:, :-1, None, None], body.local_rotations, repair.local_rotations[frames])
@@ -326,12 +311,12 @@ def _interpolate_gap(repair: AnimationRepair, n: int, is_sound: Bool[np.ndarray,
     track = (repair.root_position if is_position else repair.local_rotations[:, n])[:, None].copy()
 
     def estimate(at: FrameSpan) -> list[SpanEstimate]:
-        return _interpolate_tracks(track, exclude_span(is_sound, at)[:, None], at)
+        return _interpolate_tracks(track, methods.exclude_span(is_sound, at)[:, None], at)
 
     _store(repair, choose_estimate(estimate, track, np.array([-1]), is_sound, span), [n], span)
 
 
-def _combine_body(body: InterpolatedBody, context: GapContext, conditioner: PriorConditioner) -> InterpolatedBody:
+def _combine_body(body: methods.InterpolatedBody, context: GapContext, conditioner: PriorConditioner) -> methods.InterpolatedBody:
     """Return an interpolated body combined with the motion prior's prediction."""
     cropped = context.crop()
     local_rotations, joints = cropped.local_rotations.copy(), np.arange(body.local_rotations.shape[1])
@@ -343,4 +328,4 @@ def _combine_body(body: InterpolatedBody, context: GapContext, conditioner: Prio
     weight = compute_prediction_weight(body.root_variance, prediction.root_variance)
     root = body.root_position + weight[:, None] * (prediction.root_position - body.root_position)
     root_variance = compute_combined_variance(body.root_variance, prediction.root_variance, weight)
-    return InterpolatedBody(root, rotations, root_variance, rotation_variance)
+    return methods.InterpolatedBody(root, rotations, root_variance, rotation_variance)

@@ -18,11 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from mocapfix.characters.bone_geometry import (
-    MAX_AXIS_DISTANCE_SHARE,
-    MIN_TWIST_SHARE,
-    find_segments_by_shape,
-)
+from mocapfix.characters.bone_geometry import MAX_AXIS_DISTANCE_SHARE, MIN_TWIST_SHARE, find_segments_by_shape
 from mocapfix.characters.character import (
     REQUIRED_SEGMENTS,
     SEGMENT_CHAINS,

@@ -55,21 +55,16 @@ def infer_unit(animation: Animation) -> Animation:
 
     This is its own unit if that fits, else the first of CANDIDATE_UNITS_M that does, else its own.
     """
-    reach = compute_reach(animation)
     lowest, highest = PERSON_HEIGHT_RANGE_M
-    fitting = {
-        name: unit_m for name, unit_m in CANDIDATE_UNITS_M.items() if lowest <= reach * unit_m / REACH_TO_HEIGHT_RATIO <= highest
-    }
-    if lowest <= reach * animation.unit_m / REACH_TO_HEIGHT_RATIO <= highest:
+    if lowest <= estimate_height(animation) <= highest:
         return animation
-    if not fitting:
-        height = format_length(estimate_height(animation))
-        unit = f"{animation.unit_m * 100:.4g} cm"
-        note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall (--unit sets it)."
-        return replace(animation, notes=(*animation.notes, note))
-    name, unit_m = next(iter(fitting.items()))
-    animation = replace(animation, unit_m=unit_m)
-    note = f"Lengths are assumed to be {name}; the figure is {estimate_height(animation):.2f} m tall."
+    for name, unit_m in CANDIDATE_UNITS_M.items():
+        scaled = replace(animation, unit_m=unit_m)
+        if lowest <= (height_m := estimate_height(scaled)) <= highest:
+            note = f"Lengths are assumed to be {name}; the figure is {height_m:.2f} m tall."
+            return replace(scaled, notes=(*animation.notes, note))
+    height, unit = format_length(estimate_height(animation)), f"{animation.unit_m * 100:.4g} cm"
+    note = f"The file gives no unit of length; {unit} is assumed, and the figure is {height} tall (--unit sets it)."
     return replace(animation, notes=(*animation.notes, note))
 
 
@@ -95,12 +90,10 @@ def compute_reach(animation: Animation) -> float:
     is_left_out = np.zeros(len(ends), bool)
     is_left_out[tips] = (is_alike.sum(1) == 1) & (is_alike.sum(1).max(initial=0) > 1)
     depth, longest = np.where(is_left_out, -np.inf, ends), np.where(is_left_out, 0.0, ends)
-    for joint in range(len(depth) - 1, 0, -1):
-        parent = animation.parents[joint]
-        if np.isfinite(depth[joint]) and parent >= 0:
-            path_length = depth[joint] + lengths[joint]
-            longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
-            depth[parent] = max(depth[parent], path_length)
+    for joint in np.flatnonzero(animation.is_below_body_root)[::-1].tolist():
+        parent, path_length = animation.parents[joint], depth[joint] + lengths[joint]
+        longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
+        depth[parent] = max(depth[parent], path_length)
     return float(longest[animation.body_root])
 
 

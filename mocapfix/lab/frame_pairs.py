@@ -26,7 +26,7 @@ from mocapfix.lab.training_poses import (
     mirror_joint_name,
 )
 from mocapfix.model.skeleton import BODY_SECTIONS, Skeleton, load_cmu31_body, load_cmu31_skeleton
-from mocapfix.solve.hybrik import build_twist_spans, compute_bone_vectors, compute_span_directions, compute_twists
+from mocapfix.solve.hybrik import build_twist_spans, compute_bone_vectors, compute_span_directions
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.learned_ik import build_transfer_tree, correct_poses, transfer_poses
 from mocapfix.solve.mean_pose import load_mean_pose_prior
@@ -85,6 +85,24 @@ def build_examples(
     joint_draw, pose_draw = rng.random(positions.shape[:2]), rng.random((len(rotations), 1))
     positions[(joint_draw < LOST_JOINT_SHARE) & (pose_draw < LOSSY_POSE_SHARE)] = np.nan
     return compute_span_directions(positions, pelvis_rotation), compute_twist_targets(rotations, body)
+
+
+def compute_twists(
+    rotations: Float[np.ndarray, "*batch J 3 3"], bones: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "*batch J 2"]:
+    """Return the cosine and sine of the angle about each bone in local rotations; NaN for joints without a bone.
+
+    R = swing twist, with the swing about an axis across the bone. As a quaternion, R has the scalar part cos(s/2) cos(t/2) and
+    the part cos(s/2) sin(t/2) along the bone, for the swing angle s and the twist angle t. The squares of both follow from the
+    trace of R and its component along the bone. If the bone swings to the opposite direction, the twist is undefined and not
+    finite.
+    """
+    u = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+    along = np.einsum("ja,...jab,jb->...j", u, rotations, u)
+    skew = rotations - np.swapaxes(rotations, -1, -2)
+    axis = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    both = np.stack([np.trace(rotations, axis1=-2, axis2=-1) - along, (axis * u).sum(-1)], axis=-1)
+    return both / (1 + along)[..., None]
 
 
 def compute_twist_targets(rotations: Float[np.ndarray, "N J 3 3"], body: Skeleton) -> Float[np.ndarray, "N B 2"]:

@@ -177,24 +177,6 @@ class TwistRegressor:
         return outputs.reshape(len(inputs), len(self.biases[-1]) // 2, 2)
 
 
-def compute_twists(
-    rotations: Float[np.ndarray, "*batch J 3 3"], bones: Float[np.ndarray, "J 3"]
-) -> Float[np.ndarray, "*batch J 2"]:
-    """Return the cosine and sine of the angle about each bone in local rotations; NaN for joints without a bone.
-
-    R = swing twist, with the swing about an axis across the bone. As a quaternion, R has the scalar part cos(s/2) cos(t/2) and
-    the part cos(s/2) sin(t/2) along the bone, for the swing angle s and the twist angle t. The squares of both follow from the
-    trace of R and its component along the bone. If the bone swings to the opposite direction, the twist is undefined and not
-    finite.
-    """
-    u = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
-    along = np.einsum("ja,...jab,jb->...j", u, rotations, u)
-    skew = rotations - np.swapaxes(rotations, -1, -2)
-    axis = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
-    both = np.stack([np.trace(rotations, axis1=-2, axis2=-1) - along, (axis * u).sum(-1)], axis=-1)
-    return both / (1 + along)[..., None]
-
-
 def compute_bone_vectors(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
     """Return each joint's bone in metres: the mean offset of its separate children; NaN without any."""
     bones = np.full(skeleton.offsets.shape, np.nan)

@@ -92,23 +92,14 @@ PRIOR_INNOVATION_SD_RAD = 0.3  # standard deviation per axis of people's limbs a
 
 
 class KnownMotion(NamedTuple):
-    """A motion of which some joints are occluded in some frames.
+    """A motion of which some joints are occluded in some frames."""
 
-    Attributes:
-        root_position: Metres.
-        local_rotations: Of the joints; any where they are not observed.
-        variance: Of the rotations, in rad^2.
-        is_unobserved: As from `pose_problem.find_unobserved_joints`.
-        joints: The joints below the root that move.
-        rate: Frames per second.
-    """
-
-    root_position: Float[np.ndarray, "T 3"]
-    local_rotations: Float[np.ndarray, "T J 3 3"]
-    variance: Float[np.ndarray, "T J"]
-    is_unobserved: Bool[np.ndarray, "T J"]
-    joints: Int[np.ndarray, " F"]
-    rate: float
+    root_position: Float[np.ndarray, "T 3"]  # m
+    local_rotations: Float[np.ndarray, "T J 3 3"]  # any where the joints are not observed
+    variance: Float[np.ndarray, "T J"]  # of the rotations, in rad^2
+    is_unobserved: Bool[np.ndarray, "T J"]  # as from `pose_problem.find_unobserved_joints`
+    joints: Int[np.ndarray, " F"]  # those below the root that move
+    rate: float  # frames per second
 
     @property
     def has_body(self) -> Bool[np.ndarray, " T"]:

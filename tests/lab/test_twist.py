@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab import frame_pairs, settings, twist_training
+from mocapfix.lab.frame_pairs import compute_twists
 from mocapfix.model.skeleton import load_cmu31_skeleton
-from mocapfix.solve.hybrik import compute_bone_vectors, compute_twists, read_twist_regressor
+from mocapfix.solve.hybrik import compute_bone_vectors, read_twist_regressor
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
 BODY = load_cmu31_skeleton()

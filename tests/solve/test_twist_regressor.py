@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import SceneError
 from mocapfix.kernels.hybrik import compute_swing, compute_twist
 from mocapfix.lab import sound_takes
+from mocapfix.lab.frame_pairs import compute_twists
 from mocapfix.lab.training_poses import mirror_joint_name
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.solve.hybrik import (
@@ -21,7 +22,6 @@ from mocapfix.solve.hybrik import (
     build_twist_spans,
     compute_bone_vectors,
     compute_span_directions,
-    compute_twists,
     load_shipped_regressor,
     read_twist_regressor,
     write_twist_regressor,
