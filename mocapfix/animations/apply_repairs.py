@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from mocapfix.animations.repair import AnimationRepair
-from mocapfix.animations.repair_methods import RepairMethod
+from mocapfix.animations.repair_methods import REPAIR_DESCRIPTIONS, RepairMethod
 from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.contacts.body_contacts import compute_held_displacements, displace_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, HeldFeet
@@ -146,7 +146,7 @@ def _list_changes(
     """Return a change for every fault that was repaired. It covers the fault's joints and not the joints below them."""
     own_points = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
     repaired_faults = [fault for fault in faults if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
-    methods = np.where(is_repaired, np.array([method.description for method in RepairMethod], object)[repair.method], "")
+    methods = np.where(is_repaired, np.array([REPAIR_DESCRIPTIONS[method] for method in RepairMethod], object)[repair.method], "")
     return [change for change, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]
 
 

@@ -161,9 +161,7 @@ def _interpolate_tracks(track: np.ndarray, is_known: Bool[np.ndarray, "T L"], sp
     return [SpanEstimate(RepairMethod.GAP_INTERPOLATED, np.stack(values, axis=1), variance) for values in (linear, smooth)]
 
 
-def _store(
-    repair: AnimationRepair, estimate: SpanEstimate | None, tracks: Int[np.ndarray, " L"] | list[int], span: FrameSpan
-) -> None:
+def _store(repair: AnimationRepair, estimate: SpanEstimate | None, tracks: np.ndarray | list[int], span: FrameSpan) -> None:
     """Write an estimate of tracks over a span."""
     if estimate is None:
         return

@@ -33,19 +33,15 @@ class RepairMethod(IntEnum):
     JOINT_INFERRED = 3
     GAP_INTERPOLATED = 4
 
-    @property
-    def description(self) -> str:
-        """The source of the repaired value, as a phrase for reports; "" if it is unchanged."""
-        return _REPAIR_DESCRIPTIONS[self]
 
-
-_REPAIR_DESCRIPTIONS = {
+REPAIR_DESCRIPTIONS = {
     RepairMethod.UNCHANGED: "",
     RepairMethod.OFFSET_REMOVED: "its own motion, offset removed",
     RepairMethod.JITTER_SMOOTHED: "its own motion, smoothed",
     RepairMethod.JOINT_INFERRED: "frames with a similar body state",
     RepairMethod.GAP_INTERPOLATED: "interpolation across the gap",
 }
+"""The source of the repaired value, as a phrase for reports."""
 
 
 class SpanEstimate(NamedTuple):

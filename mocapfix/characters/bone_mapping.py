@@ -242,12 +242,9 @@ def map_joints_by_shape(
     if not found:
         return None
     best = max(found, key=lambda each: (each[0], found[each]))
-    if not best[0][1]:
-        best = next(iter(found))
-    chains = best[1]
     model = load_cmu31_body().skeleton
     shaped = np.full(len(model.names), -1)
-    for segment, chain in chains:
+    for segment, chain in (best if best[0][1] else next(iter(found)))[1]:
         joints = [joint for joint, own in SEGMENT_OF_JOINT.items() if own == segment]
         if segment == "spine":  # the thorax carries the arms
             chain, joints = [chain[-1], *chain[:-1]], [joints[-1], *joints[:-1]]
@@ -269,10 +266,9 @@ MIN_SIDE_COSINE = 0.8  # cosine of the angle between the directions across the h
 
 def _has_aligned_sides(bones: Mapping[str, tuple[int, ...]], positions: Float[np.ndarray, "J 3"]) -> bool:
     """Return whether the left shoulder and elbow are on the same side of the right ones as the left hip."""
-    pairs = [[bones[f"{side}_{segment}"][0] for side in SIDES] for segment in ("thigh", "upper_arm", "forearm")]
-    across = np.array([positions[left] - positions[right] for left, right in pairs])[:, [0, 2]]
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    return bool((across @ across[0] > MIN_SIDE_COSINE).all())
+    left, right = (positions[[bones[f"{side}_{part}"][0] for part in ("thigh", "upper_arm", "forearm")]] for side in SIDES)
+    across = (left - right)[:, [0, 2]]
+    return bool((across @ across[0] > MIN_SIDE_COSINE * np.linalg.norm(across, axis=1) * np.linalg.norm(across[0])).all())
 
 
 def _find_missing_joints(file_joints: Int[np.ndarray, " 31"]) -> list[str]:

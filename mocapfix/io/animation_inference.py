@@ -86,9 +86,9 @@ def compute_reach(animation: Animation) -> float:
         distance[joint] = distance[animation.parents[joint]] + lengths[joint]
     tips = np.setdiff1d(np.flatnonzero(animation.is_below_body_root), animation.parents)
     tip_distance = (distance + ends)[tips]
-    is_alike = np.abs(tip_distance[:, None] - tip_distance) <= MAX_PAIR_DIFFERENCE_SHARE * tip_distance
+    is_similar = np.abs(tip_distance[:, None] - tip_distance) <= MAX_PAIR_DIFFERENCE_SHARE * tip_distance
     is_left_out = np.zeros(len(ends), bool)
-    is_left_out[tips] = (is_alike.sum(1) == 1) & (is_alike.sum(1).max(initial=0) > 1)
+    is_left_out[tips] = (is_similar.sum(1) == 1) & (is_similar.sum(1).max(initial=0) > 1)
     depth, longest = np.where(is_left_out, -np.inf, ends), np.where(is_left_out, 0.0, ends)
     for joint in np.flatnonzero(animation.is_below_body_root)[::-1].tolist():
         parent, path_length = animation.parents[joint], depth[joint] + lengths[joint]

@@ -92,10 +92,8 @@ def compute_twists(
 ) -> Float[np.ndarray, "*batch J 2"]:
     """Return the cosine and sine of the angle about each bone in local rotations; NaN for joints without a bone.
 
-    R = swing twist, with the swing about an axis across the bone. As a quaternion, R has the scalar part cos(s/2) cos(t/2) and
-    the part cos(s/2) sin(t/2) along the bone, for the swing angle s and the twist angle t. The squares of both follow from the
-    trace of R and its component along the bone. If the bone swings to the opposite direction, the twist is undefined and not
-    finite.
+    R = swing twist: as a quaternion it has the scalar part cos(s/2) cos(t/2) and the part cos(s/2) sin(t/2) along the bone, for
+    the angles s and t. A bone that swings to the opposite direction has no finite twist.
     """
     u = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
     along = np.einsum("ja,...jab,jb->...j", u, rotations, u)
