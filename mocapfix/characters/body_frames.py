@@ -6,7 +6,7 @@ are those of the world in this pose. `standard_rotations` has C, the axes of a s
 R = S C for the world rotations R of the bone and S of the segment. Retargeting keeps S.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,8 +87,11 @@ class BodyFrame:
 
     def compute_length(self, *segments: str) -> float:
         """Return the length in metres of the way over the beginnings of segments, the mean over both sides."""
-        places = np.array([[self.find_head(f"{side}_{segment}") for segment in segments] for side in SIDES])
-        return float(np.linalg.norm(np.diff(places, axis=1), axis=2).sum(1).mean())
+        return float(np.mean([self.compute_way([f"{side}_{segment}" for segment in segments]) for side in SIDES]))
+
+    def compute_way(self, segments: Sequence[str]) -> float:
+        """Return the length in metres of the way over the beginnings of segments."""
+        return float(np.linalg.norm(np.diff([self.find_head(segment) for segment in segments], axis=0), axis=1).sum())
 
     @property
     def leg_length_m(self) -> float:
@@ -100,14 +103,9 @@ class BodyFrame:
         return all(f"{side}_hand" in self.segment_bones for side in SIDES)
 
     @property
-    def arm_length_m(self) -> float:
-        """Length of upper arm and forearm; needs hands."""
-        return self.compute_length("upper_arm", "forearm", "hand")
-
-    @property
     def trunk_length_m(self) -> float:
-        """Distance from the pelvis to the beginning of the arms."""
-        return float(np.linalg.norm(self.find_centre("upper_arm") - self.find_head("pelvis")))
+        """Distance from between the hips to between the shoulders."""
+        return float(np.linalg.norm(self.find_centre("upper_arm") - self.find_centre("thigh")))
 
     @property
     def hip_centre(self) -> Float[np.ndarray, " 3"]:
@@ -134,7 +132,9 @@ class BodyFrame:
     def compute_palm(self, side: str) -> Float[np.ndarray, " 3"]:
         """Return the middle of a hand relative to the wrist, in the hand's axes, in metres, by the tail of its bone."""
         tail = self.compute_tail(f"{side}_hand")
-        return PALM_SHARE * tail if np.isfinite(tail).all() else DEFAULT_PALM * self.arm_length_m * LIMB_DIRECTIONS[side]
+        if np.isfinite(tail).all():
+            return PALM_SHARE * tail
+        return DEFAULT_PALM * self.compute_length("upper_arm", "forearm", "hand") * LIMB_DIRECTIONS[side]
 
     @property
     def ball_height_m(self) -> float:

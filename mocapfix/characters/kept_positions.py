@@ -1,20 +1,12 @@
-"""Where pelvis, feet and hands of a character shall be: the places of the source body, scaled by the ratio of the legs' lengths.
+"""Where pelvis and feet of a character shall be: the places of the source body, scaled by the ratio of the legs' lengths.
 
 All places are scaled about the origin, so a foot that stands still in the source stands still on the character. A foot is placed
 by its ball, which bears the weight from the time when the foot lies flat until it leaves the floor; its height and inclination
 when it lies flat differ from person to person, and are measured where heel and ball are in contact at once. Feet that are held in
 the source are held by the character's own ankles and balls, since its feet have another shape.
-
-A leg that is nearly straight bends far for a small change of the distance from hip to ankle, so the distance approaches the leg's
-length smoothly: of a leg that bears the body, below the hip, the pelvis is lowered; of one that reaches to the side or ahead, the
-foot comes nearer.
-
-Away from the body a hand is where the arm's bones point as in the source, at the same share of the arm's length. Near a part of
-the body the palm keeps its vector across the part's axis, so that a hand on a thigh stays there on a character with longer arms.
-Palms that are near each other stay so.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,137 +21,6 @@ from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_sh
 
 Points = Float[np.ndarray, "T 3"]  # in the world, in metres
 Rotations = Float[np.ndarray, "T 3 3"]
-
-NEAR_DISTANCE = 0.3
-"""Distance of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept."""
-FAR_DISTANCE = 0.45  # distance from which only the arm's directions are kept
-NEARNESS_POWER = 4  # power of the nearness with which the places beside several parts are weighted: the nearest part decides
-MIN_PLACE_WEIGHT = 1e-12
-MAX_REACH = 0.999  # share of the arm's length up to which a hand's target is reached
-MIN_PALM_DISTANCE_M = 1e-6
-MIN_LINE_LENGTH2_M2 = 1e-12  # squared length of a line below which it has no direction
-LEG_PARTS = tuple((f"{side}_thigh", f"{side}_shin") for side in SIDES)
-BODY_PARTS = (*LEG_PARTS, ("pelvis", "neck"), ("neck", "head"))
-"""Parts of the body near which hands keep their places: lines from one segment's beginning to another's."""
-
-
-def compute_hand_targets(
-    source: BodyFrame, target: BodyFrame, motion: SegmentMotion, target_position: Mapping[str, Points]
-) -> dict[str, Points]:
-    """Return by side where the wrists shall be, from the source's motion and where the target's segments begin without them."""
-    arm_ratio, scale = target.arm_length_m / source.arm_length_m, target.trunk_length_m / source.trunk_length_m
-    source_palms = {side: motion.carry(f"{side}_hand", source.compute_palm(side)) for side in SIDES}
-    offsets = {side: motion.rotation[f"{side}_hand"] @ target.compute_palm(side) for side in SIDES}
-    parts = [each for each in BODY_PARTS if all(end in motion.position and end in target_position for end in each)]
-    ends = [[[position[end] for end in part] for position in (motion.position, target_position)] for part in parts]
-    palms: dict[str, Points] = {}
-    for side in SIDES:
-        arm = arm_ratio * (motion.position[f"{side}_hand"] - motion.position[f"{side}_upper_arm"])
-        free = target_position[f"{side}_upper_arm"] + arm + offsets[side]
-        palms[side] = place_beside_parts(source_palms[side], free, ends, source.trunk_length_m, scale)
-    palms = keep_palms_together(source_palms, palms, source.trunk_length_m, scale)
-    wrists = {side: palm - offsets[side] for side, palm in palms.items()}
-    return {side: limit_reach(each, target_position[f"{side}_upper_arm"], target.arm_length_m) for side, each in wrists.items()}
-
-
-def keep_palms_together(
-    source_palms: Mapping[str, Points], palms: Mapping[str, Points], source_trunk_m: float, scale: float
-) -> dict[str, Points]:
-    """Return the palms by side, as far apart as in the source, scaled, where they are near each other there.
-
-    Their middle stays where it is. Nearness is measured in lengths of the source's trunk.
-    """
-    apart = source_palms["left"] - source_palms["right"]
-    nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source_trunk_m)[:, None]
-    correction = nearness * (scale * apart - palms["left"] + palms["right"]) / 2
-    return {"left": palms["left"] + correction, "right": palms["right"] - correction}
-
-
-def place_beside_parts(
-    palm: Points, free: Points, ends: Sequence[Sequence[Sequence[Points]]], source_trunk_m: float, scale: float
-) -> Points:
-    """Return the places of a palm in metres: beside the parts of the body where it is near one, `free` where it is near none.
-
-    How far along a part it is follows from the arm: a longer arm hangs lower. The nearest part decides.
-
-    Args:
-        palm: Of the source.
-        free: Of the target, by the arm's directions.
-        ends: Of each part in the source, and in the target.
-        source_trunk_m: Length of the source's trunk.
-        scale: Length of the target's trunk over that of the source's.
-    """
-    total, weights, nearest = np.zeros(free.shape), np.zeros(len(free)), np.zeros(len(free))
-    for source_ends, (start, end) in ends:
-        _, across = split_along_line(palm, *source_ends)
-        share, _ = split_along_line(free, start, end)
-        nearness = compute_nearness(np.linalg.norm(find_nearest_point(palm, *source_ends)[1], axis=1) / source_trunk_m)
-        weight = nearness**NEARNESS_POWER
-        total += weight[:, None] * (start + share[:, None] * (end - start) + scale * across)
-        weights += weight
-        nearest = np.maximum(nearest, nearness)
-    beside = total / np.maximum(weights, MIN_PLACE_WEIGHT)[:, None]
-    return free + nearest[:, None] * np.where(weights[:, None] > MIN_PLACE_WEIGHT, beside - free, 0.0)
-
-
-def move_hands_out_of_thighs(
-    source: BodyFrame,
-    target: BodyFrame,
-    motion: SegmentMotion,
-    solved_position: Mapping[str, Points],
-    wanted: Mapping[str, Points],
-) -> dict[str, Points]:
-    """Return the targets of the wrists, moved so far that no palm is nearer to the axis of a thigh than in the source.
-
-    Distances are compared in lengths of the trunk, and only where they are less than NEAR_DISTANCE of these. The target was
-    solved with the `wanted` targets, and its segments then began at `solved_position`.
-    """
-    ratio = target.trunk_length_m / source.trunk_length_m
-    moved = {side: wrist.copy() for side, wrist in wanted.items()}
-    for side, wrist in moved.items():
-        palm = motion.carry(f"{side}_hand", source.compute_palm(side))
-        solved_palm = solved_position[f"{side}_hand"] + motion.rotation[f"{side}_hand"] @ target.compute_palm(side)
-        for start, end in LEG_PARTS:
-            vector = find_nearest_point(palm, motion.position[start], motion.position[end])[1]
-            solved_vector = find_nearest_point(solved_palm, solved_position[start], solved_position[end])[1]
-            least = ratio * np.minimum(np.linalg.norm(vector, axis=1), NEAR_DISTANCE * source.trunk_length_m)
-            distance = np.linalg.norm(solved_vector, axis=1)
-            outward = np.where(distance[:, None] > MIN_PALM_DISTANCE_M, solved_vector, vector)
-            outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_PALM_DISTANCE_M)
-            wrist += np.maximum(least - distance, 0.0)[:, None] * outward
-    return moved
-
-
-def find_nearest_point(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
-    """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
-    share = np.clip(split_along_line(point, start, end)[0], 0.0, 1.0)
-    return share, point - start - share[:, None] * (end - start)
-
-
-def split_along_line(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
-    """Return how far along a line a point is, in lengths of the line also beyond its ends, and its vector across the line."""
-    axis = end - start
-    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_LINE_LENGTH2_M2)
-    return share, point - start - share[:, None] * axis
-
-
-def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Return 1 up to NEAR_DISTANCE, 0 from FAR_DISTANCE on, and a smooth step between."""
-    return compute_smooth_step(distance, NEAR_DISTANCE, FAR_DISTANCE)
-
-
-def compute_smooth_step(value: Float[np.ndarray, " T"], full: float, none: float) -> Float[np.ndarray, " T"]:
-    """Return 1 up to `full`, 0 from `none` on, and a cubic between with no slope at either end."""
-    share = np.clip((none - value) / (none - full), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
-
-
-def limit_reach(wanted: Points, shoulder: Points, arm_length_m: float) -> Points:
-    vector = wanted - shoulder
-    distance = np.linalg.norm(vector, axis=1)
-    ratio = np.minimum(1.0, MAX_REACH * arm_length_m / np.maximum(distance, MIN_PALM_DISTANCE_M))
-    return shoulder + ratio[:, None] * vector
-
 
 MIN_FLAT_S = 0.1  # time in which a foot must be flat, all contacts together, to be measured
 MAX_INCLINATION_RAD, MAX_STEADY_INCLINATION_RAD = np.deg2rad(15.0), np.deg2rad(50.0)
@@ -326,47 +187,3 @@ def resample_foot_contacts(contacts: BodyContacts, frame_count: int, rate: float
     columns = [contacts.joints.index(joint) for joint in CONTACT_JOINTS]
     is_contact, is_known = (mask[frames][:, columns] for mask in (contacts.is_contact, contacts.is_known))
     return replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known, rate=rate)
-
-
-FREE_REACH = 0.985  # share of a leg's length up to which the distance from hip to ankle is kept as it is
-BELOW_COSINE, BESIDE_COSINE = 0.9, 0.7
-"""Cosines of the angle between a leg and the vertical from which it bears the body, and up to which it does not."""
-LARGER_DROP_POWER = 4
-"""Power by which the drops that both legs need are combined: the larger one decides, without a jump where they are equal."""
-MIN_DROP_M = 1e-12
-
-
-def keep_feet_within_reach(target: BodyFrame, kept: KeptPositions, pelvis_rotation: Rotations) -> KeptPositions:
-    """Return the targets with the pelvis, of rotation S, lowered, and feet brought nearer, where a leg would be stretched."""
-    hips = {side: pelvis_rotation @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh")) for side in SIDES}
-    drops = [compute_drop(kept.ankles[side] - kept.pelvis - hips[side], target.leg_length_m) for side in SIDES]
-    drop = (np.sum(np.power(drops, LARGER_DROP_POWER), axis=0)) ** (1 / LARGER_DROP_POWER)
-    pelvis = kept.pelvis - drop[:, None] * UPWARD
-    ankles: dict[str, Points] = {}
-    for side in SIDES:
-        leg = kept.ankles[side] - pelvis - hips[side]
-        distance = np.maximum(np.linalg.norm(leg, axis=1), MIN_DROP_M)
-        is_beside = 1.0 - compute_bearing(leg)
-        factor = 1.0 + is_beside * (limit_distance(distance, target.leg_length_m) / distance - 1.0)
-        ankles[side] = pelvis + hips[side] + factor[:, None] * leg
-    return KeptPositions(pelvis, ankles)
-
-
-def compute_drop(leg: Points, leg_length_m: float) -> Float[np.ndarray, " T"]:
-    """Return how far in metres the hip must be lowered for a leg that bears the body, a vector from hip to ankle."""
-    across, height = np.linalg.norm(leg[:, [0, 2]], axis=1), -leg[:, 1]
-    wanted = limit_distance(np.linalg.norm(leg, axis=1), leg_length_m)
-    lower = np.sqrt(np.maximum(wanted**2 - across**2, 0.0))
-    return compute_bearing(leg) * np.maximum(height - lower, 0.0)
-
-
-def compute_bearing(leg: Points) -> Float[np.ndarray, " T"]:
-    """Return 1 for a leg below its hip, 0 for one that reaches to the side, ahead or up, and a smooth step between."""
-    cosine = -leg[:, 1] / np.maximum(np.linalg.norm(leg, axis=1), MIN_DROP_M)
-    return compute_smooth_step(-cosine, -BELOW_COSINE, -BESIDE_COSINE)
-
-
-def limit_distance(distance: Float[np.ndarray, " T"], leg_length_m: float) -> Float[np.ndarray, " T"]:
-    """Return distances from hip to ankle: as they are up to FREE_REACH of the leg's length, approaching the length beyond."""
-    free, rest = FREE_REACH * leg_length_m, (1.0 - FREE_REACH) * leg_length_m
-    return np.where(distance <= free, distance, leg_length_m - rest * np.exp(-np.maximum(distance - free, 0.0) / rest))

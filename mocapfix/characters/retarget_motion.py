@@ -4,14 +4,15 @@
     rotation = spread_rotations(...)            the same segments of the target, its spine and neck bent alike
     kept     = compute_kept_positions(...)      targets of pelvis and feet, scaled by the legs
     ankles   = hold_kept_feet(...)              the same of feet in contact, if these are locked
-    hands    = compute_hand_targets(...)        targets of the hands
+    kept     = fit_legs(...)                    pelvis and feet displaced over the whole motion, so that knees bend alike
+    hands    = fit_arms(...)                    targets of the hands, likewise
     poses    = solve_segments(...)              under terms for all of these
     motion   = compose_character_motion(...)    bones with their shares of the twist
 
 The terms of the solve are orientations of pelvis, chest, head, hands and feet; directions of thighs, shins, upper arms and
-forearms, and the planes in which knees bend; ankles and wrists at their targets; the other rotations, and the pelvis at its
-height in leg lengths; and the joint limits of the character. Their weights are the same in all frames, so that no joint jumps
-where a contact begins or ends. The solved tree has a joint for each segment, or for each bone of spine and neck.
+forearms, and the planes in which knees bend; ankles, wrists and pelvis at their targets; the other rotations; and the joint
+limits of the character. Their weights are the same in all frames, and the targets are smooth, so that no joint jumps. The solved
+tree has a joint for each segment, or for each bone of spine and neck.
 
 An upper arm or thigh twists relative to the bone before it: near that bone its parts take little of the twist, at the far end
 all. A forearm or shin twists with the hand or foot: near the elbow or knee its parts take none of the hand's twist, near the
@@ -39,6 +40,7 @@ from mocapfix.characters.body_frames import (
 )
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion
 from mocapfix.characters.kept_positions import Points, Rotations
+from mocapfix.characters.limb_fit import fit_arms, fit_legs
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, compute_local_rotations, find_ancestor
 from mocapfix.options import FEET_LOCK
@@ -124,14 +126,12 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
 ANKLE_SD_M, WRIST_SD_M, PELVIS_SD_M = 0.0003, 0.003, 0.006  # standard deviations of positions about their targets
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
-DIRECTION_SD_RAD = 0.1  # standard deviation of the direction of a limb's bone
+ARM_DIRECTION_SD_RAD, LEG_DIRECTION_SD_RAD = 0.1, 0.03
+"""Standard deviations of the directions of bones. That of the legs is small: the pelvis moves before a straight knee bends."""
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}  # standard deviations of rotations relative to the parent, by segment
 OTHER_TRACKING_SD_RAD = 0.3
-MAX_POSE_ITERATIONS = 30
 SIDEWAYS_SD_RAD = 0.2
 """Standard deviation of the direction of a thigh's or shin's own sideways axis: it keeps the plane in which a knee bends."""
-MIN_START_FLEXION_RAD = np.deg2rad(8.0)
-"""Flexion of a knee with which its solve begins at least: a straight leg could bend either way."""
 SIDEWAYS = np.array([1.0, 0.0, 0.0])  # axis of a segment about which a knee bends, forwards for a positive angle
 
 
@@ -140,40 +140,21 @@ class SegmentTargets(NamedTuple):
 
     rotation: JointRotations  # of the joints of a `SolveTree`, in the world; also the start of the solve
     pelvis: Points
-    points: dict[str, Points]  # segment (feet and hands) to where it shall begin
-
-    def select_frames(self, is_selected: Bool[np.ndarray, " T"]) -> "SegmentTargets":
-        points = {segment: place[is_selected] for segment, place in self.points.items()}
-        return SegmentTargets(self.rotation[is_selected], self.pelvis[is_selected], points)
+    points: dict[str, Points]  # segment (feet and hands) to where it shall begin, in metres
 
 
 def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
     """Return positions of the pelvis in metres and local rotations of the joints that reach the targets."""
     local = compute_local_rotations(targets.rotation, tree.skeleton.parents)
+    low, high = np.ascontiguousarray(np.moveaxis(tree.skeleton.limits_rad, 2, 0))
     terms = (
         _build_point_term(tree, targets),
         _build_direction_term(tree, targets.rotation),
         _build_orientation_term(tree, targets.rotation),
         _build_tracking_term(tree, local, targets.pelvis),
-        _build_limit_term(tree),
+        JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2),
     )
-    start = targets.pelvis, bend_straight_knees(tree, local)
-    return minimise(tree.kernel_tree, terms, start, SolverSettings(max_iterations=MAX_POSE_ITERATIONS)).poses
-
-
-def bend_straight_knees(tree: SolveTree, local: JointRotations) -> JointRotations:
-    """Return local rotations with every knee flexed by MIN_START_FLEXION_RAD at least; the foot keeps its direction."""
-    bent = local.copy()
-    for side in SIDES:
-        thigh, shin, foot = (tree.find_joint(f"{side}_{segment}") for segment in ("thigh", "shin", "foot"))
-        axes = tree.standard_rotations
-        knee = axes[thigh] @ local[:, shin] @ axes[shin].T  # of the shin relative to the thigh, in the segments' axes
-        missing = np.maximum(MIN_START_FLEXION_RAD - Rotation.from_matrix(knee).as_rotvec()[:, 0], 0.0)
-        half, whole = (Rotation.from_rotvec(share * missing[:, None] * SIDEWAYS).as_matrix() for share in (0.5, 1.0))
-        bent[:, thigh] = bent[:, thigh] @ axes[thigh].T @ np.swapaxes(half, 1, 2) @ axes[thigh]
-        bent[:, shin] = axes[thigh].T @ whole @ knee @ axes[shin]
-        bent[:, foot] = axes[shin].T @ np.swapaxes(half, 1, 2) @ axes[shin] @ bent[:, foot]
-    return bent
+    return minimise(tree.kernel_tree, terms, (targets.pelvis, local), SolverSettings(max_iterations=30)).poses
 
 
 def _get_base_segment(segment: str) -> str:
@@ -195,7 +176,8 @@ def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> Directio
             joint, tip = tree.find_joint(f"{side}_{start}"), tree.find_joint(f"{side}_{end}")
             length = np.linalg.norm(tree.skeleton.offsets[tip]) if tip >= 0 and tree.skeleton.parents[tip] == joint >= 0 else 0.0
             if length > 0:
-                directions.append((joint, tree.skeleton.offsets[tip] / length, DIRECTION_SD_RAD))
+                sd_rad = LEG_DIRECTION_SD_RAD if start in ("thigh", "shin") else ARM_DIRECTION_SD_RAD
+                directions.append((joint, tree.skeleton.offsets[tip] / length, sd_rad))
     knees = [tree.find_joint(f"{side}_{segment}") for side in SIDES for segment in ("thigh", "shin")]
     directions += [(joint, tree.standard_rotations[joint].T @ SIDEWAYS, SIDEWAYS_SD_RAD) for joint in knees]
     joints, axes, sd = (np.array(each) for each in zip(*directions, strict=True))
@@ -216,11 +198,6 @@ def _build_tracking_term(tree: SolveTree, local: JointRotations, pelvis: Points)
     sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.skeleton.names])
     weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
     return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), PELVIS_SD_M**-2))
-
-
-def _build_limit_term(tree: SolveTree) -> JointLimitTerm:
-    low, high = np.ascontiguousarray(np.moveaxis(tree.skeleton.limits_rad, 2, 0))
-    return JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2)
 
 
 NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "hand", "shin": "foot"}
@@ -265,28 +242,6 @@ def _find_share_along(frame: BodyFrame, bone: int, start: str, end: str) -> floa
     return float(np.clip((frame.rest_position[bone] - frame.find_head(start)) @ vector / (vector @ vector), 0.0, 1.0))
 
 
-MAX_SEPARATIONS = 3
-"""How often hands are moved out of thighs: the arms do not reach a new target at once, since other terms hold them back."""
-MIN_SEPARATION_M = 5e-4  # movement of a hand's target below which a frame is not solved again
-
-
-@dataclass(frozen=True)
-class RetargetProblem:
-    """What is kept of a source's motion on a target character, and what is needed to solve it."""
-
-    source: BodyFrame
-    target: BodyFrame
-    segments: SegmentMotion  # of the source
-    tree: SolveTree  # of the target
-    targets: SegmentTargets
-
-    @property
-    def wrists(self) -> dict[str, Points]:
-        """The targets of the wrists in metres, by side; empty if a body lacks hands."""
-        points = self.targets.points
-        return {side: points[f"{side}_hand"] for side in SIDES if f"{side}_hand" in points}
-
-
 def retarget_motion(
     source: Character, motion: CharacterMotion, target: Character, *, contacts: BodyContacts | None = None
 ) -> CharacterMotion:
@@ -301,16 +256,18 @@ def retarget_motion(
         contacts: Of the source, at any rate. Their floor comes to height 0, feet that lie flat do so on the target, and if the
             feet of the source were locked in them, so are the target's. Without contacts the source's floor is at height 0.
     """
-    problem, (pelvis, local) = solve_retarget_problem(build_retarget_problem(source, motion, target, contacts=contacts))
-    return compose_character_motion(problem.target, problem.tree, pelvis, local, motion.rate)
+    frames = build_body_frame(source), build_body_frame(target)
+    tree = build_solve_tree(frames[1])
+    poses = solve_segments(tree, compute_segment_targets(frames, tree, motion, contacts))
+    return compose_character_motion(frames[1], tree, *poses, motion.rate)
 
 
-def build_retarget_problem(
-    source: Character, motion: CharacterMotion, target: Character, *, contacts: BodyContacts | None = None
-) -> RetargetProblem:
-    """Return what is kept of the motion; arguments as for `retarget_motion`."""
-    source_frame, target_frame = build_body_frame(source), build_body_frame(target)
-    segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
+def compute_segment_targets(
+    frames: tuple[BodyFrame, BodyFrame], tree: SolveTree, motion: CharacterMotion, contacts: BodyContacts | None
+) -> SegmentTargets:
+    """Return what is kept of the motion of a source, the first of the frames, on the tree of the target, the second."""
+    source_frame, target_frame = frames
+    segments = compute_segment_motion(source_frame, motion)
     feet_contacts, floor_height_m = None, 0.0
     if contacts is not None:
         feet_contacts = kept_positions.resample_foot_contacts(contacts, motion.frame_count, motion.rate)
@@ -320,7 +277,9 @@ def build_retarget_problem(
     segments = kept_positions.level_feet(segments, flat_feet)
     kept, segments = kept_positions.settle_soles(source_frame, target_frame, kept, segments, feet_contacts)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
-    kept = kept_positions.keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
+    local = compute_local_rotations(rotation, tree.skeleton.parents)
+    position = compute_tree_poses(tree.kernel_tree, kept.pelvis, local)[0]
+    start = {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.skeleton.names)}
     ankles = kept.ankles
     if feet_contacts is not None and feet_contacts.held_feet.mode == FEET_LOCK:
         feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}
@@ -328,31 +287,13 @@ def build_retarget_problem(
         for side, foot in feet.items():
             joint = tree.find_joint(f"{side}_foot")
             rotation[:, joint] = foot @ tree.standard_rotations[joint]
-    points = {f"{side}_foot": ankle for side, ankle in ankles.items()}
+    kept = fit_legs(frames, segments, replace(kept, ankles=ankles), start, feet_contacts, motion.rate)
+    points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
-        start = compute_tree_poses(tree.kernel_tree, kept.pelvis, compute_local_rotations(rotation, tree.skeleton.parents))[0]
-        hands = kept_positions.compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
+        moved = {segment: place + kept.pelvis - start["pelvis"] for segment, place in start.items()}
+        hands = fit_arms(frames, segments, moved, motion.rate)
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
-    return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))
-
-
-def solve_retarget_problem(problem: RetargetProblem) -> tuple[RetargetProblem, Poses]:
-    """Return the solved poses, and the problem with the targets of hands that were moved.
-
-    Frames in which a palm is nearer to a thigh than in the source are solved again, with targets farther from it.
-    """
-    tree, targets, wrists = problem.tree, problem.targets, problem.wrists
-    pelvis, local = solve_segments(tree, targets)
-    for _ in range(MAX_SEPARATIONS if wrists else 0):
-        position = name_positions(tree, compute_tree_poses(tree.kernel_tree, pelvis, local)[0])
-        moved = kept_positions.move_hands_out_of_thighs(problem.source, problem.target, problem.segments, position, wrists)
-        is_moved = np.any([np.abs(moved[side] - wrists[side]).max(1) > MIN_SEPARATION_M for side in SIDES], axis=0)
-        if not is_moved.any():
-            break
-        wrists = moved
-        targets = targets._replace(points=targets.points | {f"{side}_hand": wrist for side, wrist in wrists.items()})
-        pelvis[is_moved], local[is_moved] = solve_segments(tree, targets.select_frames(is_moved))
-    return replace(problem, targets=targets), (pelvis, local)
+    return SegmentTargets(rotation, kept.pelvis, points)
 
 
 def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segments: SegmentMotion) -> JointRotations:
@@ -363,11 +304,6 @@ def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segm
         name, _, number = segment.partition(".")
         rotations.append((chains[name][:, int(number) + 1] if number else segments.rotation[name]) @ standard)
     return np.ascontiguousarray(np.stack(rotations, axis=1))
-
-
-def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Points]:
-    """Return the positions of the joints of a solve tree by segment; spine and neck are where their first bone begins."""
-    return {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.skeleton.names)}
 
 
 def compose_character_motion(

@@ -28,7 +28,7 @@ from mocapfix.characters.character import (
     compute_character_poses,
     convert_motion,
 )
-from mocapfix.characters.kept_positions import FAR_DISTANCE, LEG_PARTS, find_nearest_point
+from mocapfix.characters.limb_fit import FAR_DISTANCE, LEG_PARTS, find_nearest_point
 from mocapfix.characters.load_character import compute_skin_vertices, load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, Floor

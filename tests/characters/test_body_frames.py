@@ -49,7 +49,9 @@ def test_measures_follow_the_bones():
     character, _ = load_walk()
     frame, scaled = build_body_frame(character), build_body_frame(scale_limbs(character, legs=0.7, arms=1.3))
     assert scaled.leg_length_m == pytest.approx(0.7 * frame.leg_length_m)
-    assert scaled.arm_length_m == pytest.approx(1.3 * frame.arm_length_m)
+    assert scaled.compute_length("upper_arm", "forearm", "hand") == pytest.approx(
+        1.3 * frame.compute_length("upper_arm", "forearm", "hand")
+    )
     assert scaled.trunk_length_m == pytest.approx(frame.trunk_length_m)
 
 

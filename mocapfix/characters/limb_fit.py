@@ -1,0 +1,266 @@
+"""Displacements of pelvis, feet and hands from their scaled places, with which a character's limbs bend as the source's.
+
+Scaled places alone do not fit the limbs: hips are wider or narrower, soles higher, one leg of the source longer than the other.
+A limb that is nearly straight bends far for a small change of the distance between its ends. So each limb shall have the vector
+that the source's directions of its two bones give, with the target's own lengths. Near a part of the body a palm keeps its vector
+across the part's axis, so that a hand on a thigh stays there, and it is never nearer than the source's.
+
+The displacements are solved over the whole motion at once, as those of least acceleration: a foot in contact keeps its
+displacement, and a hand comes beside a part of the body, and leaves it, without a jump. The terms are linear, with standard
+deviations; the lengths of limbs and what is one-sided are linearised in each round.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
+from mocapfix.characters.character import SIDES
+from mocapfix.characters.kept_positions import KeptPositions, Points
+from mocapfix.contacts.contacts import BodyContacts
+
+Weights = Float[np.ndarray, "T 3 3"]  # of displacements, in 1/m^2
+BEND_SD_RAD = np.deg2rad(2.0)  # standard deviation of the angle of a knee or elbow about the source's
+MIN_BEND_SINE = 0.05  # a limb that is straighter is not held more exactly
+DIRECTION_SD_RAD = np.deg2rad(2.0)  # standard deviation of a limb's direction about the source's
+ACCELERATION_SD_M_S2 = 1.0  # standard deviation of the acceleration of a displacement
+FIT_ROUNDS = 3
+MIN_LENGTH_M = 1e-6
+
+
+@dataclass(frozen=True)
+class DisplacementProblem:
+    """The cost of displacements x of N points in each of T frames, half x A x minus b x, without what couples the frames."""
+
+    curvature: Float[np.ndarray, "T M M"]  # A, for the M = 3 N coordinates, in 1/m^2
+    pull: Float[np.ndarray, "T M"]  # b, in 1/m
+
+    def add(self, signs: Mapping[int, int], weight: Weights, wanted: Points) -> None:
+        """Add that the sum of the points' displacements, times their signs, shall be `wanted`, in metres."""
+        pull = (weight @ wanted[..., None])[..., 0]
+        for point, sign in signs.items():
+            rows = slice(3 * point, 3 * point + 3)
+            self.pull[:, rows] += sign * pull
+            for other, other_sign in signs.items():
+                self.curvature[:, rows, 3 * other : 3 * other + 3] += sign * other_sign * weight
+
+    def add_limb(
+        self, signs: Mapping[int, int], limb: Points, displacement: Points, wanted: Points, sd_m: Float[np.ndarray, " T"]
+    ) -> None:
+        """Add that `limb`, a vector between points with these signs, shall be `wanted`, with a standard deviation of the length.
+
+        `displacement` is that of the vector in the round before. All are in metres.
+        """
+        current = limb + displacement
+        length, wanted_length = (np.linalg.norm(each, axis=1, keepdims=True) for each in (current, wanted))
+        along = current / np.maximum(length, MIN_LENGTH_M)
+        lengthwise = along[:, :, None] * along[:, None, :]
+        across = np.eye(3) - lengthwise
+        across_sd_m = DIRECTION_SD_RAD * np.maximum(wanted_length, MIN_LENGTH_M)
+        change = (
+            along * (wanted_length - length)
+            + (lengthwise @ displacement[..., None] + across @ (wanted - limb)[..., None])[..., 0]
+        )
+        self.add(signs, lengthwise / sd_m[:, None, None] ** 2 + across / across_sd_m[..., None] ** 2, change)
+
+    def solve(
+        self, speed_weight: Float[np.ndarray, "T M"], course: Float[np.ndarray, "T M"], rate: float
+    ) -> Float[np.ndarray, "T M"]:
+        """Return the displacements of least cost in metres.
+
+        Their speed from each frame to the next has a weight in s^2/m^2; they shall accelerate as those of the `course`.
+        """
+        from scipy.linalg import solveh_banded  # slow to import
+
+        frames, size = self.pull.shape
+        if not frames:
+            return self.pull
+        band = np.zeros((2 * size + 1, frames, size))  # row d has the elements that are d below the diagonal
+        for below in range(size):
+            band[below, :, : size - below] = np.diagonal(self.curvature, -below, 1, 2)
+        speed, inner = speed_weight[:-1] * rate**2, max(frames - 2, 0)
+        stiffness = (rate**2 / ACCELERATION_SD_M_S2) ** 2
+        pull = self.pull.copy()
+        for frame in (0, 1):
+            band[0, frame : frame + len(speed)] += speed
+            band[size, frame : frame + inner] -= 2.0 * stiffness
+        band[size, : len(speed)] -= speed
+        band[2 * size, :inner] += stiffness
+        for frame, coefficient in enumerate((1.0, -2.0, 1.0)):
+            band[0, frame : frame + inner] += coefficient**2 * stiffness
+            pull[frame : frame + inner] += coefficient * stiffness * np.diff(course, n=2, axis=0)[:inner]
+        solved = solveh_banded(band.reshape(2 * size + 1, -1), pull.ravel(), lower=True, overwrite_ab=True, check_finite=False)
+        return solved.reshape(frames, size)
+
+
+ARM, LEG = ("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot")
+"""Segments of a side that begin where a limb begins, bends and ends."""
+
+
+def compute_wanted_limb(
+    target: BodyFrame, motion: SegmentMotion, side: str, limb: Sequence[str]
+) -> tuple[Points, Float[np.ndarray, " T"]]:
+    """Return a target's limb with the directions of the source's bones, and the standard deviation of its length, in metres."""
+    segments = [f"{side}_{segment}" for segment in limb]
+    bones = [end - start for start, end in pairwise(motion.position[segment] for segment in segments)]
+    upper, lower = (bone / np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), MIN_LENGTH_M) for bone in bones)
+    upper_m, lower_m = (target.compute_way(each) for each in pairwise(segments))
+    vector, sine = upper_m * upper + lower_m * lower, np.linalg.norm(np.cross(upper, lower), axis=1)
+    length = np.maximum(np.linalg.norm(vector, axis=1), MIN_LENGTH_M)
+    return vector, BEND_SD_RAD * upper_m * lower_m * np.maximum(sine, MIN_BEND_SINE) / length
+
+
+PELVIS_PLACE_SD_M, FOOT_PLACE_SD_M = 0.03, 0.1  # standard deviations of pelvis and feet about their scaled places
+FLOOR_SD_M = 0.0005  # of the height of a foot that stands; above the floor it grows, up to FOOT_PLACE_SD_M
+CLEARANCE_SHARE = 0.04  # of the height of a foot above the floor, as the standard deviation of that height
+CONTACT_SPEED_SD_M_S = 0.0005  # standard deviation of the speed of a displacement while the foot stands
+COURSE_SHARE = 0.5
+"""Share of the way from where a foot is placed by its ball to where it would be by its ankle, and of that from where the trunk is
+placed by the hips to where it would be by the shoulders, with which feet and pelvis accelerate. Feet and trunks of other lengths
+swing ankles and shoulders less so."""
+LOWEST_PERCENTILE = 2.0  # of a foot's heights: the floor
+STANDING_HEIGHT, STANDING_SPEED = 0.03, 0.2
+"""Height above the floor, in lengths of the leg, and speed, in these a second, up to which a foot stands without contacts."""
+
+
+def fit_legs(
+    frames: tuple[BodyFrame, BodyFrame],
+    motion: SegmentMotion,
+    kept: KeptPositions,
+    start: Mapping[str, Points],
+    contacts: BodyContacts | None,
+    rate: float,
+) -> KeptPositions:
+    """Return the targets of pelvis and ankles, displaced to fit the legs of the target.
+
+    The frames are those of source and target, the motion that of the source, and `start` has where the target's segments begin in
+    the world with the source's rotations. The contacts of the feet are at the rate of the motion, if they are known.
+    """
+    if not len(kept.pelvis):
+        return kept
+    source, target = frames
+    leg_m, scale, count = source.leg_length_m, target.leg_length_m / source.leg_length_m, len(kept.pelvis)
+    information, speed_weight, course = np.full((count, 9), FOOT_PLACE_SD_M**-2), np.zeros((count, 9)), np.zeros((count, 9))
+    information[:, :3] = PELVIS_PLACE_SD_M**-2
+    trunks = [
+        np.mean([each[f"{side}_upper_arm"] - each[f"{side}_thigh"] for side in SIDES], axis=0)
+        for each in (motion.position, start)
+    ]
+    course[:, :3] = COURSE_SHARE * (scale * trunks[0] - trunks[1])
+    limbs: list[tuple[Points, Points, Float[np.ndarray, " T"]]] = []
+    for k, side in enumerate(SIDES, 1):
+        ankle, ball = motion.position[f"{side}_foot"], motion.carry(f"{side}_foot", source.compute_ball(side))
+        height = np.min([place[:, 1] - np.percentile(place[:, 1], LOWEST_PERCENTILE) for place in (ankle, ball)], axis=0)
+        if contacts and contacts.has_feet:
+            is_standing = contacts.find_foot_contact(side)
+        else:  # a foot stands whose lower end is low and whose slower end is slow
+            steps = [np.linalg.norm(np.diff(place, axis=0, append=place[-1:]), axis=1) for place in (ankle, ball)]
+            is_standing = (height < STANDING_HEIGHT * leg_m) & (np.min(steps, axis=0) * rate < STANDING_SPEED * leg_m)
+        height_sd_m = np.where(is_standing, FLOOR_SD_M, np.clip(CLEARANCE_SHARE * height, FLOOR_SD_M, FOOT_PLACE_SD_M))
+        information[:, 3 * k + 1] = height_sd_m**-2
+        own = slice(3 * k, 3 * k + 3)
+        speed_weight[:-1, own] = (is_standing[1:] & is_standing[:-1])[:, None] * CONTACT_SPEED_SD_M_S**-2
+        course[:, own] = COURSE_SHARE * (scale * ankle - kept.ankles[side])
+        hip = motion.rotation["pelvis"] @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh"))
+        limbs.append((kept.ankles[side] - kept.pelvis - hip, *compute_wanted_limb(target, motion, side, LEG)))
+    displacement = np.zeros((count, 9))
+    for _ in range(FIT_ROUNDS):
+        problem = DisplacementProblem(information[:, :, None] * np.eye(9), np.zeros((count, 9)))
+        for k, (leg, wanted, sd_m) in enumerate(limbs, 1):
+            problem.add_limb({k: 1, 0: -1}, leg, displacement[:, 3 * k : 3 * k + 3] - displacement[:, :3], wanted, sd_m)
+        displacement = problem.solve(speed_weight, course, rate)
+    ankles = {side: kept.ankles[side] + displacement[:, 3 * k : 3 * k + 3] for k, side in enumerate(SIDES, 1)}
+    return KeptPositions(kept.pelvis + displacement[:, :3], ankles)
+
+
+NEAR_DISTANCE, FAR_DISTANCE = 0.17, 0.25
+"""Distances of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept, and
+from which only the arm's directions are."""
+TOUCH_DISTANCE = 0.23  # distance up to which a palm comes no nearer than the source's
+TOUCH_SD_M = 0.005  # standard deviation of a palm about its place beside a part of the body, or beside the other palm
+LEG_PARTS = tuple((f"{side}_thigh", f"{side}_shin") for side in SIDES)
+BODY_PARTS = (*LEG_PARTS, ("hips", "neck"), ("neck", "head"))
+"""Parts of the body near which hands keep their places: lines from where one segment begins to where another does; "hips" is the
+middle between the thighs."""
+
+
+def fit_arms(
+    frames: tuple[BodyFrame, BodyFrame], motion: SegmentMotion, start: Mapping[str, Points], rate: float
+) -> dict[str, Points]:
+    """Return by side where the wrists shall be, in metres; arguments as for `fit_legs`, of bodies with hands."""
+    source, target = frames
+    scale = target.trunk_length_m / source.trunk_length_m
+    sizes = source.trunk_length_m, scale
+    positions = [{**each, "hips": (each["left_thigh"] + each["right_thigh"]) / 2} for each in (motion.position, start)]
+    parts = [
+        [[position[end] for end in part] for position in positions]
+        for part in BODY_PARTS
+        if all(end in position for end in part for position in positions)
+    ]
+    arms = [compute_wanted_limb(target, motion, side, ARM) for side in SIDES]
+    wrists = {side: start[f"{side}_upper_arm"] + arm for side, (arm, _) in zip(SIDES, arms, strict=True)}
+    palms = [
+        [place + motion.rotation[f"{side}_hand"] @ frame.compute_palm(side) for place, frame in zip(places, frames, strict=True)]
+        for side, *places in ((side, motion.position[f"{side}_hand"], wrist) for side, wrist in wrists.items())
+    ]
+    apart, target_apart = (palms[0][k] - palms[1][k] for k in (0, 1))
+    nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source.trunk_length_m)
+    none = np.zeros((len(apart), 6))
+    displacement = none
+    for _ in range(FIT_ROUNDS):
+        problem = DisplacementProblem(np.zeros((len(none), 6, 6)), none.copy())
+        for k, (arm, sd_m) in enumerate(arms):
+            moved = displacement[:, 3 * k : 3 * k + 3]
+            problem.add_limb({k: 1}, arm, moved, arm, sd_m)
+            for part in parts:
+                for weight, wanted in place_beside_part(palms[k], moved, part, sizes):
+                    problem.add({k: 1}, weight, wanted)
+        problem.add({0: 1, 1: -1}, nearness[:, None, None] * TOUCH_SD_M**-2 * np.eye(3), scale * apart - target_apart)
+        displacement = problem.solve(none, none, rate)
+    return {side: wrist + displacement[:, 3 * k : 3 * k + 3] for k, (side, wrist) in enumerate(wrists.items())}
+
+
+def place_beside_part(
+    palms: Sequence[Points], displacement: Points, part: Sequence[Sequence[Points]], sizes: tuple[float, float]
+) -> Iterator[tuple[Weights, Points]]:
+    """Yield weights and wanted displacements in metres of a target's palm near a part of its body.
+
+    Beside the part it has the vector across it that the source's palm has, scaled. How far along the part it is follows from the
+    arm: a longer arm hangs lower. It is no nearer to the part than the source's palm. Palms and ends of the part are those of the
+    source and of the target, `displacement` is of the round before, and `sizes` are the trunk of the source and the scale.
+    """
+    trunk_m, scale = sizes
+    distance = np.linalg.norm(find_nearest_point(palms[0], *part[0])[1], axis=1)
+    across, target_across = (split_along_line(palm, *ends)[1] for palm, ends in zip(palms, part, strict=True))
+    axis = part[1][1] - part[1][0]
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), MIN_LENGTH_M)
+    share = compute_nearness(distance / trunk_m)[:, None, None] * TOUCH_SD_M**-2
+    yield share * (np.eye(3) - axis[:, :, None] * axis[:, None, :]), scale * across - target_across
+    outward = find_nearest_point(palms[1] + displacement, *part[1])[1]
+    reached = np.linalg.norm(outward, axis=1)
+    outward = outward / np.maximum(reached, MIN_LENGTH_M)[:, None]
+    missing = scale * np.minimum(distance, TOUCH_DISTANCE * trunk_m) - reached
+    share = (missing > 0)[:, None, None] * TOUCH_SD_M**-2
+    yield share * outward[:, :, None] * outward[:, None, :], displacement + missing[:, None] * outward
+
+
+def find_nearest_point(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
+    """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
+    share = np.clip(split_along_line(point, start, end)[0], 0.0, 1.0)
+    return share, point - start - share[:, None] * (end - start)
+
+
+def split_along_line(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
+    """Return how far along a line a point is, in lengths of the line also beyond its ends, and its vector across the line."""
+    axis = end - start
+    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_LENGTH_M**2)
+    return share, point - start - share[:, None] * axis
+
+
+def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    """Return 1 up to NEAR_DISTANCE, 0 from FAR_DISTANCE on, and a cubic between with no slope at either end."""
+    share = np.clip((FAR_DISTANCE - distance) / (FAR_DISTANCE - NEAR_DISTANCE), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)

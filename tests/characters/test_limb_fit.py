@@ -1,0 +1,225 @@
+"""Displacements with which limbs bend as the source's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
+from mocapfix.characters.character import CharacterMotion, compute_character_poses
+from mocapfix.characters.kept_positions import compute_kept_positions, measure_flat_feet
+from mocapfix.characters.limb_fit import (
+    ACCELERATION_SD_M_S2,
+    NEAR_DISTANCE,
+    TOUCH_DISTANCE,
+    DisplacementProblem,
+    compute_nearness,
+    find_nearest_point,
+    fit_arms,
+    fit_legs,
+    split_along_line,
+)
+from mocapfix.characters.retarget_motion import retarget_motion
+from mocapfix.contacts.contacts import build_no_contacts
+from tests.characters.character_files import change_bones
+from tests.characters.walking_body import RATE, load_walk, scale_limbs
+
+
+@given(st.integers(0, 2**31))
+def test_nearest_point_is_nearer_than_any_other_of_the_line(seed):
+    rng = np.random.default_rng(seed)
+    point, start, end = rng.normal(size=(3, 1, 3))
+    share, vector = find_nearest_point(point, start, end)
+    assert 0 <= share[0] <= 1
+    shares = np.linspace(0, 1, 101)[:, None]
+    assert np.linalg.norm(vector) <= np.linalg.norm(point - start - shares * (end - start), axis=1).min() + 1e-12
+
+
+def test_nearness_falls_from_one_to_zero():
+    values = compute_nearness(np.linspace(0, 1, 50))
+    assert values[0] == 1.0
+    assert values[-1] == 0.0
+    assert (np.diff(values) <= 0).all()
+
+
+def pose_t(frames: int = 1):
+    """Return the average body in its rest pose: a T-pose, its hands far from everything."""
+    character, motion = load_walk()
+    rest = np.tile(character.skeleton.rest_rotations, (frames, 1, 1, 1))
+    return character, CharacterMotion(np.tile([0.0, 1.0, 0.0], (frames, 1)), rest, motion.rate)
+
+
+def test_free_hand_keeps_direction_and_share_of_the_arm():
+    character, motion = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    segments = compute_segment_motion(source, motion)
+    hands = fit_arms((source, target), segments, segments.position, RATE)
+    shoulder = segments.position["left_upper_arm"][0]
+    expected = shoulder + 1.3 * (segments.position["left_hand"][0] - shoulder)
+    np.testing.assert_allclose(hands["left"][0], expected, atol=2e-3)  # a thousandth of the arm is kept back from its full reach
+
+
+def hang_arms(character, spread_deg: float) -> CharacterMotion:
+    """Return the body standing with straight arms that hang at an angle to the vertical."""
+    _, still = pose_t()
+    local = still.local_rotations.copy()
+    for side, sign in (("left", -1), ("right", 1)):
+        turn = Rotation.from_euler("z", sign * (90 - spread_deg), degrees=True).as_matrix()
+        local[:, character.mapping.bones[f"{side}_upper_arm"][0]] = turn
+    return CharacterMotion(still.pelvis_position, local, still.rate)
+
+
+def test_longer_arms_that_hang_beside_the_thighs_stay_straight():
+    character, _ = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.15))
+    segments = compute_segment_motion(source, hang_arms(character, 8.0))
+    hands = fit_arms((source, target), segments, segments.position, RATE)
+    reach = np.linalg.norm(hands["left"] - segments.position["left_upper_arm"], axis=1)
+    assert reach == pytest.approx(target.compute_length("upper_arm", "forearm", "hand"), rel=0.01)
+
+
+def test_hands_that_clap_clap_with_longer_arms():
+    character, still = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    local = still.local_rotations.copy()
+    for side, sign in (("left", -1), ("right", 1)):  # arms ahead, pointing inwards until the palms nearly touch
+        turn = Rotation.from_euler("y", sign * 110, degrees=True).as_matrix()
+        local[:, character.mapping.bones[f"{side}_upper_arm"][0]] = turn
+    segments = compute_segment_motion(source, CharacterMotion(still.pelvis_position, local, still.rate))
+    hands = fit_arms((source, target), segments, segments.position, RATE)
+    palms, source_palms = (
+        {side: place[side] + segments.rotation[f"{side}_hand"] @ frame.compute_palm(side) for side in ("left", "right")}
+        for frame, place in ((target, hands), (source, {side: segments.position[f"{side}_hand"] for side in ("left", "right")}))
+    )
+    apart, source_apart = (each["left"] - each["right"] for each in (palms, source_palms))
+    assert np.linalg.norm(source_apart) < NEAR_DISTANCE * source.trunk_length_m
+    np.testing.assert_allclose(apart, source_apart, atol=5e-3)
+
+
+def test_palm_before_the_trunk_keeps_its_distance_from_the_trunk():
+    character, motion = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    segments = compute_segment_motion(source, motion)
+    positions, rotation = dict(segments.position), segments.rotation["left_hand"]
+    hips = (positions["left_thigh"] + positions["right_thigh"]) / 2
+    middle = (hips + positions["neck"]) / 2
+    positions["left_hand"] = middle + [0.0, 0.0, 0.08] - rotation @ source.compute_palm("left")
+    hands = fit_arms((source, target), replace(segments, position=positions), segments.position, RATE)
+    palm = hands["left"] + rotation @ target.compute_palm("left")
+    across = split_along_line(palm, hips, positions["neck"])[1]
+    expected = split_along_line(middle + [0.0, 0.0, 0.08], hips, positions["neck"])[1]
+    np.testing.assert_allclose(across[:, 2], expected[:, 2], atol=0.01)
+
+
+def test_palm_that_came_too_near_to_a_thigh_stays_out():
+    """A wider thigh moves nothing: the source's palm is beside its thigh, and the target's starts within its own."""
+    character, motion = pose_t()
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    positions, start = dict(segments.position), dict(segments.position)
+    hand = segments.rotation["left_hand"]
+    middle = (positions["left_thigh"] + positions["left_shin"]) / 2
+    source_m = 0.21 * frame.trunk_length_m
+    positions["left_hand"] = middle + [source_m, 0.0, 0.0] - hand @ frame.compute_palm("left")
+    start["left_upper_arm"] = start["left_upper_arm"] - [0.08, 0.0, 0.0]
+    hands = fit_arms((frame, frame), replace(segments, position=positions), start, RATE)
+    palm = hands["left"] + hand @ frame.compute_palm("left")
+    assert source_m < TOUCH_DISTANCE * frame.trunk_length_m
+    assert np.linalg.norm(find_nearest_point(palm, start["left_thigh"], start["left_shin"])[1]) > source_m - 0.01
+
+
+def test_displacement_of_a_single_frame_is_spread_over_its_neighbours():
+    """A pull in one frame gives the displacement that solves the equations, with smooth accelerations."""
+    problem = DisplacementProblem(np.full((21, 1, 1), 4.0) * np.eye(3), np.zeros((21, 3)))
+    problem.pull[10, 1] = 100.0
+    none = np.zeros((21, 3))
+    solved = problem.solve(none, none, 30.0)
+    bends = np.diff(np.eye(21), n=2, axis=0) * 30.0**2 / ACCELERATION_SD_M_S2
+    expected = np.linalg.solve(4.0 * np.eye(21) + bends.T @ bends, problem.pull[:, 1])
+    np.testing.assert_allclose(solved[:, 1], expected, atol=1e-9)
+    np.testing.assert_array_equal(solved[:, [0, 2]], 0.0)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_takes_of_few_frames_are_solved(frames):
+    problem = DisplacementProblem(np.full((frames, 1, 1), 4.0) * np.eye(3), np.full((frames, 3), 2.0))
+    none = np.zeros((frames, 3))
+    np.testing.assert_allclose(problem.solve(none, none, 60.0), 0.5)
+
+
+def test_course_gives_its_accelerations():
+    seconds = np.arange(60) / 60.0
+    course = np.column_stack([np.sin(9.0 * seconds), np.zeros(60), seconds])
+    problem = DisplacementProblem(np.full((60, 1, 1), 1e-6) * np.eye(3), np.zeros((60, 3)))
+    solved = problem.solve(np.zeros((60, 3)), course, 60.0)
+    np.testing.assert_allclose(np.diff(solved, n=2, axis=0), np.diff(course, n=2, axis=0), atol=1e-6)
+
+
+def swing_leg(legs: tuple[float, float], flexion_deg: np.ndarray):
+    """Return a body with a left and a right leg of other lengths, in the air, whose left knee bends, and its segments."""
+    character, _ = load_walk()
+    unequal = scale_limbs(character, legs=legs[0])
+    offsets = unequal.skeleton.offsets.copy()
+    right = [unequal.mapping.bones[f"right_{segment}"][0] for segment in ("shin", "foot")]
+    offsets[right] *= legs[1] / legs[0]
+    source = change_bones(unequal, offsets=offsets)
+    local = np.tile(source.skeleton.rest_rotations, (len(flexion_deg), 1, 1, 1))
+    frame = build_body_frame(source)
+    thigh, shin = (source.mapping.bones[f"left_{segment}"][0] for segment in ("thigh", "shin"))
+    knee = Rotation.from_euler("x", flexion_deg[:, None], degrees=True).as_matrix()
+    local[:, thigh] = local[:, thigh] @ Rotation.from_euler("x", -flexion_deg[:, None], degrees=True).as_matrix()
+    local[:, shin] = frame.standard_rotations[thigh].T @ knee @ frame.standard_rotations[shin]
+    moved = CharacterMotion(np.tile([0.0, 1.5, 0.0], (len(flexion_deg), 1)), local, RATE)
+    return character, source, moved
+
+
+def test_legs_of_other_lengths_bend_by_the_angles_of_the_source():
+    """Under one scale the shorter leg would be stretched, and the longer one bent."""
+    target, source, motion = swing_leg((0.97, 1.03), np.full(30, 3.0))
+    frames = build_body_frame(source), build_body_frame(target)
+    segments = compute_segment_motion(frames[0], motion)
+    kept = compute_kept_positions(*frames, segments, measure_flat_feet(frames[0], segments, None))
+    fitted = fit_legs(frames, segments, kept, segments.position, None, RATE)
+    for side, flexion_deg in (("left", 3.0), ("right", 0.0)):
+        hip = fitted.pelvis + segments.rotation["pelvis"] @ frames[1].compute_vector(
+            "pelvis", frames[1].find_head(f"{side}_thigh")
+        )
+        names = [f"{side}_{segment}" for segment in ("thigh", "shin", "foot")]
+        expected = frames[1].compute_way(names) * np.cos(np.deg2rad(flexion_deg / 2))
+        np.testing.assert_allclose(np.linalg.norm(fitted.ankles[side] - hip, axis=1), expected, atol=1e-3)
+
+
+def test_a_leg_that_straightens_and_bends_again_keeps_its_plane():
+    """The knee of a longer leg moves forwards and back, never to the side, also while the source's is straight."""
+    flexion_deg = 30.0 * np.abs(np.cos(np.linspace(0, np.pi, 61))) ** 2
+    target, source, motion = swing_leg((0.96, 1.0), flexion_deg)
+    position, _ = compute_character_poses(target, retarget_motion(source, motion, target))
+    expected, _ = compute_character_poses(source, motion)
+    hip, knee, ankle = (
+        [places[:, each.mapping.bones[f"left_{segment}"][0]] for places, each in ((position, target), (expected, source))]
+        for segment in ("thigh", "shin", "foot")
+    )
+    normals = [np.cross(knee[k] - hip[k], ankle[k] - knee[k]) for k in (0, 1)]
+    is_bent = flexion_deg > 4.0
+    unit, wanted = (each[is_bent] / np.linalg.norm(each[is_bent], axis=1, keepdims=True) for each in normals)
+    assert (np.einsum("ti,ti->t", unit, wanted) > np.cos(np.deg2rad(5))).all()
+    acceleration, source_acceleration = (np.linalg.norm(np.diff(each, n=2, axis=0), axis=1).max() for each in knee)
+    assert acceleration < 1.3 * source_acceleration
+
+
+def test_a_foot_in_contact_keeps_its_displacement():
+    character, motion = load_walk()
+    target = scale_limbs(character, legs=1.3)
+    frames = build_body_frame(character), build_body_frame(target)
+    segments = compute_segment_motion(frames[0], motion)
+    kept = compute_kept_positions(*frames, segments, measure_flat_feet(frames[0], segments, None))
+    contacts = replace(build_no_contacts(motion.frame_count, RATE), is_known=np.ones((motion.frame_count, 4), bool))
+    contacts.is_contact[40:80, :2] = True
+    fitted = fit_legs(frames, segments, kept, segments.position, contacts, RATE)
+    displacement = fitted.ankles["left"] - kept.ankles["left"]
+    assert np.abs(displacement).max() > 1e-3
+    assert np.abs(np.diff(displacement[40:80], axis=0)).max() * RATE < 0.001
+    assert np.abs(displacement[40:80, 1]).max() < 0.002
