@@ -11,16 +11,16 @@ deviations; the lengths of limbs and what is one-sided are linearised in each ro
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
 
 import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
-from mocapfix.characters.kept_positions import KeptPositions, Points
-from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.characters.kept_positions import UPWARD, KeptPositions, Points
+from mocapfix.contacts.contacts import BodyContacts, Floor
 
 Weights = Float[np.ndarray, "T 3 3"]  # of displacements, in 1/m^2
 BEND_SD_RAD = np.deg2rad(2.0)  # standard deviation of the angle of a knee or elbow about the source's
@@ -264,3 +264,72 @@ def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T
     """Return 1 up to NEAR_DISTANCE, 0 from FAR_DISTANCE on, and a cubic between with no slope at either end."""
     share = np.clip((FAR_DISTANCE - distance) / (FAR_DISTANCE - NEAR_DISTANCE), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
+
+
+RESTING_HEIGHTS = {"palm": 0.035, "hand": 0.035, "forearm": 0.045, "shin": 0.055, "thigh": 0.1, "head": 0.11}
+"""Heights above the floor, in lengths of the leg, of a palm, and of where segments begin, of a person who rests them there."""
+RESTING_DISTANCES = {LEG_PARTS[0]: 0.22, LEG_PARTS[1]: 0.22, ("hips", "shoulders"): 0.28}
+"""Distances of a palm from the axes of thighs and trunk, in lengths of the trunk, of a person whose hand rests there."""
+PUSH_S = 0.1  # time before and after a push for which its largest value is held, and in which it ends
+
+
+def compute_pushes(
+    frames: tuple[BodyFrame, BodyFrame], motion: SegmentMotion, solved: Mapping[str, Points], floor: Floor, rate: float
+) -> dict[str, Points]:
+    """Return by segment how far the targets of pelvis and hands must move to keep parts out of the floor and palms off the body.
+
+    A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests. Elbows, knees, hips and the
+    head move with the pelvis.
+
+    Args:
+        frames: Source and target.
+        motion: The source's segments.
+        solved: Where the target's segments begin.
+        floor: Of the source. Its lowest level counts: hands may pass the height of a box. Without a level there is no floor.
+        rate: Frames per second.
+    """
+    source, target = frames
+    scale, trunk_scale = target.leg_length_m / source.leg_length_m, target.trunk_length_m / source.trunk_length_m
+    ground = replace(floor, level_heights_m=floor.level_heights_m[:1])
+    bodies = [_add_points(frame, motion, place) for frame, place in zip(frames, (motion.position, solved), strict=True)]
+    rises = {"pelvis": np.zeros(len(solved["pelvis"]))}
+    for name in [name for name in bodies[0] if name in bodies[1]]:
+        side, _, part = name.partition("_")
+        resting = RESTING_HEIGHTS.get(part or name)
+        if resting is None or not floor.level_heights_m:
+            continue
+        least = np.minimum(ground.compute_height_above(bodies[0][name]), resting * source.leg_length_m)
+        height = ground.compute_height_above(bodies[1][name] / scale + [0.0, ground.height_m, 0.0])
+        moved = f"{side}_hand" if part in ("hand", "palm") else "pelvis"
+        rises[moved] = np.maximum(rises.get(moved, 0.0), scale * (least - height))
+    pushes = {name: spread_push(rise, rate)[:, None] * UPWARD for name, rise in rises.items()}
+    for side, (ends, resting) in product(SIDES, RESTING_DISTANCES.items()):
+        if all(f"{side}_palm" in body for body in bodies):
+            vectors = [find_nearest_point(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
+            distance, reached = (np.linalg.norm(vector, axis=1) for vector in vectors)
+            missing = trunk_scale * np.minimum(distance, resting * source.trunk_length_m) - reached
+            outward = vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None]
+            push = spread_push(np.maximum(missing, 0.0), rate)[:, None] * outward
+            pushes[f"{side}_hand"] = pushes.get(f"{side}_hand", 0.0) + push
+    return pushes
+
+
+def _add_points(frame: BodyFrame, motion: SegmentMotion, position: Mapping[str, Points]) -> dict[str, Points]:
+    """Return where a body's segments begin, its palms, which turn as the source's hands, and the ends of its trunk."""
+    points = dict(position)
+    for side in SIDES:
+        if (hand := f"{side}_hand") in points:
+            points[f"{side}_palm"] = points[hand] + motion.rotation[hand] @ frame.compute_palm(side)
+    for name, segment in (("hips", "thigh"), ("shoulders", "upper_arm")):
+        points[name] = (points[f"left_{segment}"] + points[f"right_{segment}"]) / 2
+    return points
+
+
+def spread_push(push: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarray, " T"]:
+    """Return what is nowhere less than a push, and begins before it and ends after it, smoothly."""
+    from scipy.ndimage import maximum_filter1d  # slow to import
+
+    half = round(PUSH_S * rate)
+    held = maximum_filter1d(push, 2 * half + 1, mode="nearest")
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    return np.convolve(np.pad(held, half, mode="edge"), kernel / kernel.sum(), "valid")

@@ -40,8 +40,8 @@ from mocapfix.characters.body_frames import (
 )
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion
 from mocapfix.characters.kept_positions import Points, Rotations
-from mocapfix.characters.limb_fit import fit_arms, fit_legs
-from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.characters.limb_fit import compute_pushes, fit_arms, fit_legs
+from mocapfix.contacts.contacts import NO_FLOOR, BodyContacts, Floor
 from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, compute_local_rotations, find_ancestor
 from mocapfix.options import FEET_LOCK
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
@@ -126,8 +126,10 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
 ANKLE_SD_M, WRIST_SD_M, PELVIS_SD_M = 0.0003, 0.003, 0.006  # standard deviations of positions about their targets
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
-ARM_DIRECTION_SD_RAD, LEG_DIRECTION_SD_RAD = 0.1, 0.03
-"""Standard deviations of the directions of bones. That of the legs is small: the pelvis moves before a straight knee bends."""
+BONE_DIRECTION_SD_RAD = 0.03
+"""Standard deviation of the direction of a limb's bone. It is small: the pelvis moves a little before a straight knee bends, and
+shoulders before a straight arm that is pushed folds in a plane that nothing shows."""
+LIMIT_SD_SHARE = 0.3  # of the standard deviation of joint limits in a solve from markers: directions are held that much more here
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}  # standard deviations of rotations relative to the parent, by segment
 OTHER_TRACKING_SD_RAD = 0.3
 SIDEWAYS_SD_RAD = 0.2
@@ -142,6 +144,10 @@ class SegmentTargets(NamedTuple):
     pelvis: Points
     points: dict[str, Points]  # segment (feet and hands) to where it shall begin, in metres
 
+    def select_frames(self, is_selected: Bool[np.ndarray, " T"]) -> "SegmentTargets":
+        points = {segment: place[is_selected] for segment, place in self.points.items()}
+        return SegmentTargets(self.rotation[is_selected], self.pelvis[is_selected], points)
+
 
 def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
     """Return positions of the pelvis in metres and local rotations of the joints that reach the targets."""
@@ -152,7 +158,7 @@ def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
         _build_direction_term(tree, targets.rotation),
         _build_orientation_term(tree, targets.rotation),
         _build_tracking_term(tree, local, targets.pelvis),
-        JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2),
+        JointLimitTerm(tree.skeleton.rest_rotations, low, high, (LIMIT_SD_SHARE * JOINT_LIMIT_SD_RAD) ** -2),
     )
     return minimise(tree.kernel_tree, terms, (targets.pelvis, local), SolverSettings(max_iterations=30)).poses
 
@@ -176,8 +182,7 @@ def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> Directio
             joint, tip = tree.find_joint(f"{side}_{start}"), tree.find_joint(f"{side}_{end}")
             length = np.linalg.norm(tree.skeleton.offsets[tip]) if tip >= 0 and tree.skeleton.parents[tip] == joint >= 0 else 0.0
             if length > 0:
-                sd_rad = LEG_DIRECTION_SD_RAD if start in ("thigh", "shin") else ARM_DIRECTION_SD_RAD
-                directions.append((joint, tree.skeleton.offsets[tip] / length, sd_rad))
+                directions.append((joint, tree.skeleton.offsets[tip] / length, BONE_DIRECTION_SD_RAD))
     knees = [tree.find_joint(f"{side}_{segment}") for side in SIDES for segment in ("thigh", "shin")]
     directions += [(joint, tree.standard_rotations[joint].T @ SIDEWAYS, SIDEWAYS_SD_RAD) for joint in knees]
     joints, axes, sd = (np.array(each) for each in zip(*directions, strict=True))
@@ -258,8 +263,52 @@ def retarget_motion(
     """
     frames = build_body_frame(source), build_body_frame(target)
     tree = build_solve_tree(frames[1])
-    poses = solve_segments(tree, compute_segment_targets(frames, tree, motion, contacts))
+    targets = compute_segment_targets(frames, tree, motion, contacts)
+    floor = NO_FLOOR if contacts is None else contacts.floor
+    poses = solve_pushed_segments(frames, tree, targets, compute_segment_motion(frames[0], motion), floor, motion.rate)
     return compose_character_motion(frames[1], tree, *poses, motion.rate)
+
+
+MAX_PUSHES = 3
+"""How often targets are moved out of floor and body: limbs do not reach a target at once, since other terms hold them back."""
+MIN_PUSH_M, NO_PUSH_M = 1e-3, 2e-5  # largest push from which a motion is solved again, and push of a frame that is not
+
+
+def solve_pushed_segments(
+    frames: tuple[BodyFrame, BodyFrame],
+    tree: SolveTree,
+    targets: SegmentTargets,
+    segments: SegmentMotion,
+    floor: Floor,
+    rate: float,
+) -> Poses:
+    """Return the poses that reach the targets; frames in which a part is in the floor, or a palm in the body, are solved again.
+
+    Args:
+        frames: Source and target.
+        tree: Of the target.
+        targets: Of the target.
+        segments: Of the source.
+        floor: Of the source.
+        rate: Frames per second.
+    """
+    pelvis, local = solve_segments(tree, targets)
+    for _ in range(MAX_PUSHES if len(pelvis) else 0):
+        solved = name_positions(tree, compute_tree_poses(tree.kernel_tree, pelvis, local)[0])
+        pushes = compute_pushes(frames, segments, solved, floor, rate)
+        size = np.max([np.abs(push).max(axis=1) for push in pushes.values()], axis=0)
+        if size.max() < MIN_PUSH_M:
+            break
+        points = {segment: place + pushes.get(segment, 0.0) for segment, place in targets.points.items()}
+        targets = SegmentTargets(targets.rotation, targets.pelvis + pushes["pelvis"], points)
+        is_moved = size > NO_PUSH_M
+        pelvis[is_moved], local[is_moved] = solve_segments(tree, targets.select_frames(is_moved))
+    return pelvis, local
+
+
+def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Points]:
+    """Return the positions of the joints of a solve tree by segment; spine and neck are where their first bone begins."""
+    return {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.skeleton.names)}
 
 
 def compute_segment_targets(
@@ -278,8 +327,7 @@ def compute_segment_targets(
     kept, segments = kept_positions.settle_soles(source_frame, target_frame, kept, segments, feet_contacts)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     local = compute_local_rotations(rotation, tree.skeleton.parents)
-    position = compute_tree_poses(tree.kernel_tree, kept.pelvis, local)[0]
-    start = {segment.removesuffix(".0"): position[:, k] for k, segment in enumerate(tree.skeleton.names)}
+    start = name_positions(tree, compute_tree_poses(tree.kernel_tree, kept.pelvis, local)[0])
     ankles = kept.ankles
     if feet_contacts is not None and feet_contacts.held_feet.mode == FEET_LOCK:
         feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}

@@ -17,13 +17,15 @@ from mocapfix.characters.limb_fit import (
     TOUCH_DISTANCE,
     DisplacementProblem,
     compute_nearness,
+    compute_pushes,
     find_nearest_point,
     fit_arms,
     fit_legs,
     split_along_line,
+    spread_push,
 )
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.contacts.contacts import build_no_contacts
+from mocapfix.contacts.contacts import NO_FLOOR, Floor, build_no_contacts
 from tests.characters.character_files import change_bones
 from tests.characters.walking_body import RATE, load_walk, scale_limbs
 
@@ -223,3 +225,56 @@ def test_a_foot_in_contact_keeps_its_displacement():
     assert np.abs(displacement).max() > 1e-3
     assert np.abs(np.diff(displacement[40:80], axis=0)).max() * RATE < 0.001
     assert np.abs(displacement[40:80, 1]).max() < 0.002
+
+
+def build_floor(character, motion, clearance_m: float) -> Floor:
+    """Return a floor so far below the lowest place of the left palm."""
+    source = build_body_frame(character)
+    palm = compute_segment_motion(source, motion).carry("left_hand", source.compute_palm("left"))
+    return Floor(0.0, 0.0, (float(palm[:, 1].min()) - clearance_m,))
+
+
+def test_nothing_is_pushed_that_is_where_the_source_is():
+    character, motion = load_walk()
+    source = build_body_frame(character)
+    segments = compute_segment_motion(source, motion)
+    pushes = compute_pushes((source, source), segments, segments.position, Floor(0.0, 0.0, (0.0,)), motion.rate)
+    assert set(pushes) == {"pelvis", "left_hand", "right_hand"}
+    assert max(np.abs(push).max() for push in pushes.values()) < 1e-9
+
+
+def test_a_hand_below_the_floor_is_pushed_up_to_where_it_rests():
+    """The palm rests at 0.035 lengths of the leg above the floor; its wrist is 200 mm lower than the source's in one frame."""
+    character, motion = load_walk()
+    source, floor = build_body_frame(character), build_floor(character, motion, 0.1)
+    segments = compute_segment_motion(source, motion)
+    lowest = int(np.argmin(segments.carry("left_hand", source.compute_palm("left"))[:, 1]))
+    solved = {name: place - [0.0, floor.height_m, 0.0] for name, place in segments.position.items()}  # with the floor at height 0
+    solved["left_hand"][lowest, 1] -= 0.2
+    pushes = compute_pushes((source, source), segments, solved, floor, motion.rate)
+    assert pushes["left_hand"][lowest, 1] == pytest.approx(0.1 + 0.035 * source.leg_length_m, abs=0.02)
+    assert pushes["left_hand"][:, 1].min() >= 0.0
+    nothing = compute_pushes((source, source), segments, solved, NO_FLOOR, motion.rate)
+    assert np.abs(nothing["left_hand"][lowest, 1]) < 0.05
+
+
+def test_a_push_begins_and_ends_smoothly_and_covers_what_is_needed():
+    push = np.zeros(240)
+    push[120:130] = 0.2
+    spread = spread_push(push, 120.0)
+    assert (spread >= push - 1e-12).all()
+    assert spread.max() == pytest.approx(0.2)
+    assert spread[:90].max() == spread[160:].max() == 0.0
+    assert np.abs(np.diff(spread, 2)).max() * 120.0**2 < 40.0
+
+
+@pytest.mark.parametrize("legs", [0.7, 1.0])
+def test_palms_of_a_character_stay_above_the_floor(legs):
+    """Short legs let the hands hang deeper, as a share of the legs; the source's palms come within 20 mm of the floor."""
+    character, motion = load_walk()
+    target, floor = scale_limbs(character, legs, 1.0), build_floor(character, motion, 0.02)
+    contacts = replace(build_no_contacts(motion.frame_count, motion.rate), floor=floor)
+    frame, moved = build_body_frame(target), retarget_motion(character, motion, target, contacts=contacts)
+    segments = compute_segment_motion(frame, moved)
+    palm = segments.carry("left_hand", frame.compute_palm("left"))[:, 1]
+    assert palm.min() > legs * 0.02 - 0.005
