@@ -111,7 +111,7 @@ def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
 FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
 """the joints of each foot that can be in contact: the ankle stands for the heel, the toe base for the ball of the foot"""
 CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
-OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")  # knees and wrists: in falls, rolls and crawls
+OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftFingerBase", "RightFingerBase")  # knees and wrists: in falls, rolls, crawls
 PLATE_SOURCE, FILE_SOURCE = "force plate", "file"
 
 

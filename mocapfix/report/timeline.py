@@ -140,7 +140,7 @@ MAX_STRIP_S = 30.0  # longest strip; shorter contacts than a hundredth of it are
 MAX_STRIPS = 8  # number of strips above which they are longer
 CONTACT_NAMES = {
     "LeftFoot": "left heel", "LeftToeBase": "left toes", "RightFoot": "right heel", "RightToeBase": "right toes",
-    "LeftLeg": "left knee", "RightLeg": "right knee", "LeftHand": "left wrist", "RightHand": "right wrist",
+    "LeftLeg": "left knee", "RightLeg": "right knee", "LeftFingerBase": "left wrist", "RightFingerBase": "right wrist",
 }  # fmt: skip
 """Names of the joints in figures; the ball of the foot is called toes there."""
 FEET_TEXTS = {

@@ -122,7 +122,7 @@ def test_a_body_without_feet_has_no_contacts():
 
 def test_a_body_without_hands_has_contacts_of_its_feet():
     motion, position = place_body(120)
-    position[:, SKELETON.names.index("LeftHand")] = np.nan
+    position[:, SKELETON.names.index("LeftFingerBase")] = np.nan
     contacts = find_contacts(SKELETON, motion, position, 120.0)
     assert contacts.joints == CONTACT_JOINTS
     assert contacts.is_contact.all()
