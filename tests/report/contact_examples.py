@@ -23,7 +23,7 @@ def build_contacts(
     """
     is_contact, is_known = np.zeros((frames, len(JOINTS)), bool), np.ones((frames, len(JOINTS)), bool)
     is_contact[:200, 0] = is_contact[400:500, 0] = True
-    is_contact[10:20, JOINTS.index("RightHand")] = True
+    is_contact[10:20, JOINTS.index("RightFingerBase")] = True
     is_known[190:200, 0] = is_known[600:651, 0] = False
     return BodyContacts(JOINTS, is_contact, is_known, floor, RATE, events, held)
 
