@@ -126,11 +126,9 @@ class Option:
                 return split_names(map(str, texts)) if self.type == tuple[str, ...] else tuple(texts)
             if self.type in (float, float | None):
                 return self.from_display(float(text))
-            return int(text) if self.type is int else text
+            return int(text) if self.type in (int, int | None) else text
         except ValueError:
-            form = ARGUMENT_FORMS.get(
-                "frames" if self.type == FRAME_RANGE_TYPE else self.name, "numbers with commas between them"
-            )
+            form = ARGUMENT_FORMS.get(self.type, SUBJECT_FORM if self.name == "subject" else "numbers with commas between them")
             raise OptionError(self.name, self.flag, self.job_key, f"must be {form}, not {text!r}") from None
 
     def format(self, value: Any) -> list[str]:
@@ -138,7 +136,7 @@ class Option:
         if value is True:
             return [self.flag]
         if self.type == FRAME_RANGE_TYPE:
-            return [f"{self.flag}={value[0]}:{value[1]}"]
+            return [f"{self.flag}={format_frames(*value)}"]
         if self.name == "subject" and isinstance(value, tuple):
             value = ",".join(f"{prefix}={file}" for prefix, file in cast("tuple[tuple[str, str], ...]", value))
         values = cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,)
@@ -153,7 +151,8 @@ def _convert_integer(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-ARGUMENT_FORMS = {"frames": "FIRST:LAST, as in 100:250", "subject": "FILE, or NAME=FILE,... with a name only once"}
+SUBJECT_FORM = "FILE, or NAME=FILE,... with a name only once"
+ARGUMENT_FORMS: dict[Any, str] = {FRAME_RANGE_TYPE: "FIRST:LAST, as in 100:250", int | None: "a whole number"}
 FRAME_LIMIT = 2**62  # beyond the number of any frame: the end of a range that is left open
 
 
@@ -163,6 +162,11 @@ def parse_frames(text: str) -> tuple[int, int] | None:
     if not colon:
         raise ValueError(text)
     return None if text == ":" else (int(first) if first else -FRAME_LIMIT, int(last) if last else FRAME_LIMIT)
+
+
+def format_frames(first: int, last: int) -> str:
+    """Return a range of frames as `parse_frames` reads it, with an end left out that is open."""
+    return f"{'' if first == -FRAME_LIMIT else first}:{'' if last == FRAME_LIMIT else last}"
 
 
 def parse_subject_files(text: str) -> str | tuple[tuple[str, Path], ...]:

@@ -316,6 +316,9 @@ class OutputOptions(StageOptions):
     )  # fmt: skip
 
 
+CHARACTER_OPTIONS = ("character_map", "rest_frame", "root_motion", "trim", "loop")  # options that need a character
+
+
 @dataclass(frozen=True)
 class ReviewOptions(StageOptions):
     """Review of earlier changes."""

@@ -17,7 +17,7 @@ import numpy as np
 from mocapfix.characters.alignment import write_rig_bvh
 from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.errors import WriteError
+from mocapfix.errors import OptionError, WriteError
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
@@ -34,7 +34,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take
-from mocapfix.options import ROOT_IN_PLACE, OutputOptions
+from mocapfix.options import CHARACTER_OPTIONS, OPTION_BY_NAME, ROOT_IN_PLACE, OutputOptions
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.subject import library
@@ -308,6 +308,7 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
     The files of rigs and characters are read when they are first named, and when they have been changed.
 
     Raises:
+        OptionError: If an option for characters is given without one.
         WriteError: If two formats would write the same file.
     """
     files = (*options.rigs, *options.characters, *([options.character_map] if options.character_map else []))
@@ -325,6 +326,11 @@ def get_file_version(path: Path) -> FileVersion | None:
 @lru_cache(MAX_KEPT_FORMAT_LISTS)
 def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | None, ...]) -> tuple[OutputFormat, ...]:
     """Return the formats, with the rigs and characters as they are in these versions of their files."""
+    unused = [] if options.characters else [OPTION_BY_NAME[name] for name in CHARACTER_OPTIONS]
+    for option in unused:
+        if getattr(options, option.name) != option.default:
+            problem = "is for the motion of a character; name one with --character"
+            raise OptionError(option.name, option.flag, option.job_key, problem)
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
     rigs = [build_rig_format(load_rig(name)) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]

@@ -10,6 +10,7 @@ from mocapfix.cli.arguments import build_options_argument, parse_options
 from mocapfix.cli.clean import STAGES
 from mocapfix.errors import OptionError
 from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
+from mocapfix.option import FRAME_LIMIT
 from mocapfix.options import (
     OPTION_BY_NAME,
     OPTIONS,
@@ -141,6 +142,7 @@ def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
         {"prior": "none", "max_gap_s": 2.5},
         {"repair_kinds": ("gap", "spike"), "keep": ("LFIN", "RFIN")},
         {"frames": (-5, 250)},
+        {"frames": (-FRAME_LIMIT, 250), "trim": (301, FRAME_LIMIT), "loop": True, "root_motion": "bone", "rest_frame": 3},
         {"floor_height_m": -0.125, "up_axis": "Z"},
         {"up_axis": "-y", "unit": "in", "rate_hz": 59.94, "mirror": True, "accept_contradictions": True},
         {"extra_formats": ("gltf", "npz"), "rigs": ("blender",), "output_rate_hz": 30.0},

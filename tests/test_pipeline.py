@@ -15,6 +15,7 @@ from mocapfix.errors import OptionError, TakeError, WriteError
 from mocapfix.io import capture, changes_file
 from mocapfix.io.patches import patch_c3d
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.option import FRAME_LIMIT
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -350,9 +351,10 @@ def test_options_restrict_which_samples_are_changed(brief, subject, options, exp
     ("options", "sentence"),
     [
         (FillOptions(keep=("RELB", "NOSE")), "brief.c3d: has no marker NOSE to keep; its markers are "),
-        (FillOptions(frames=(1, 300)), "brief.c3d: frames 1 to 300 are not in the take, which has 301 to 420."),
-        (FillOptions(frames=(421, 500)), "brief.c3d: frames 421 to 500 are not in the take, which has 301 to 420."),
-        (FillOptions(frames=(350, 340)), "brief.c3d: frames 350 to 340: the first must not come after the last."),
+        (FillOptions(frames=(1, 300)), "brief.c3d: frames 1:300 are not in the take, which has 301 to 420."),
+        (FillOptions(frames=(421, 500)), "brief.c3d: frames 421:500 are not in the take, which has 301 to 420."),
+        (FillOptions(frames=(421, FRAME_LIMIT)), "brief.c3d: frames 421: are not in the take, which has 301 to 420."),
+        (FillOptions(frames=(350, 340)), "brief.c3d: frames 350:340: the first must not come after the last."),
     ],
 )
 def test_markers_and_frames_that_the_take_does_not_have_are_errors(brief, options, sentence):

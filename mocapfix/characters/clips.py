@@ -74,7 +74,7 @@ def close_loop(
         is_standing: When each foot is in contact, by side.
     """
     if motion.frame_count < MIN_LOOP_FRAMES:
-        return motion, f"The motion of {motion.frame_count} frames is too short for a loop, and is left as it is."
+        return motion, f"A loop has at least {MIN_LOOP_FRAMES} frames, and the motion {motion.frame_count}: it is left as it is."
     step = _measure_step(character, motion)
     blended = _blend_poses(character, motion, step)
     closed = _place_feet(character, motion, blended, step, is_standing)

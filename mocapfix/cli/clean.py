@@ -38,7 +38,7 @@ from mocapfix.cli.console import (
     show_progress,
     stdout_console,
 )
-from mocapfix.errors import MocapfixError, SceneError, WriteError
+from mocapfix.errors import MocapfixError, SceneError, WriteError, describe_error
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
 from mocapfix.options import CleanOptions
 
@@ -82,25 +82,30 @@ def run_clean(
     parsed = parse_options(options)
     if parsed.review.review_files and len(takes) > 1:
         return print_usage_error("--changes is for one take; clean the others separately.")
-    if parsed.output.extra_formats or parsed.output.rigs or parsed.output.characters:
+    if parsed.output != CleanOptions().output:
         from mocapfix.output_formats import list_output_formats
 
         try:
             list_output_formats(parsed.output)
         except MocapfixError as error:
-            return print_usage_error(str(error))
-    if clips is not None and (problem := find_clips_problem(clips, parsed.output.characters)):
-        return print_usage_error(problem)
-    check_outputs_absent([clips] if clips else [], overwrite)
+            return print_usage_error(describe_error(error))
+    if clips is not None:
+        if problem := find_clips_problem(clips, parsed.output.characters, takes):
+            return print_usage_error(problem)
+        check_outputs_absent([clips], overwrite)
     return clean_takes(takes, output_folder, parsed, overwrite=overwrite, as_json=as_json, clips=clips)
 
 
-def find_clips_problem(target: Path, characters: Sequence[str | Path]) -> str:
+def find_clips_problem(target: Path, characters: Sequence[str | Path], takes: Sequence[Path]) -> str:
     """Return why the motions of all takes cannot be written into one file, "" if they can."""
     if len(characters) != 1:
         return f"--clips {target}: a file of clips is of one character; give exactly one --character."
     if target.suffix.lower() not in CLIP_SUFFIXES:
         return f"--clips {target}: is written as binary glTF; name a file that ends in {' or '.join(CLIP_SUFFIXES)}."
+    if target.is_dir() or not target.parent.is_dir():
+        return f"--clips {target}: is a folder, or in none that exists; name a file in a folder that exists."
+    if target.resolve() in {Path(each).resolve() for each in (*characters, *takes)}:
+        return f"--clips {target}: would replace the character or a take; choose another name."
     return ""
 
 
@@ -142,7 +147,7 @@ def clean_takes(
                 from mocapfix.result import check_outputs_free
 
                 targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
-                check_takes_kept(takes, [*targets, *([clips] if clips else [])])
+                check_files_kept([*takes, *([clips] if clips else [])], targets)
                 result = pipeline.clean_capture(capture, options, timer)
                 result.write(folder, overwrite, progress, options.output)
             written.add(folder / take.stem)
@@ -177,9 +182,9 @@ def choose_output_folder(take: Path) -> Path:
     return take.with_name(f"{take.stem}{OUTPUT_FOLDER_SUFFIX}")
 
 
-def check_takes_kept(takes: Sequence[Path], targets: Sequence[Path]) -> None:
-    """Raise WriteError if an output would replace one of the takes of the command."""
-    places = {take.resolve(): take for take in takes}
+def check_files_kept(files: Sequence[Path], targets: Sequence[Path]) -> None:
+    """Raise WriteError if an output of a take would replace one of the files of the command: its takes, and that of the clips."""
+    places = {file.resolve(): file for file in files}
     for target in targets:
         if replaced := places.get(target.resolve()):
             raise WriteError(f"{replaced}: would be replaced by an output; choose another folder with --out.")

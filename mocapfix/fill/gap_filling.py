@@ -17,6 +17,7 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, compute_editable_mask
 from mocapfix.model.detected import Detected, MarkerEpochs
 from mocapfix.model.take import Take
+from mocapfix.option import format_frames
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
@@ -169,10 +170,11 @@ def check_take_options(take: Take, options: CleanOptions, noun: str = "marker") 
         raise TakeError(f"{take.name}: has no {noun} {format_name_list(unknown)} to keep; its {noun}s are {known_labels}.")
     first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
     for start, stop in filter(None, (options.fill.frames, options.output.trim)):
+        given = f"{take.name}: frames {format_frames(start, stop)}"
         if start > stop:
-            raise TakeError(f"{take.name}: frames {start} to {stop}: the first must not come after the last.")
+            raise TakeError(f"{given}: the first must not come after the last.")
         if stop < first or start > last:
-            raise TakeError(f"{take.name}: frames {start} to {stop} are not in the take, which has {first} to {last}.")
+            raise TakeError(f"{given} are not in the take, which has {first} to {last}.")
 
 
 def compute_gap_durations(is_inlier: Bool[np.ndarray, "T M"], rate: float) -> Float[np.ndarray, "T M"]:

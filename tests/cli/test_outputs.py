@@ -9,6 +9,7 @@ from mocapfix.characters.fbx import BLENDER_VARIABLE
 from mocapfix.io.gltf import parse_glb
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
 from mocapfix.output_formats import OPTIONAL_FORMATS
+from tests.characters.character_files import build_vrm
 
 
 def test_help_names_every_format_and_program(mocapfix):
@@ -41,6 +42,10 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
         (("--feet", "glued"), "--feet must be one of off, soft, lock, not 'glued'"),
         (("--bvh-for", "maya"), "There is no rig 'maya'; choose one of 3dsmax, blender, cmu, motionbuilder"),
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
+        (("--character", "mixamo", "--rest-frame", "0"), "--rest-frame must be at least 1, not 0"),
+        (("--character", "mixamo", "--rest-frame", "3"), "mixamo.yaml: has no frames, so frame 3 cannot be its rest pose"),
+        (("--trim", "301:"), "--trim is for the motion of a character; name one with --character"),
+        (("--loop",), "--loop is for the motion of a character"),
         (("--fps", "1"), "--fps must be at least 5 Hz and at most 1000 Hz, not 1"),
     ],
 )
@@ -79,6 +84,7 @@ def test_an_output_that_cannot_be_written_is_not_listed_and_fails(mocapfix, brie
     [
         (("--clips", "all.glb"), "give exactly one --character"),
         (("--clips", "all.fbx", "--character", "mixamo"), "name a file that ends in .glb or .vrm"),
+        (("--clips", "nowhere/all.glb", "--character", "mixamo"), "name a file in a folder that exists"),
     ],
 )
 def test_clips_that_cannot_be_written_are_wrong_usage(mocapfix, brief, tmp_path, arguments, sentence):
@@ -97,3 +103,17 @@ def test_clips_hold_the_motions_of_all_takes(mocapfix, brief, tmp_path):
     status, _, err = mocapfix("clean", brief.path, second, "--out", tmp_path / "other", *arguments)
     assert status == 1
     assert "all.glb: already exists; give --overwrite" in " ".join(err.split())
+
+
+def test_clips_replace_neither_the_character_nor_another_output(mocapfix, brief, tmp_path):
+    hero = tmp_path / "hero.vrm"
+    hero.write_bytes(build_vrm(0))
+    arguments = "clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--character", hero, "--overwrite"
+    status, _, err = mocapfix(*arguments, "--clips", hero)
+    assert status == 2
+    assert "would replace the character or a take" in " ".join(err.split())
+    status, _, err = mocapfix(*arguments, "--clips", tmp_path / "brief.hero.vrm")
+    assert status == 1
+    assert "brief.hero.vrm: would be replaced by an output" in " ".join(err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["hero.vrm"]
+    assert hero.read_bytes() == build_vrm(0)
