@@ -224,6 +224,10 @@ class ContactOptions(StageOptions):
         FEET_SOFT, "--feet", "lock|soft|off", "standing feet: held at one place, smoothed, or left as solved",
         job_key="contacts.feet", choices=FEET_MODES, lab_default=FEET_OFF,
     )  # fmt: skip
+    contacts_file: str | Path | None = define_option(
+        None, "--contacts", "FILE", "your own contacts of an animation's feet, as --also contacts writes them",
+        job_key="contacts.file", default_text="detected", is_file=True,
+    )  # fmt: skip
     write_events: bool = define_option(
         False, "--events", "", "add foot strikes and foot offs to the EVENT group of the C3D", job_key="contacts.events",
         for_markers=True,

@@ -1,11 +1,9 @@
 """The formats of output files, one entry each, and which of them the options select.
 
-`DEFAULT_FORMATS` are always written, `OPTIONAL_FORMATS` on request; `list_output_formats` selects. Contacts and events of
-gait (docs/contacts.md) are written here.
+`DEFAULT_FORMATS` are always written, `OPTIONAL_FORMATS` on request; `list_output_formats` selects.
 """
 
 import json
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -22,11 +20,12 @@ from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, Review, write_changes_file
-from mocapfix.io.files import get_source_suffixes, replace_atomically
+from mocapfix.io.contact_files import write_contacts, write_gait_events
+from mocapfix.io.files import get_source_suffixes
 from mocapfix.io.gltf import write_gltf
 from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
-from mocapfix.io.resampling import FRAME_TOLERANCE, resample_motion
+from mocapfix.io.resampling import resample_motion
 from mocapfix.io.source_file import append_computed_points
 from mocapfix.io.trc_csv import write_csv, write_trc
 from mocapfix.model.changes import Change
@@ -41,36 +40,6 @@ from mocapfix.subject import library
 
 if TYPE_CHECKING:
     from mocapfix.report.contact_sheet import ContactSheet, Performer
-
-EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
-
-
-def write_contacts(target: Path, contacts: BodyContacts, rate: float) -> None:
-    """Write the contacts of every joint as intervals of frames at `rate` frames per second. Raises WriteError."""
-    intervals = {joint: list_intervals_at_rate(contacts, joint, rate) for joint in contacts.joints}
-    with replace_atomically(target) as part:
-        part.write_text(json.dumps(intervals, indent=1) + "\n", encoding="utf-8")
-
-
-def list_intervals_at_rate(contacts: BodyContacts, joint: str, rate: float) -> list[tuple[int, int]]:
-    """Return the contacts of a joint as (first, last) frames at another rate; contacts between two frames are left out."""
-    step = rate / contacts.rate
-    scaled = [
-        (math.ceil(first * step - FRAME_TOLERANCE), math.floor(last * step + FRAME_TOLERANCE))
-        for first, last in contacts.list_intervals(joint)
-    ]
-    return [(first, last) for first, last in scaled if first <= last]
-
-
-def write_gait_events(target: Path, contacts: BodyContacts, first_frame: int) -> None:
-    """Write the events of gait; `first_frame` is the file's number of its first frame. Raises WriteError."""
-    lines = [",".join(EVENT_COLUMNS)]
-    for event in contacts.events:
-        frame = first_frame + event.time_s * contacts.rate
-        lines.append(f"{event.time_s:.4f},{frame:.2f},{event.side},{event.kind},{event.source}")
-    with replace_atomically(target) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
 
 SHEET_SUFFIX = "sheet.png"
 RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
+from mocapfix.animations.clean import clean_animation, inspect_animation, reject_animation_options
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
@@ -92,7 +92,7 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     if isinstance(capture, Animation):
         return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
-    reject_hierarchy(capture, options.subject)
+    reject_animation_options(capture, options)
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
     check_take_options(capture, options)
@@ -306,7 +306,7 @@ def inspect(
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]
-    reject_hierarchy(capture, options.subject)
+    reject_animation_options(capture, options)
     capture, options = label_capture(capture, options, calibrate_takes)
 
     def inspect_one(take: Take) -> InspectionReport:

@@ -11,7 +11,7 @@ All other values stay as they are. Faults and changes refer to the joint tips (s
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,18 +21,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.apply_repairs import apply_repairs, lock_feet
+from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
+from mocapfix.animations.lock_feet import SlidingFeet, lock_feet
 from mocapfix.animations.repair import repair_animation
 from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
 from mocapfix.characters.bone_mapping import map_joints, map_joints_by_shape
-from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
-from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS
+from mocapfix.contacts.find_contacts import estimate_slide, find_contacts, replace_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill.gap_filling import check_take_options
 from mocapfix.io.animation_inference import estimate_height
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
+from mocapfix.io.contact_files import read_contacts
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation, build_joint_take, build_tip_take
@@ -43,7 +45,7 @@ from mocapfix.model.skeleton import compose_transforms
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions, SubjectOptions
+from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions
 from mocapfix.report import build_report, notes
 from mocapfix.report.build_report import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report
@@ -64,18 +66,37 @@ MAX_MAPPING_POSES = 100  # frames in which a figure whose joint names are unknow
 JOINT_SOURCE = "joints"  # the source of events that follow from joints
 
 
-def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, subject: Subject, motion: Motion) -> BodyContacts:
+def find_animation_contacts(
+    animation: Animation,
+    alignment: SkeletonAlignment,
+    subject: Subject,
+    motion: Motion,
+    given: Mapping[str, Bool[np.ndarray, " T"]] | None = None,
+) -> SlidingFeet:
     """Find the contacts and the events of gait of an animation, by the motion of the 31-joint skeleton in it.
 
-    A reference pose before the motion (the T-pose of CMU's BVH release) has no contacts.
+    Where feet slide, they are those of the body whose path fits its steps, unless they are given by joint. A reference pose
+    before the motion (the T-pose of CMU's BVH release) has no contacts.
     """
     skeleton = subject.skeleton
     start = int(animation.has_reference_pose and animation.frame_count > 1)
     moving = motion.select_frames(np.arange(start, motion.frame_count))
     position = kinematics.compute_world_poses(skeleton, moving)[0]
     position[:, ~find_placed_joints(animation, alignment)] = np.nan
-    contacts = find_contacts(skeleton, moving, position, animation.rate)
+    contacts, slide = find_contacts(skeleton, moving, position, animation.rate), np.zeros((len(position), 3))
     if contacts.has_feet:
+        toes = position[:, [skeleton.names.index(joints[1]) for joints in FOOT_JOINTS.values()]]
+        if given is not None:
+            contacts = replace_contacts(contacts, {joint: each[start:] for joint, each in given.items()}, toes)
+        slide, is_support = estimate_slide(position[:, 0], toes, contacts, is_given=given is not None)
+        moving = replace(moving, root_position=moving.root_position - slide)
+        if given is None and slide.any():
+            contacts = find_contacts(skeleton, moving, position - slide[:, None], animation.rate)
+            standing = {joint: contacts.is_contact[:, column] for column, joint in enumerate(contacts.joints)}
+            supports = {
+                joints[1]: each | standing[joints[1]] for joints, each in zip(FOOT_JOINTS.values(), is_support.T, strict=True)
+            }
+            contacts = replace_contacts(contacts, standing | supports, toes - slide[:, None])
         no_markers = np.zeros((len(position), 0, 3))
         feet = build_foot_points(subject, moving, no_markers, no_markers, contacts.is_known)
         events = detect_gait_events(feet, contacts.floor, animation.rate)
@@ -83,11 +104,10 @@ def find_animation_contacts(animation: Animation, alignment: SkeletonAlignment, 
         shifted = tuple(event._replace(time_s=event.time_s + delay_s, source=JOINT_SOURCE) for event in events)
         contacts = replace(contacts, events=shifted)
     padding = ((start, 0), (0, 0))
-    is_contact, is_known = (
-        np.pad(contacts.is_contact, padding),
-        np.pad(contacts.is_known, padding, constant_values=contacts.has_feet),
-    )
-    return replace(contacts, is_contact=is_contact, is_known=is_known)
+    is_contact = np.pad(contacts.is_contact, padding)
+    is_known = np.pad(contacts.is_known, padding, constant_values=contacts.has_feet)
+    contacts = replace(contacts, is_contact=is_contact, is_known=is_known)
+    return SlidingFeet(contacts, np.pad(slide, padding, mode="edge"), is_given=given is not None)
 
 
 def find_placed_joints(animation: Animation, alignment: SkeletonAlignment) -> Bool[np.ndarray, " 31"]:
@@ -288,6 +308,8 @@ def clean_animation(
     reject_marker_options(animation, options)
     check_take_options(build_joint_take(animation), options, "joint")
     review = read_changes_files(options.review.review_files, [build_tip_take(animation)])[0]
+    contacts_file = options.contacts.contacts_file
+    given = None if contacts_file is None else read_contacts(Path(contacts_file), animation.frame_count)
     reject_corrections(review, animation.name, "this is an animation")
     with timer("detect"):
         body, mapping_note = find_body(animation, options.subject.hierarchy)
@@ -306,12 +328,13 @@ def clean_animation(
         repaired = apply_repairs(animation, repair, faults, options, review.declined)
         body_motion = body.compute_motion(repaired.animation, repaired.joint_take) if body else None
     with timer("solve"):
-        contacts, contact_notes = None, list[str]()
+        contacts, contact_notes = None, notes.describe_uncertain_fills(repaired.tips_after, JOINT_TERMS)
         if body and body_motion:
-            contacts = find_animation_contacts(repaired.animation, body.alignment, *body_motion)
+            feet = find_animation_contacts(repaired.animation, body.alignment, *body_motion, given)
+            contacts = feet.contacts
             if options.contacts.feet == FEET_LOCK and contacts.has_feet:
-                held = lock_feet(repaired, body.alignment, body_motion[1], contacts, options.fill, review.declined)
-                repaired, contacts, contact_notes = held
+                held = lock_feet(repaired, body.alignment, body_motion[1], feet, options.fill, review.declined)
+                repaired, contacts, contact_notes = held.repaired, held.contacts, contact_notes + held.notes
                 body_motion = body.compute_motion(repaired.animation, repaired.joint_take)
             contact_notes += describe_contacts(contacts, contacts.held_feet.mode, options.output.floor_height_m, JOINT_TERMS)
     before, after = repaired.tips_before, repaired.tips_after
@@ -323,7 +346,7 @@ def clean_animation(
         "solve": None,
         "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
         "seconds": timer.stage_seconds,
-        "notes": [*animation.notes, mapping_note, *notes.describe_uncertain_fills(after, JOINT_TERMS), *contact_notes],
+        "notes": [*animation.notes, mapping_note, *contact_notes],
     }
     if contacts:
         report["contacts"] = build_contact_section(contacts, before)
@@ -364,7 +387,12 @@ def reject_marker_options(animation: Animation, options: CleanOptions) -> None:
         raise TakeError(f"{animation.name}: is an animation, which has no markers; clean it without {' and '.join(given)}.")
 
 
-def reject_hierarchy(take: Take, options: SubjectOptions) -> None:
-    """Raise TakeError if a naming convention of joints is given for a take of markers."""
-    if options.hierarchy is not None:
-        raise TakeError(f"{take.name}: has markers and no joints; clean it without --hierarchy.")
+def reject_animation_options(take: Take, options: CleanOptions) -> None:
+    """Raise TakeError if options are given that apply to animations only."""
+    given = [
+        flag
+        for flag, value in (("--hierarchy", options.subject.hierarchy), ("--contacts", options.contacts.contacts_file))
+        if value is not None
+    ]
+    if given:
+        raise TakeError(f"{take.name}: has markers and no joints; clean it without {' and '.join(given)}.")

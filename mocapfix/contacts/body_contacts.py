@@ -147,7 +147,6 @@ def displace_feet(
     joint_position: Float[np.ndarray, "T J 3"],
     displacement: Float[np.ndarray, "T C 3"],
     *,
-    is_root_fixed: bool = False,
     markers: LegMarkers | None = None,
 ) -> Motion:
     """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near any `markers`."""
@@ -160,11 +159,10 @@ def displace_feet(
     points = build_foot_targets(feet, target)
     if markers is not None:
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
-    if not is_root_fixed:
-        step = solve_legs(skeleton, moving, points)[0] - moving.root_position
-        ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
-        step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
-        moving = replace(moving, root_position=moving.root_position + step)
+    step = solve_legs(skeleton, moving, points)[0] - moving.root_position
+    ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
+    step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
+    moving = replace(moving, root_position=moving.root_position + step)
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[frames] = moving.root_position
     local_rotations[frames, 1:] = solve_legs(skeleton, moving, points, root_share=FIXED_ROOT_SHARE)[1][:, 1:]

@@ -5,11 +5,18 @@ the cheapest sequence of the states moving and standing (Viterbi), whose cost is
 solved motion is smooth, so the speed is the difference of neighbouring frames; that of a foot that bears weight falls to 0.02
 to 0.1 m/s, since it rolls. While no marker shows a foot, `find_certain_occlusions` infers: one that stands at one place before
 and after stood there.
+
+The feet of an animation may slide throughout, because its path was stretched. `estimate_slide` finds by how much, from the steps
+of the body, and the contacts are those of the body without it.
 """
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, gaussian_filter1d, median_filter, minimum_filter1d
 
 from mocapfix.contacts.contacts import (
     BASE_PERCENTILE,
@@ -206,3 +213,91 @@ def find_other_contacts(position: Float[np.ndarray, "T N 3"], floor: Floor, rate
             is_standing = detect_standing(compute_speed(position[:, n], rate), rate)
             contacts[:, n] = remove_short_runs(is_standing & is_low, rate)
     return contacts
+
+
+MIN_WALKING_SPEED_M_S = 0.3  # of the hips, below which no share of it is known
+WALKING_SMOOTHING_S = 0.1  # standard deviation of the kernel that removes the sway of the hips from their speed
+MAX_SLIDE_SHARE = 0.4  # largest speed of a foot that stands, relative to the hips' speed
+MAX_STEP_HEIGHT_M = 0.05  # height of the toes of a foot that stands above where they are lowest
+STEP_HEIGHT_WINDOW_S = 1.0  # time within which they are: uneven floors are kept
+MIN_SLIDE_STEPS = 2  # steps that show a slide
+MAX_SHARE_ERROR = 0.1  # difference of a step's share from that of the steps about it
+SLIDE_STEPS = 5  # consecutive steps whose median share is that of the middle one
+MIN_SLIDE_SHARE, MIN_SLIDE_M_S = 0.03, 0.03
+"""Share of the hips' speed, and speed, below which feet do not slide: toes that roll have 0.00 to 0.06 and 0.00 to 0.08 m/s in
+captures of walks, in which they stand still in most steps."""
+MIN_MISSED_SHARE = 0.25  # share of the steps in which no foot stands still, from which feet slide: 0.39 at 3 % too much path
+
+
+def find_single_supports(
+    velocity: Float[np.ndarray, "T 3"], toes: Float[np.ndarray, "T 2 3"], rate: float
+) -> tuple[Bool[np.ndarray, "T 2"], Float[np.ndarray, "T 2"]]:
+    """Return when one foot stands while the other swings, by their motion relative to the body, and the share of their slide.
+
+    A foot that stands is low and moves backwards relative to the hips about as fast as these move; one that swings overtakes
+    the hips. The share is the speed of the toes in the direction of the hips, relative to that of the hips.
+
+    Args:
+        velocity: Of the hips, m/s, horizontal.
+        toes: Metres, of the left and of the right foot.
+    """
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    share = np.einsum("tfi,ti->tf", np.gradient(toes, 1 / rate, axis=0), velocity) / np.maximum(speed, MIN_WALKING_SPEED_M_S) ** 2
+    lowest = minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * rate) + 1, axis=0)
+    is_low = toes[..., 1] < lowest + MAX_STEP_HEIGHT_M
+    return (speed > MIN_WALKING_SPEED_M_S) & is_low & (np.abs(share) < MAX_SLIDE_SHARE) & (share[:, ::-1] > 1), share
+
+
+class Slide(NamedTuple):
+    """How far the path of a body is off its steps."""
+
+    path: Float[np.ndarray, "T 3"]  # m: by which the body has moved too far since the beginning; 0 if its feet do not slide
+    is_support: Bool[np.ndarray, "T 2"]  # when the left and the right foot stand while they slide and the other swings
+
+
+def estimate_slide(
+    hips: Float[np.ndarray, "T 3"], toes: Float[np.ndarray, "T 2 3"], contacts: BodyContacts, *, is_given: bool
+) -> Slide:
+    """Return how far a body moves beyond its steps, as a share of the horizontal velocity of its hips that changes slowly.
+
+    Args:
+        hips: Metres.
+        toes: Metres, of the left and of the right foot.
+        contacts: Those that are found without a slide, or given.
+        is_given: The contacts are given, and feet slide in them. Otherwise they slide if they stand still in too few steps.
+    """
+    no_slide = Slide(np.zeros(hips.shape), np.zeros((len(hips), 2), bool))
+    if len(hips) < 2:
+        return no_slide
+    velocity = np.gradient(hips, 1 / contacts.rate, axis=0) * [1.0, 0.0, 1.0]
+    smooth = gaussian_filter1d(velocity, WALKING_SMOOTHING_S * contacts.rate, axis=0, mode="nearest")
+    is_support, shares = find_single_supports(smooth, toes, contacts.rate)
+    is_contact = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
+    if is_given:
+        is_support = is_contact & (np.linalg.norm(smooth, axis=1, keepdims=True) > MIN_WALKING_SPEED_M_S)
+    supports = [(foot, run) for foot in (0, 1) for run in find_runs(remove_short_runs(is_support[:, foot], contacts.rate))]
+    steps = sorted((sum(run) / 2, foot, slice(run[0], run[1] + 1)) for foot, run in supports)
+    step_shares = np.array([np.median(shares[span, foot]) for _, foot, span in steps])
+    missed = [not is_contact[span, foot].any() for _, foot, span in steps]
+    speeds = [share * np.linalg.norm(smooth[span], axis=1).mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
+    is_fast = len(steps) > 0 and abs(np.median(step_shares)) > MIN_SLIDE_SHARE and abs(np.median(speeds)) > MIN_SLIDE_M_S
+    if not steps or not (is_given or (is_fast and len(steps) >= MIN_SLIDE_STEPS and np.mean(missed) > MIN_MISSED_SHARE)):
+        return no_slide
+    usual = median_filter(step_shares, SLIDE_STEPS, mode="nearest")
+    for (_, foot, span), step_share, usual_share in zip(steps, step_shares, usual, strict=True):
+        no_slide.is_support[span, foot] = abs(step_share - usual_share) < MAX_SHARE_ERROR
+    share = np.interp(np.arange(len(hips)), [frame for frame, _, _ in steps], usual)
+    return Slide(np.cumsum(share[:, None] * velocity, axis=0) / contacts.rate, no_slide.is_support)
+
+
+def replace_contacts(
+    contacts: BodyContacts, given: Mapping[str, Bool[np.ndarray, " T"]], toes: Float[np.ndarray, "T 2 3"]
+) -> BodyContacts:
+    """Return contacts that are given, by joint, in place of those that were found; toes in metres show their floor."""
+    added = [joint for joint in OTHER_CONTACT_JOINTS if joint in given and joint not in contacts.joints]
+    joints = (*contacts.joints, *added)
+    is_contact = np.stack([given.get(joint, np.zeros(len(toes), bool)) for joint in joints], axis=1)
+    is_known = np.pad(contacts.is_known, ((0, 0), (0, len(added))), constant_values=True)
+    contacts = replace(contacts, joints=joints, is_contact=is_contact, is_known=is_known)
+    is_standing = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
+    return replace(contacts, floor=estimate_floor(toes, is_standing, contacts.rate))

@@ -4,7 +4,12 @@
 foot at one place in the horizontal plane. Both keep its own height, except where no marker shows the foot. Between contacts the
 displacement returns to 0, with the least acceleration (`smooth_displacement`). A foot is rigid: `restore_foot_length` keeps the
 distance from ankle to toes.
+
+The feet of an animation that slide because its path was stretched are held at the middle of their slide, as far as its steps
+allow: `compute_step_displacements`.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -62,14 +67,26 @@ ACCELERATION_ROUNDS = 4  # solutions with more stiffness where the one before ex
 ACCELERATION_REACH_S = 0.03  # time on both sides of such a frame in which stiffness is added
 
 
+class Lock(NamedTuple):
+    """How a joint is held at one place."""
+
+    largest_m: float = MAX_LOCK_DISPLACEMENT_M  # the largest distance by which it is moved towards its place
+    contact_weight: float = CONTACT_WEIGHT
+    acceleration_m_s2: float = MAX_DISPLACEMENT_ACCELERATION_M_S2  # from which the displacement is made smoother
+
+
+TAKE_LOCK = Lock()
+
+
 def compute_foot_displacements(
-    position: Float[np.ndarray, "T C 3"], contacts: BodyContacts, *, is_locked: bool
+    position: Float[np.ndarray, "T C 3"], contacts: BodyContacts, *, is_locked: bool, lock: Lock = TAKE_LOCK
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet, in every frame.
 
     Args:
         position: Metres: the joints of `contacts`, which are CONTACT_JOINTS.
         is_locked: Hold each contact at one place; otherwise remove its fast motion.
+        lock: How it is held there.
     """
     is_held = contacts.is_contact.copy()
     if is_locked:
@@ -78,9 +95,9 @@ def compute_foot_displacements(
     share, moved = np.zeros(is_held.shape), np.zeros(position.shape)
     for c in np.flatnonzero(is_held.any(0)):
         is_known = contacts.is_known[:, c]
-        held = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, is_locked=is_locked)
+        held = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, lock.largest_m if is_locked else None)
         wanted = np.column_stack([held - position[:, c], np.ones(len(position))])
-        smooth = smooth_displacement(wanted, is_held[:, c], is_known | ~is_held[:, c], contacts.rate)
+        smooth = smooth_displacement(wanted, is_held[:, c], is_known | ~is_held[:, c], contacts.rate, lock)
         moved[:, c], share[:, c] = smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
     target = position.copy()
     for ankle, toe in ([CONTACT_JOINTS.index(joint) for joint in joints] for joints in FOOT_JOINTS.values()):
@@ -109,10 +126,13 @@ def compute_target(
     is_contact: Bool[np.ndarray, " T"],
     is_known: Bool[np.ndarray, " T"],
     rate: float,
-    *,
-    is_locked: bool,
+    locked_m: float | None,
 ) -> Float[np.ndarray, "T 3"]:
-    """Return where a joint shall be: its own path outside contacts. Unknown frames of a contact follow its known ones."""
+    """Return where a joint shall be: its own path outside contacts. Unknown frames of a contact follow its known ones.
+
+    Args:
+        locked_m: The largest distance by which it is moved to its place; None to smooth it.
+    """
     target = path.copy()
     frames = np.arange(len(path))
     for first, last in find_runs(is_contact):
@@ -122,10 +142,10 @@ def compute_target(
             continue
         shown = np.stack([np.interp(frames[span], known, path[known, axis]) for axis in range(3)], axis=1)
         height = shown[:, UP_AXIS].copy()
-        if is_locked:
+        if locked_m is not None:
             from_mean = shown - path[known].mean(0)
             from_mean[:, UP_AXIS] = 0.0
-            shown -= limit_length(from_mean, MAX_LOCK_DISPLACEMENT_M)
+            shown -= limit_length(from_mean, locked_m)
         else:
             shown = gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
         shown[:, UP_AXIS] = height
@@ -140,18 +160,22 @@ def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[
 
 
 def smooth_displacement(
-    displacement: Float[np.ndarray, "T D"], is_contact: Bool[np.ndarray, " T"], is_limited: Bool[np.ndarray, " T"], rate: float
+    displacement: Float[np.ndarray, "T D"],
+    is_contact: Bool[np.ndarray, " T"],
+    is_limited: Bool[np.ndarray, " T"],
+    rate: float,
+    lock: Lock = TAKE_LOCK,
 ) -> Float[np.ndarray, "T D"]:
     """Return the smoothest displacement that is near the given one in contacts and near 0 between them.
 
-    It minimises the integral of CONTACT_WEIGHT |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
+    It minimises the integral of contact_weight |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
     The last weight is larger where x would accelerate too much, as between two contacts at different places that almost touch.
 
     Args:
         displacement: The first three columns are the displacement in metres.
         is_limited: Where the acceleration is limited; not where the given displacement removes an error of a hidden foot.
     """
-    variance = np.where(is_contact, rate / CONTACT_WEIGHT, rate)
+    variance = np.where(is_contact, rate / lock.contact_weight, rate)
     power = np.full(len(displacement), RETURN_TIME_S**-4)
     wanted = np.where(is_contact[:, None], displacement, 0.0)
     smooth = smooth_path(wanted, variance, power, rate)
@@ -159,10 +183,50 @@ def smooth_displacement(
     is_free = maximum_filter1d(~is_limited, reach)
     for _ in range(ACCELERATION_ROUNDS if len(smooth) > 2 else 0):
         acceleration = np.linalg.norm(np.diff(smooth[:, :3], 2, axis=0), axis=1) * rate**2
-        if acceleration.max() <= MAX_DISPLACEMENT_ACCELERATION_M_S2:
+        if acceleration.max() <= lock.acceleration_m_s2:
             break
-        excess = np.pad(np.maximum(1, acceleration / MAX_DISPLACEMENT_ACCELERATION_M_S2), 1, mode="edge")
+        excess = np.pad(np.maximum(1, acceleration / lock.acceleration_m_s2), 1, mode="edge")
         near = maximum_filter1d(np.where(is_free, 1, excess), reach)
         power /= near**2
         smooth = smooth_path(wanted, variance, power, rate)
     return smooth
+
+
+MAX_STEP_STRETCH = 0.5  # change of a step relative to the path of its foot, above which the foot has not left its place
+
+
+def compute_step_displacements(
+    position: Float[np.ndarray, "T C 3"], contacts: BodyContacts, slide: Float[np.ndarray, "T 3"]
+) -> Float[np.ndarray, "T C 3"]:
+    """Return the displacement in metres of each joint of the feet by which a foot that stands does not slide.
+
+    A foot stands where it is in the middle of its slide. In a swing it goes from one place to the next as its own path does, so
+    that a step is stretched or shortened and no movement added.
+
+    Args:
+        position: Metres, without the slide: CONTACT_JOINTS.
+        slide: Metres: the path of the slide, which all joints follow in the animation.
+    """
+    displacement = np.zeros(position.shape)
+    for side, joints in FOOT_JOINTS.items():
+        columns = [CONTACT_JOINTS.index(joint) for joint in joints]
+        is_standing = contacts.find_foot_contact(side)
+        if not is_standing.any():
+            continue
+        step_m = np.min([compute_speed(position[:, c], contacts.rate) for c in columns], axis=0) / contacts.rate
+        while True:
+            runs, path_m = find_runs(is_standing), np.cumsum(np.where(is_standing, 0.0, step_m))
+            at_m = np.r_[0.0, [path_m[first] for first, _ in runs], path_m[-1]]
+            places = np.vstack([slide[0], *(slide[first : last + 1].mean(0) for first, last in runs), slide[-1]])
+            stretch = np.diff(places, axis=0) / np.maximum(np.diff(at_m), MIN_DISTANCE_M)[:, None]
+            largest = int(np.linalg.norm(stretch[1:-1], axis=1).argmax()) if len(runs) > 1 else 0
+            if len(runs) == 1 or np.linalg.norm(stretch[1 + largest]) <= MAX_STEP_STRETCH:
+                break
+            is_standing[runs[largest][1] : runs[largest + 1][0]] = True  # the foot does not go from one place to the other
+        for end, beside in ((0, 1), (-1, -2)):  # beyond the first and the last place, a step is stretched like the one beside it
+            largest_stretch = max(float(np.linalg.norm(stretch[beside])), 1e-9) if len(runs) > 1 else MAX_STEP_STRETCH
+            towards = limit_length(stretch[[end]], largest_stretch)[0] * np.diff(at_m)[end]
+            places[end] = places[beside] - towards if end == 0 else places[beside] + towards
+        kept = np.stack([np.interp(path_m, at_m, axis_m) for axis_m in places.T], axis=1)
+        displacement[:, columns] = (kept - slide)[:, None]
+    return displacement

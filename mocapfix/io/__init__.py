@@ -6,7 +6,7 @@
 - `c3d`, `c3d_parameters`, `c3d_blocks`, `c3d_events`, `force_plates`, `points`
 - `marker_table`: what text tables of markers share: trc_csv, and vendor_tables of Motive, Nexus and Qualisys
 - `bvh`, `asf_amc`, `keypoint_json`, `npz`, `usd`, `gltf`; gltf_mesh, the meshes of a glTF
-- `changes_file`: the changes of a take, with a decision for each
+- `changes_file`: the changes of a take, with a decision for each; contact_files, contacts and events of gait
 - `source_file`: what an output takes from its source; patches, in which only changed samples differ; resampling
 - `files`: atomic replacement, temporary files and locks; file_content; yaml_files; shipped, files of mocapfix
 """

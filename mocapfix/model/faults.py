@@ -12,7 +12,7 @@ from mocapfix.model.take import Take
 FaultKind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
-    "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide",
+    "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide", "root shift",
 ]  # fmt: skip
 Decision = Literal["accept", "reject", "keep"]  # what a reviewer decides about a change (see `mocapfix.model.changes.Change`)
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]

@@ -36,6 +36,7 @@ FAULT_KIND_NAMES = {
     "marked": ("stretch marked in review", "stretches marked in review"),
     "noise": ("noisy marker", "noisy markers"),
     "foot slide": ("sliding foot", "sliding feet"),
+    "root shift": ("root that moves for the feet", "roots that move for the feet"),
 }
 
 

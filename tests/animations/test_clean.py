@@ -263,6 +263,13 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
         mocapfix("clean", brief.path, "--out", tmp_path, "--hierarchy", "cmu"),
         "has markers and no joints; clean it without --hierarchy",
     )
+    contacts = tmp_path / "contacts.json"
+    contacts.write_text('{"LeftFoot": [[0, 100000]]}', encoding="utf-8")
+    check_error(mocapfix(*clean, "--contacts", contacts), "contacts.json: LeftFoot: [0, 100000] is no first and last frame")
+    check_error(
+        mocapfix("clean", brief.path, "--out", tmp_path, "--contacts", contacts),
+        "has markers and no joints; clean it without --contacts",
+    )
     check_error(mocapfix("calibrate", walk.path, "-o", tmp_path / "s.yaml"), "is an animation without markers")
     check_error(mocapfix("marker-set", "learn", walk.path, "-o", tmp_path / "s.yaml"), "has joints and no markers to learn from")
     check_error(mocapfix(*clean, "--refill"), "has no markers; clean it without --refill")
@@ -270,7 +277,7 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
     check_error(mocapfix(*clean, "--keep", "Tail"), "has no joint Tail to keep; its joints are Hips")
     check_error(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
     check_error(mocapfix("clean", walk.path, "--out", walk.path.parent), "would replace the input file")
-    assert {path.name for path in tmp_path.iterdir()} == {"truncated.bvh", "wrong.yaml"}
+    assert {path.name for path in tmp_path.iterdir()} == {"truncated.bvh", "wrong.yaml", "contacts.json"}
 
 
 def test_single_frame_does_not_change(walk, tmp_path):

@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, OTHER_CONTACT_JOINTS, Floor
-from mocapfix.contacts.find_contacts import find_contacts, find_foot_contacts, find_frames_near_floor, find_other_contacts
+from mocapfix.contacts.find_contacts import (
+    estimate_slide,
+    find_contacts,
+    find_foot_contacts,
+    find_frames_near_floor,
+    find_other_contacts,
+    replace_contacts,
+)
 from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
 from tests.contacts.walking_feet import find_true_stances, make_feet, tilt, walk
@@ -134,3 +142,54 @@ def test_very_short_takes(frames):
     contacts = find_contacts(SKELETON, motion, position, 120.0)
     assert len(contacts.is_contact) == frames
     assert not contacts.is_contact.any()
+
+
+def build_stretched_walk(stretch: float, rate: float = 120.0, step_height_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the hips and the feet of a walk whose path is longer than its steps by a share."""
+    feet = make_feet(walk(step_height_m, stance_s=0.6), SECONDS, rate)
+    hips = gaussian_filter1d(feet[:, [1, 3]].mean(1), 0.4 * rate, axis=0, mode="nearest")
+    slide = stretch * (hips - hips[0]) * [1.0, 0.0, 1.0]
+    return hips + slide, feet + slide[:, None]
+
+
+@pytest.mark.parametrize("stretch", [0.15, 0.25, -0.2])
+@pytest.mark.parametrize("rate", [30.0, 120.0])
+def test_the_slide_of_a_stretched_walk_is_found_and_its_contacts_are_those_of_the_walk(stretch, rate):
+    hips, feet = build_stretched_walk(stretch, rate)
+    found = find(feet, rate)
+    slide = estimate_slide(hips, feet[:, [1, 3]], found, is_given=False)
+    expected = (hips - build_stretched_walk(0.0, rate)[0])[:, 2]
+    np.testing.assert_allclose(slide.path[:, 2], expected, atol=0.1 * abs(expected).max())
+    true = find(build_stretched_walk(0.0, rate)[1], rate)
+    contacts = find(feet - slide.path[:, None], rate)
+    assert (contacts.is_contact == true.is_contact).mean() > 0.95
+    assert (found.is_contact == true.is_contact).mean() < 0.9
+    assert (slide.is_support & ~true.is_contact[:, [1, 3]]).mean() < 0.02
+
+
+@pytest.mark.parametrize("step_height_m", [0.0, 0.17])
+def test_feet_that_stand_do_not_slide(step_height_m):
+    hips, feet = build_stretched_walk(0.0, step_height_m=step_height_m)
+    assert not estimate_slide(hips, feet[:, [1, 3]], find(feet, 120.0), is_given=False).path.any()
+    still = np.tile(feet[:1], (len(feet), 1, 1))
+    assert not estimate_slide(np.tile(hips[:1], (len(feet), 1)), still[:, [1, 3]], find(still, 120.0), is_given=False).path.any()
+    assert not estimate_slide(hips[:1], feet[:1, [1, 3]], find(feet[:1], 120.0), is_given=False).path.any()
+
+
+def test_in_given_contacts_any_slide_counts():
+    hips, feet = build_stretched_walk(0.02)
+    true = find(build_stretched_walk(0.0)[1], 120.0)
+    path = estimate_slide(hips, feet[:, [1, 3]], true, is_given=True).path[:, 2]
+    np.testing.assert_allclose(path[-1], 0.02 / 1.02 * (hips[-1] - hips[0])[2], rtol=0.2)
+
+
+def test_given_contacts_replace_those_that_were_found_and_show_the_floor():
+    _, feet = build_stretched_walk(0.15)
+    is_left, is_knee = np.zeros(len(feet), bool), np.zeros(len(feet), bool)
+    is_left[:60], is_knee[200:230] = True, True
+    contacts = replace_contacts(find(feet, 120.0), {"LeftToeBase": is_left, "RightLeg": is_knee}, feet[:, [1, 3]])
+    assert contacts.joints == (*CONTACT_JOINTS, "RightLeg")
+    assert contacts.list_intervals("LeftToeBase") == [(0, 59)]
+    assert contacts.list_intervals("RightLeg") == [(200, 229)]
+    assert contacts.list_intervals("RightFoot") == []
+    assert contacts.floor.level_heights_m == pytest.approx((0.0,), abs=0.003)

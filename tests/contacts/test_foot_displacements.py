@@ -8,7 +8,9 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor
 from mocapfix.contacts.foot_displacements import (
     MAX_DISPLACEMENT_ACCELERATION_M_S2,
     MAX_LOCK_DISPLACEMENT_M,
+    Lock,
     compute_foot_displacements,
+    compute_step_displacements,
     extend_contacts,
     limit_length,
     smooth_displacement,
@@ -120,6 +122,49 @@ def test_a_joint_is_not_pulled_far():
     feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (480, 1, 1)) + np.linspace(0, 0.3, 480)[:, None, None] * [1.0, 0, 0]
     displacement = compute_foot_displacements(feet, build_contacts(np.ones((480, 4), bool)), is_locked=True)
     assert np.linalg.norm(displacement, axis=-1).max() < 1.1 * MAX_LOCK_DISPLACEMENT_M
+
+
+def test_a_lock_of_animations_holds_feet_that_shake_and_drift_far():
+    feet = add_skin(make_feet(STANCES, SECONDS, RATE), 0.02)
+    exact = compute_foot_displacements(feet, build_contacts(), is_locked=True, lock=Lock(1.0, 10_000.0, 12.0))
+    assert measure_drift(feet + exact) < 0.25 * measure_drift(
+        feet + compute_foot_displacements(feet, build_contacts(), is_locked=True)
+    )
+
+
+def build_slide(speed_m_s: float) -> np.ndarray:
+    return np.arange(round(SECONDS * RATE))[:, None] / RATE * [0.0, 0.0, speed_m_s]
+
+
+def test_feet_that_slide_are_held_in_the_middle_and_steps_are_stretched():
+    feet, slide = make_feet(STANCES, SECONDS, RATE), build_slide(0.1)
+    displacement = compute_step_displacements(feet, build_contacts(), slide)
+    held = feet + slide[:, None] + displacement
+    assert measure_drift(feet + slide[:, None]) > 0.03
+    assert measure_drift(held, margin=1) < 1e-9
+    for c in range(4):
+        for run in np.split(
+            np.flatnonzero(IS_STANDING[:, c]), np.flatnonzero(np.diff(np.flatnonzero(IS_STANDING[:, c])) > 1) + 1
+        ):
+            np.testing.assert_allclose(displacement[run, c].mean(0), 0.0, atol=1e-9)
+    acceleration = [np.abs(np.diff(path, 2, axis=0)).max() for path in (feet, held)]
+    assert acceleration[1] < 1.3 * acceleration[0]
+
+
+def test_contacts_between_which_a_foot_stays_are_one_place():
+    feet, slide = make_feet(STANCES, SECONDS, RATE), build_slide(0.1)
+    is_contact = IS_STANDING.copy()
+    is_contact[20:24] = False
+    held = feet + slide[:, None] + compute_step_displacements(feet, build_contacts(is_contact), slide)
+    assert measure_drift(held, margin=1) < 0.001
+
+
+def test_a_foot_that_never_stands_follows_the_body():
+    feet, slide = make_feet(STANCES, SECONDS, RATE), build_slide(0.1)
+    assert not compute_step_displacements(feet, build_contacts(np.zeros_like(IS_STANDING)), slide).any()
+    once = np.zeros_like(IS_STANDING)
+    once[300:330] = IS_STANDING[300:330]
+    assert np.abs(compute_step_displacements(feet, build_contacts(once), slide)).max() < 0.5
 
 
 def test_long_vectors_are_shortened():

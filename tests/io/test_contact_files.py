@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor, GaitEvent
-from mocapfix.errors import WriteError
+from mocapfix.errors import SceneError, WriteError
+from mocapfix.io.contact_files import list_intervals_at_rate, read_contacts, write_contacts, write_gait_events
 from mocapfix.io.resampling import resample_motion
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.options import OutputOptions
-from mocapfix.output_formats import list_intervals_at_rate, write_contacts, write_gait_events
 from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d
 
@@ -68,6 +68,34 @@ def test_contacts_are_intervals_of_frames_by_joint(tmp_path):
     assert json.loads((tmp_path / "walk.contacts.json").read_text(encoding="utf-8")) == {
         joint: [[10, 29], [200, 239]] for joint in CONTACT_JOINTS
     }
+
+
+def test_contacts_that_were_written_are_read(tmp_path):
+    is_contact = np.zeros(FRAMES, bool)
+    is_contact[10:30] = is_contact[200:] = True
+    write_contacts(tmp_path / "walk.contacts.json", build_contacts(is_contact), 120.0)
+    read = read_contacts(tmp_path / "walk.contacts.json", FRAMES)
+    assert set(read) == set(CONTACT_JOINTS)
+    for each in read.values():
+        np.testing.assert_array_equal(each, is_contact)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"LeftToe": [[0, 1]]}', r"mine.json: LeftToe: a file of contacts has no such joint; its joints are LeftFoot, "),
+        ('{"LeftFoot": [[100, 240]]}', r"LeftFoot: \[100, 240\] is no first and last frame .* the animation's last one is 239"),
+        ('{"LeftFoot": [[9, 5]]}', r"LeftFoot: \[9, 5\] is no first and last frame"),
+        ('{"LeftFoot": [[-1, 5]]}', r"LeftFoot.0.0: "),
+        ('{"LeftFoot": [3, 5]}', r"LeftFoot.0: must be a list"),
+        ("[[3, 5]]", r"contains no key: value pairs"),
+        ('{"LeftFoot": [[3, 5]', r"mine.json, line 2: not valid YAML"),
+    ],
+)
+def test_a_file_of_contacts_with_an_error_is_refused(tmp_path, text, message):
+    (tmp_path / "mine.json").write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=message):
+        read_contacts(tmp_path / "mine.json", FRAMES)
 
 
 def test_events_are_a_table_with_the_files_frames(tmp_path):
