@@ -115,12 +115,7 @@ def find_root_displacement(
     """Return the displacement of the root, in metres, with which legs reach their ankles by about the same angles of the knees.
 
     With d the displacement, it minimises the integral of |d|^2 + |ROOT_TIME_S^2 d''|^2 and of the squared changes of the legs'
-    reach, in standard deviations, by the method of Gauss and Newton.
-
-    Args:
-        ankles: Where each leg's ankle shall be, in metres.
-        is_allowed: Where the root may move.
-        rate: Frames per second.
+    reach, in standard deviations, by the method of Gauss and Newton. `ankles` are where each leg's ankle shall be, in metres.
     """
     from scipy import sparse  # slow to import
     from scipy.sparse.linalg import spsolve
@@ -148,20 +143,12 @@ def find_root_displacement(
     return moved / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
 
 
-class PosedLeg(NamedTuple):
-    """A leg in another pose."""
-
-    path: LegPath
-    turns: tuple[Float[np.ndarray, "T 3 3"], ...]  # the rotations of thigh, shin and foot into that pose, in the world
-
-
 def pose_leg(
     leg: LegPath, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], toes: Float[np.ndarray, "T 3"], rate: float
-) -> PosedLeg:
-    """Return a leg with another hip, whose ankle and toes are near other places, in metres.
+) -> tuple[LegPath, tuple[Float[np.ndarray, "T 3 3"], ...]]:
+    """Return a leg with its ankle and toes near other places, in metres, and the turns of thigh, shin and foot in the world.
 
-    The change of the knee's angle is smooth: where the leg is nearly straight, the ankle yields by a few millimetres along it.
-    The plane of the knee turns with the line from hip to ankle.
+    The knee's angle changes smoothly, in the leg's plane: where the leg is nearly straight, the ankle yields along it.
     """
     angle, direction = leg.knee_angle, (ankle - hip) / measure_length(ankle - hip)[:, None]
     wanted = leg.find_knee_angle(measure_length(ankle - hip)) - angle
@@ -185,7 +172,7 @@ def pose_leg(
     )
     foot_turn = compute_shortest_rotations(leg.toes - leg.ankle, toes - posed.ankle)
     posed = posed._replace(toes=posed.ankle + np.einsum("tij,tj->ti", foot_turn, leg.toes - leg.ankle))
-    return PosedLeg(posed, (thigh_turn, shin_turn, foot_turn))
+    return posed, (thigh_turn, shin_turn, foot_turn)
 
 
 LEG_BONES = ("UpLeg", "Leg", "Foot")
@@ -196,6 +183,7 @@ GIVEN_LOCK = ANIMATION_LOCK._replace(largest_m=1.0)  # in contacts that the user
 MIN_ROTATION_CHANNELS = 3
 LOCK_METHOD = "the place at which the foot stands"
 ROOT_REASON = "The root moves by up to {:.1f} mm, so that the legs reach the places at which the feet stand."
+HINGE_NOTE = "The {} foot is not held: in {} its thigh, shin or foot turns about fewer than three axes."
 LOCK_NOTE = "To hold standing feet, feet were moved by up to {:.0f} mm and the root by up to {:.0f} mm (at most {:.0f} mm)."
 
 
@@ -216,16 +204,11 @@ class LockedFeet(NamedTuple):
 
 
 class _Leg(NamedTuple):
-    """A leg: its side, and its joints of the 31-joint skeleton and of the file, thigh, shin and foot."""
+    """A leg: its side, and its joints of the 31-joint skeleton and of the file: thigh (which names changes), shin, foot."""
 
     side: str
     model_joints: list[int]
     file_joints: list[int]
-
-    @property
-    def thigh_track(self) -> int:
-        """The track of the thigh, by which changes to the leg are named."""
-        return self.file_joints[0]
 
 
 def lock_feet(
@@ -234,7 +217,7 @@ def lock_feet(
     motion: Motion,
     feet: SlidingFeet,
     options: FillOptions,
-    reviewed: Sequence[ReviewedChange] = (),
+    reviewed: Sequence[ReviewedChange],
 ) -> LockedFeet:
     """Hold standing feet at one place each, by the rotations of the animation's legs and the position of its root.
 
@@ -248,44 +231,32 @@ def lock_feet(
     """
     animation, is_editable = repaired.animation, compute_editable_mask(repaired.tips_before, options)
     found = {side: _find_leg(animation, alignment, side) for side in FOOT_JOINTS}
-    notes = [
-        f"The {side} foot is not held: in {animation.name} its thigh, shin or foot turns about fewer than three axes."
-        for side, leg in found.items()
-        if leg is None
-    ]
+    notes = [HINGE_NOTE.format(side, animation.name) for side, leg in found.items() if leg is None]
     legs = [leg for leg in found.values() if leg]
     is_held = _find_held_frames(feet.contacts, legs, is_editable, reviewed)
     track = len(animation.names)  # that of the root's position
     can_move = len(animation.get_position_channels(animation.moving_joint)[0]) == 3
     can_move &= not any(each.entry.kind == ROOT_KIND for each in reviewed)
     is_root_free = np.all(is_held, axis=1) & np.all(is_editable[:, [track, animation.moving_joint]], axis=1) & can_move
-    held = _hold_legs(animation, alignment.skeleton, motion, feet, is_held, is_root_free)
+    held, foot_m, is_posed = _hold_legs(animation, alignment.skeleton, motion, feet, is_held, is_root_free)
     is_changed, faults = np.zeros(is_editable.shape, bool), list[Fault]()
     for leg in legs:
         side = list(FOOT_JOINTS).index(leg.side)
-        is_moved = held.is_posed[:, side] & is_editable[:, leg.file_joints].all(1)
+        is_moved = is_posed[:, side] & is_editable[:, leg.file_joints].all(1)
         is_changed[:, leg.file_joints] = is_moved[:, None]
-        animation = _turn_leg(animation, alignment, held.motion, leg, np.flatnonzero(is_moved))
+        animation = _turn_leg(animation, alignment, held, leg, np.flatnonzero(is_moved))
         is_standing = feet.contacts.find_foot_contact(leg.side) & is_held[:, side]
-        faults += _list_slides(leg, is_standing, np.where(is_moved, held.foot_m[:, side], 0.0))
-    root_m = np.linalg.norm(held.motion.root_position - motion.root_position, axis=1)
+        faults += _list_slides(leg, is_standing, np.where(is_moved, foot_m[:, side], 0.0))
+    root_m = np.linalg.norm(held.root_position - motion.root_position, axis=1)
     if (is_moved := root_m > MIN_LOCK_DISPLACEMENT_M).any():
         is_changed[:, track] = is_moved
-        animation = _move_root(animation, held.motion.root_position - motion.root_position, np.flatnonzero(is_moved))
+        animation = _move_root(animation, held.root_position - motion.root_position, np.flatnonzero(is_moved))
         first, last = np.flatnonzero(is_moved)[[0, -1]].tolist()
         faults.append(Fault(ROOT_KIND, track, first, last, float(root_m.max()), ROOT_REASON.format(root_m.max() * 1e3), 1.0))
     if faults:
-        notes.append(LOCK_NOTE.format(held.foot_m.max() * 1e3, root_m.max() * 1e3, MAX_ROOT_DISPLACEMENT_M * 1e3))
-    done = HeldFeet(FEET_LOCK, float(held.foot_m.max(initial=0.0)))
+        notes.append(LOCK_NOTE.format(foot_m.max() * 1e3, root_m.max() * 1e3, MAX_ROOT_DISPLACEMENT_M * 1e3))
+    done = HeldFeet(FEET_LOCK, float(foot_m.max(initial=0.0)))
     return LockedFeet(_record_changes(repaired, animation, faults, is_changed), replace(feet.contacts, held_feet=done), notes)
-
-
-class _HeldLegs(NamedTuple):
-    """A motion of the 31-joint skeleton whose feet are held."""
-
-    motion: Motion
-    foot_m: Float[np.ndarray, "T F"]  # how far each foot was moved
-    is_posed: Bool[np.ndarray, "T F"]  # whether a joint of the leg was moved
 
 
 def _hold_legs(
@@ -295,8 +266,8 @@ def _hold_legs(
     feet: SlidingFeet,
     is_held: Bool[np.ndarray, "T F"],
     is_root_free: Bool[np.ndarray, " T"],
-) -> _HeldLegs:
-    """Return the motion whose feet stand at one place each, as far as the root may move and the legs reach.
+) -> tuple[Motion, Float[np.ndarray, "T F"], Bool[np.ndarray, "T F"]]:
+    """Return the motion with feet that stand at one place each, how far each foot was moved, and whether its leg was.
 
     A reference pose before the motion is replaced by its first frame.
     """
@@ -317,18 +288,18 @@ def _hold_legs(
     root = find_root_displacement(legs, [target[:, 0], target[:, 2]], is_root_free[frames], rate)
     local_rotations, foot_m, is_posed = motion.local_rotations.copy(), np.zeros(is_held.shape), np.zeros(is_held.shape, bool)
     for side, (leg, prefix) in enumerate(zip(legs, FOOT_JOINTS, strict=True)):
-        posed = pose_leg(leg, leg.hip + root, target[:, 2 * side], target[:, 2 * side + 1], rate)
+        posed, turns = pose_leg(leg, leg.hip + root, target[:, 2 * side], target[:, 2 * side + 1], rate)
         above = rotations[:, skeleton.parents[skeleton.names.index(prefix.capitalize() + LEG_BONES[0])]]
-        for bone, turn in zip(LEG_BONES, posed.turns, strict=True):
+        for bone, turn in zip(LEG_BONES, turns, strict=True):
             joint = skeleton.names.index(prefix.capitalize() + bone)
             turned = turn @ rotations[:, joint]
             local_rotations[:, joint], above = above.swapaxes(1, 2) @ turned, turned
-        moved_m = np.linalg.norm(np.subtract(posed.path[:4], leg[:4]), axis=-1)
+        moved_m = np.linalg.norm(np.subtract(posed[:4], leg[:4]), axis=-1)
         foot_m[:, side], is_posed[:, side] = moved_m[2:].max(0), moved_m.max(0) > MIN_LOCK_DISPLACEMENT_M
     is_motion = frames == np.arange(len(frames))  # not the reference pose
     root_position = motion.root_position + np.where(is_motion[:, None], root, 0.0)
     held = replace(motion, root_position=root_position, local_rotations=local_rotations)
-    return _HeldLegs(held, foot_m, is_posed & is_motion[:, None])
+    return held, foot_m, is_posed & is_motion[:, None]
 
 
 def _find_leg(animation: Animation, alignment: SkeletonAlignment, side: str) -> _Leg | None:
@@ -349,7 +320,7 @@ def _find_held_frames(
     for leg in legs:
         side = list(FOOT_JOINTS).index(leg.side)
         is_held[:, side] = is_editable[:, leg.file_joints].all(1)
-        declined = [each for each in reviewed if each.entry.kind == SLIDE_KIND and each.markers[0] == leg.thigh_track]
+        declined = [each for each in reviewed if each.entry.kind == SLIDE_KIND and each.markers[0] == leg.file_joints[0]]
         for first, last in find_runs(contacts.find_foot_contact(leg.side)):
             if any(first <= each.last and each.first <= last for each in declined):
                 is_held[first : last + 1, side] = False
@@ -383,7 +354,7 @@ def _list_slides(leg: _Leg, is_standing: Bool[np.ndarray, " T"], moved_m: Float[
             largest_m = float(moved_m[start:stop].max(where=is_standing[start:stop], initial=0.0))
             reason = f"The {leg.side} foot slides by up to {largest_m * 1e3:.1f} mm from its place while it stands."
             others = tuple(leg.file_joints[1:])
-            faults.append(Fault(SLIDE_KIND, leg.thigh_track, int(moved[0]), int(moved[-1]), largest_m, reason, 1.0, others))
+            faults.append(Fault(SLIDE_KIND, leg.file_joints[0], int(moved[0]), int(moved[-1]), largest_m, reason, 1.0, others))
     return faults
 
 
@@ -395,10 +366,12 @@ def _record_changes(
         return repaired
     tips, before = build_tip_take(animation), repaired.tips_after
     was_known = before.visible
-    sd = _combine_sd(before.sample_sd, np.where(is_changed & was_known, _measure_distance(tips.markers, before.markers), np.nan))
+    sd = _combine_sd(
+        before.sample_sd, np.where(is_changed & was_known, np.linalg.norm(tips.markers - before.markers, axis=-1), np.nan)
+    )
     after = before.replace_markers(np.where(was_known[..., None], tips.markers, np.nan), sd)
     joints = build_joint_take(animation)
-    joint_distance = _measure_distance(joints.markers, repaired.joint_take.markers)
+    joint_distance = np.linalg.norm(joints.markers - repaired.joint_take.markers, axis=-1)
     joint_sd = _combine_sd(repaired.joint_take.sample_sd, np.where(joint_distance > 0, joint_distance, np.nan))
     own_points = before.replace_markers(np.where(is_changed[..., None], after.markers, before.markers), sd)
     methods = np.where(is_changed, np.array(LOCK_METHOD, object), "")
@@ -411,10 +384,6 @@ def _record_changes(
         faults=repaired.faults.add_faults(faults),
         changes=(*repaired.changes, *made),
     )
-
-
-def _measure_distance(one: Float[np.ndarray, "T N 3"], other: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, "T N"]:
-    return np.linalg.norm(one - other, axis=-1)
 
 
 def _combine_sd(sd: Float[np.ndarray, "T N"] | None, distance_m: Float[np.ndarray, "T N"]) -> Float[np.ndarray, "T N"]:

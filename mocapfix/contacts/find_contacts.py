@@ -229,25 +229,6 @@ captures of walks, in which they stand still in most steps."""
 MIN_MISSED_SHARE = 0.25  # share of the steps in which no foot stands still, from which feet slide: 0.39 at 3 % too much path
 
 
-def find_single_supports(
-    velocity: Float[np.ndarray, "T 3"], toes: Float[np.ndarray, "T 2 3"], rate: float
-) -> tuple[Bool[np.ndarray, "T 2"], Float[np.ndarray, "T 2"]]:
-    """Return when one foot stands while the other swings, by their motion relative to the body, and the share of their slide.
-
-    A foot that stands is low and moves backwards relative to the hips about as fast as these move; one that swings overtakes
-    the hips. The share is the speed of the toes in the direction of the hips, relative to that of the hips.
-
-    Args:
-        velocity: Of the hips, m/s, horizontal.
-        toes: Metres, of the left and of the right foot.
-    """
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    share = np.einsum("tfi,ti->tf", np.gradient(toes, 1 / rate, axis=0), velocity) / np.maximum(speed, MIN_WALKING_SPEED_M_S) ** 2
-    lowest = minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * rate) + 1, axis=0)
-    is_low = toes[..., 1] < lowest + MAX_STEP_HEIGHT_M
-    return (speed > MIN_WALKING_SPEED_M_S) & is_low & (np.abs(share) < MAX_SLIDE_SHARE) & (share[:, ::-1] > 1), share
-
-
 class Slide(NamedTuple):
     """How far the path of a body is off its steps."""
 
@@ -260,6 +241,9 @@ def estimate_slide(
 ) -> Slide:
     """Return how far a body moves beyond its steps, as a share of the horizontal velocity of its hips that changes slowly.
 
+    A foot that stands is low and moves backwards relative to the hips about as fast as these move; one that swings overtakes the
+    hips. The share is the speed of the toes in the direction of the hips, relative to that of the hips.
+
     Args:
         hips: Metres.
         toes: Metres, of the left and of the right foot.
@@ -271,15 +255,17 @@ def estimate_slide(
         return no_slide
     velocity = np.gradient(hips, 1 / contacts.rate, axis=0) * [1.0, 0.0, 1.0]
     smooth = gaussian_filter1d(velocity, WALKING_SMOOTHING_S * contacts.rate, axis=0, mode="nearest")
-    is_support, shares = find_single_supports(smooth, toes, contacts.rate)
+    speed, toe_velocity = np.linalg.norm(smooth, axis=1, keepdims=True), np.gradient(toes, 1 / contacts.rate, axis=0)
+    shares = np.einsum("tfi,ti->tf", toe_velocity, smooth) / np.maximum(speed, MIN_WALKING_SPEED_M_S) ** 2
+    lowest = minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * contacts.rate) + 1, axis=0)
+    is_support = (toes[..., 1] < lowest + MAX_STEP_HEIGHT_M) & (np.abs(shares) < MAX_SLIDE_SHARE) & (shares[:, ::-1] > 1)
     is_contact = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
-    if is_given:
-        is_support = is_contact & (np.linalg.norm(smooth, axis=1, keepdims=True) > MIN_WALKING_SPEED_M_S)
+    is_support = (is_contact if is_given else is_support) & (speed > MIN_WALKING_SPEED_M_S)
     supports = [(foot, run) for foot in (0, 1) for run in find_runs(remove_short_runs(is_support[:, foot], contacts.rate))]
     steps = sorted((sum(run) / 2, foot, slice(run[0], run[1] + 1)) for foot, run in supports)
     step_shares = np.array([np.median(shares[span, foot]) for _, foot, span in steps])
     missed = [not is_contact[span, foot].any() for _, foot, span in steps]
-    speeds = [share * np.linalg.norm(smooth[span], axis=1).mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
+    speeds = [share * speed[span].mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
     is_fast = len(steps) > 0 and abs(np.median(step_shares)) > MIN_SLIDE_SHARE and abs(np.median(speeds)) > MIN_SLIDE_M_S
     if not steps or not (is_given or (is_fast and len(steps) >= MIN_SLIDE_STEPS and np.mean(missed) > MIN_MISSED_SHARE)):
         return no_slide

@@ -130,8 +130,7 @@ def compute_target(
 ) -> Float[np.ndarray, "T 3"]:
     """Return where a joint shall be: its own path outside contacts. Unknown frames of a contact follow its known ones.
 
-    Args:
-        locked_m: The largest distance by which it is moved to its place; None to smooth it.
+    It is moved to its mean place by `locked_m` at most, or smoothed if that is None.
     """
     target = path.copy()
     frames = np.arange(len(path))

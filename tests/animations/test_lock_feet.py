@@ -279,14 +279,14 @@ def build_leg(knee_forward_m: float, frames: int = 60) -> LegPath:
 
 def test_a_leg_keeps_its_pose_if_its_places_stay():
     leg = build_leg(0.02)
-    posed = pose_leg(leg, leg.hip, leg.ankle, leg.toes, 60.0)
-    np.testing.assert_allclose(np.array(posed.path), np.array(leg), atol=1e-7)
-    np.testing.assert_allclose(posed.turns, np.broadcast_to(np.eye(3), (3, 60, 3, 3)), atol=1e-6)
+    posed, turns = pose_leg(leg, leg.hip, leg.ankle, leg.toes, 60.0)
+    np.testing.assert_allclose(np.array(posed), np.array(leg), atol=1e-7)
+    np.testing.assert_allclose(turns, np.broadcast_to(np.eye(3), (3, 60, 3, 3)), atol=1e-6)
 
 
 def test_a_bent_leg_reaches_its_place_with_its_own_lengths():
     leg, shift = build_leg(0.15), np.array([0.03, 0.02, 0.05])
-    posed = pose_leg(leg, leg.hip, leg.ankle + shift, leg.toes + shift, 60.0).path
+    posed = pose_leg(leg, leg.hip, leg.ankle + shift, leg.toes + shift, 60.0)[0]
     np.testing.assert_allclose(posed.ankle, leg.ankle + shift, atol=1e-4)
     np.testing.assert_allclose(posed.toes, leg.toes + shift, atol=1e-3)
     np.testing.assert_allclose(posed.lengths_m, 0.4, atol=1e-9)
@@ -296,7 +296,7 @@ def test_a_straight_leg_bends_forward_and_yields_smoothly_where_its_place_is_out
     leg = build_leg(0.0)
     pull = np.zeros((60, 3))
     pull[20:40, 1], pull[40:, 1] = 0.02, -0.02  # nearer, then out of reach
-    posed = pose_leg(leg, leg.hip, leg.ankle + pull, leg.toes + pull, 60.0).path
+    posed = pose_leg(leg, leg.hip, leg.ankle + pull, leg.toes + pull, 60.0)[0]
     assert (posed.knee[24:36, 2] > 0.05).all()
     np.testing.assert_allclose(posed.ankle[24:36], (leg.ankle + pull)[24:36], atol=2e-3)
     np.testing.assert_allclose(posed.ankle[50:], leg.ankle[50:], atol=1e-3)
