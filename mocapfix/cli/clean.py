@@ -165,6 +165,8 @@ def clean_takes(
             from mocapfix.characters.character_files import write_clips
 
             write_clips(clips, clip_paths)
+            if not as_json:
+                print_line(escape(f"{clips}: {len(clip_paths)} motions as animations of one character."))
     if not as_json and (note := describe_laboratory(laboratory, options)):
         print_line(escape(note))
     if as_json and reports:
@@ -240,8 +242,8 @@ def print_notes(notes: Sequence[str], place: str) -> None:
     """Print the first notes, and how many more there are, and where."""
     for note in notes[:MAX_PRINTED_NOTES]:
         print_note(note)
-    if len(notes) > MAX_PRINTED_NOTES:
-        print_line(f"  ... and {len(notes) - MAX_PRINTED_NOTES} more notes, {place}.")
+    if more := len(notes[MAX_PRINTED_NOTES:]):
+        print_line(f"  ... and {more} more {'note' if more == 1 else 'notes'}, {place}.")
 
 
 def describe_left_empty(fill: "FillSection") -> list[str]:

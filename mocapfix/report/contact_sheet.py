@@ -109,7 +109,7 @@ def draw_contact_sheet(
         leg_m = np.linalg.norm(skeleton.offsets[list_path(ankle, left, skeleton.parents)], axis=1).sum()  # apart in the rest pose
         height_m = np.nanmax(np.concatenate([poses[0], tips[0]])[:, 1]) - poses[0, left, 1] + leg_m + poses[0, ankle, 1]
         scale = float(characters[0].points[:, 1].max() / height_m) or 1.0
-        title = f"{character.name}, beside the performer enlarged by {scale:.2f} (blue: solved body, orange: markers)"
+        title = f"{character.name}, beside the performer scaled by {scale:.2f} (blue: solved body, orange: markers)"
         reason = character.mapping.reason
     bodies = [
         SheetFigure(np.empty((0, 3, 3)), np.concatenate([pose, tip])[np.array(bones)], dots).view(pose[hips], axes, scale)
@@ -149,7 +149,8 @@ def _show_character(
 def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:
     """Return the frames that are shown, rising: that of the lowest root, and those that differ most from the ones before.
 
-    Two frames differ by the distances of their joints and by the time between them.
+    Two frames differ by the distances of their joints and by the time between them. Neighbours are not shown: where a body rolls,
+    the direction that it faces flips within a frame.
 
     Args:
         poses: Positions in metres relative to the place of the root on the floor, in axes that turn with the body.
@@ -157,9 +158,10 @@ def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:
     joints = poses.reshape(len(poses), -1) / np.sqrt(poses.shape[1])
     features = np.concatenate([joints, np.linspace(0.0, TAKE_LENGTH_M, len(poses))[:, None]], axis=1)
     chosen = [int(poses[:, 0, 1].argmin())]
-    distances = np.full(len(poses), np.inf)
+    distances, apart = np.full(len(poses), np.inf), len(poses) // (4 * COLUMNS * ROWS)
     while len(chosen) < min(COLUMNS * ROWS - 1, len(poses)):
         distances = np.minimum(distances, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        distances[max(chosen[-1] - apart + 1, 0) : chosen[-1] + apart] = 0.0
         chosen.append(int(distances.argmax()))
     return np.array(sorted(set(chosen)))
 

@@ -97,7 +97,9 @@ def test_clips_hold_the_motions_of_all_takes(mocapfix, brief, tmp_path):
     second = tmp_path / f"second{brief.path.suffix}"
     shutil.copyfile(brief.path, second)
     arguments = ("--subject", brief.subject, "--character", "mixamo", "--clips", tmp_path / "all.glb")
-    assert mocapfix("clean", brief.path, second, "--out", tmp_path / "out", *arguments)[0] == 0
+    status, out, _ = mocapfix("clean", brief.path, second, "--out", tmp_path / "out", *arguments)
+    assert status == 0
+    assert "all.glb: 2 motions as animations of one character." in " ".join(out.split())
     document = parse_glb(tmp_path / "all.glb", (tmp_path / "all.glb").read_bytes()).document
     assert [each["name"] for each in document["animations"]] == ["brief", "second"]
     status, _, err = mocapfix("clean", brief.path, second, "--out", tmp_path / "other", *arguments)

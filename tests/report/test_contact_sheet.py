@@ -83,6 +83,12 @@ def test_the_frames_shown_are_the_extremes():
     np.testing.assert_array_equal(choose_frames(poses[:3]), [0, 1, 2])
 
 
+def test_neighbours_are_not_shown_where_the_view_flips():
+    poses = np.tile([[0.0, 1.0, 0.0], [0.3, 1.3, 0.0], [-0.3, 1.3, 0.5]], (100, 1, 1))
+    poses[50:, 1:] *= [-1.0, 1.0, -1.0]
+    assert np.diff(choose_frames(poses)).min() >= 100 // (4 * COLUMNS * ROWS)
+
+
 def count_pixels(picture: Image.Image, colour: tuple[int, int, int]) -> int:
     """Return how many pixels have nearly a colour."""
     return int((np.abs(np.array(picture.convert("RGB"), int) - colour).max(-1) <= 12).sum())
