@@ -11,6 +11,7 @@ A rig is the skeleton as another program expects it, with its joint names, tree,
 it omits is composed into those of the joint's children, so that their rotations in the world do not change. A child's position in
 its remaining parent is constant only if the omitted joint never rotates or has no offset to the child; otherwise the joint cannot
 be omitted. A is the inverse of the rotation of a joint's axes from the skeleton's rest pose to that of the rig, such as a T-pose.
+CMU's joint Hand lies in the forearm, FingerBase at the wrist. A rig without FingerBase has its hand's joint at the wrist.
 """
 
 from collections.abc import Mapping
@@ -28,7 +29,7 @@ from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, compute_local_rotations, find_ancestor, list_path, load_cmu31_body
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation, scale_rotations
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations, scale_rotations
 
 SIDE_PREFIXES = ("Left", "Right")
 LIMB_BONES = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
@@ -234,10 +235,14 @@ MAX_JOINT_ERROR_M = 1e-4  # distance of a rig's joint from that of the skeleton
 def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Motion]:
     """Return the rig's skeleton with the bone lengths of a skeleton, and the motion on it, after a T-pose if the rig wants one.
 
+    A rig that names no joint FingerBase gets the skeleton's Hand at the wrist (`place_hands_at_wrists`).
+
     Raises:
         WriteError: If the skeleton lacks a joint, or if a joint rotates that the rig omits.
     """
     joints = _find_joints(rig, skeleton, [joint.joint for joint in rig.joints])
+    if not any(joint.joint.endswith("FingerBase") for joint in rig.joints):
+        skeleton, motion = place_hands_at_wrists(skeleton, motion)
     alignment = _align_rig(rig, skeleton, joints)
     positions, rotations = compute_world_poses(skeleton, motion)
     local_rotations = alignment.convert_rotations(rotations)
@@ -254,6 +259,28 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
         t_pose = _pose_skeleton(skeleton, "t-pose").compute_rest_pose()[1]
         rig_motion = _prepend_pose(alignment.skeleton, rig_motion, alignment.convert_rotations(t_pose[None])[0], rig.rotations)
     return alignment.skeleton, rig_motion
+
+
+def place_hands_at_wrists(skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Motion]:
+    """Return the skeleton with its joints Hand at the wrists, where the joints FingerBase are, and the motion on it.
+
+    A forearm points from the elbow to the wrist of the motion and has the length of the rest pose, a hand rotates as FingerBase
+    does, and all other joints as before. Where the solved Hand bends, the wrist of the motion is nearer to the elbow than in the
+    rest pose; by so much the new joint lies beyond it.
+    """
+    positions, rotations = compute_world_poses(skeleton, motion)
+    rest_positions, rest_rotations = skeleton.compute_rest_pose()
+    offsets, rest_rotations = skeleton.offsets.copy(), rest_rotations.copy()
+    for wrist in [joint for joint, name in enumerate(skeleton.names) if name.endswith("FingerBase")]:
+        hand = skeleton.parents[wrist]
+        elbow, below = skeleton.parents[hand], skeleton.parents == hand
+        offsets[hand] = (rest_positions[wrist] - rest_positions[elbow]) @ rest_rotations[elbow]
+        offsets[below] = (rest_positions[below] - rest_positions[wrist]) @ rest_rotations[wrist]
+        rest_rotations[hand], rotations[:, hand] = rest_rotations[wrist], rotations[:, wrist]
+        forearm = positions[:, wrist] - positions[:, elbow]
+        rotations[:, elbow] = compute_shortest_rotations(rotations[:, elbow] @ offsets[hand], forearm) @ rotations[:, elbow]
+    placed = replace(skeleton, offsets=offsets, rest_rotations=compute_local_rotations(rest_rotations, skeleton.parents))
+    return placed, replace(motion, local_rotations=compute_local_rotations(rotations, skeleton.parents))
 
 
 def _find_joints(rig: Rig, skeleton: Skeleton, names: list[str]) -> Int[np.ndarray, " R"]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.characters.alignment import retarget_to_rig, write_rig_bvh
+from mocapfix.characters.alignment import place_hands_at_wrists, retarget_to_rig, write_rig_bvh
 from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.bvh import read_bvh
@@ -142,12 +142,17 @@ def vary_skeleton(seed: int) -> Skeleton:
     return replace(SKELETON, offsets=SKELETON.offsets + noise * (SKELETON.offsets != 0).any(-1, keepdims=True))
 
 
+def place_as_rig(name: str, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Motion]:
+    """Return the skeleton as a rig has it: with CMU's joints, or with the hands at the wrists."""
+    return (skeleton, motion) if name == "cmu" else place_hands_at_wrists(skeleton, motion)
+
+
 @pytest.mark.parametrize("name", RIG_NAMES)
 @given(seed=st.integers(0, 2**32))
 def test_rig_joints_have_the_positions_of_the_skeletons(tmp_path_factory, name: str, seed: int):
     skeleton, motion = vary_skeleton(seed), build_motion(seed)
     rig, bvh = write_for_rig(tmp_path_factory.mktemp("rig"), name, skeleton, motion)
-    expected, _ = kinematics.compute_world_poses(skeleton, motion)
+    expected, _ = kinematics.compute_world_poses(*place_as_rig(name, skeleton, motion))
     written_joints = [bvh.names.index(joint.name) for joint in rig.joints]
     positions = bvh.compute_world_positions()[int(rig.first_frame == "t-pose") :, written_joints] * rig.unit_m
     assert bvh.names[0] == "Hips"
@@ -159,11 +164,35 @@ def test_rig_joints_have_the_positions_of_the_skeletons(tmp_path_factory, name: 
 def test_rig_joints_rotate_like_the_skeletons(name: str):
     rig, motion = load_rig(name), build_motion()
     rig_skeleton, rig_motion = retarget_to_rig(rig, SKELETON, motion)
-    _, rotations = kinematics.compute_world_poses(SKELETON, motion)
+    _, rotations = kinematics.compute_world_poses(*place_as_rig(name, SKELETON, motion))
     rig_rotations = kinematics.compute_world_poses(rig_skeleton, rig_motion)[1][int(rig.first_frame == "t-pose") :]
     for index, joint in enumerate(rig.joints):
         difference = rotations[:, SKELETON.find_joint(joint.axes)].swapaxes(-1, -2) @ rig_rotations[:, index]
         np.testing.assert_allclose(difference, np.tile(difference[0], (len(difference), 1, 1)), atol=1e-12)
+
+
+HANDS = {"blender": "Hand", "motionbuilder": "Hand", "3dsmax": "Wrist"}  # of the rigs whose hands begin at the wrists
+ELBOWS = {"blender": "ForeArm", "motionbuilder": "ForeArm", "3dsmax": "Elbow"}
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_hand_begins_at_the_wrist_and_points_as_the_solved_hand(tmp_path: Path, name: str):
+    """CMU's Hand is 199.6 mm from the elbow, FingerBase 99.8 mm beyond it."""
+    motion = motion_of(np.tile(np.eye(3), (2, 31, 1, 1)), np.zeros((2, 3)))
+    motion.local_rotations[1, SKELETON.find_joint("LeftHand")] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # bent up by 90 degrees
+    motion.local_rotations[1, SKELETON.find_joint("LeftFingerBase")] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    rig, bvh = write_for_rig(tmp_path, name, SKELETON, motion)
+    places = bvh.compute_world_positions()[-2:] * rig.unit_m
+    elbow, wrist = (places[:, bvh.names.index(f"Left{joint[name]}")] for joint in (ELBOWS, HANDS))
+    solved, rotations = kinematics.compute_world_poses(SKELETON, motion)
+    np.testing.assert_allclose(elbow, solved[:, SKELETON.find_joint("LeftForeArm")], atol=1e-6)
+    bent = np.array([0.1996, 0.0998, 0])
+    expected = elbow + 0.2994 * np.array([[1, 0, 0], bent / np.linalg.norm(bent)])
+    np.testing.assert_allclose(wrist, expected, atol=1e-6)
+    rig_skeleton, rig_motion = retarget_to_rig(rig, SKELETON, motion)
+    hand = rig_skeleton.find_joint(f"Left{HANDS[name]}")
+    rest, turned = (kinematics.compute_world_poses(rig_skeleton, rig_motion)[1][frame, hand] for frame in (-2, -1))
+    np.testing.assert_allclose(turned @ rest.T, rotations[1, SKELETON.find_joint("LeftFingerBase")], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", RIG_NAMES)
