@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from math import isfinite
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -70,6 +71,8 @@ class Option:
         """Return a value with the type of the field: a tuple for a list or the only one of several, floats for integers."""
         if isinstance(value, list):
             value = tuple(cast("list[Any]", value))
+        elif isinstance(value, str) and self.type == FRAME_RANGE_TYPE:
+            value = self.parse([value])
         elif isinstance(value, str | Path) and isinstance(self.default, tuple):
             value = (value,)
         if self.type == tuple[float, ...] and isinstance(value, tuple):
@@ -90,6 +93,11 @@ class Option:
 
     def find_problem(self, value: object) -> str:
         """Return what is wrong with a value as the end of a sentence, "" if it is allowed."""
+        if self.type in (FRAME_RANGE_TYPE, int | None) and value is not None:
+            numbers = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
+            expected = 2 if self.type == FRAME_RANGE_TYPE else 1
+            if len(numbers) != expected or not all(isinstance(each, Integral) for each in numbers):
+                return f"must be {ARGUMENT_FORMS[self.type]}, not {value!r}"
         elements = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
         return next((problem for each in elements if (problem := self._find_element_problem(each))), "")
 

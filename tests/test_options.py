@@ -50,6 +50,10 @@ def test_one_text_or_a_list_becomes_a_tuple():
     assert build_clean_options(keep=["RELB", "LKNE"]).fill.keep == ("RELB", "LKNE")
 
 
+def test_a_text_of_frames_is_read_as_on_the_command_line():
+    assert build_clean_options(trim="5:10").output.trim == (5, 10)
+
+
 def test_values_in_other_units_keep_the_default_exactly():
     for option in OPTIONS:
         default = option.get_value(CleanOptions())
@@ -79,6 +83,9 @@ def test_repairable_kinds_are_those_of_faults():
             {"extra_formats": ("avi",)},
             "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, usd, sheet, not 'avi'.",
         ),
+        ({"trim": "5"}, "trim must be FIRST:LAST, as in 100:250, not '5'."),
+        ({"trim": (5,)}, "trim must be FIRST:LAST, as in 100:250, not (5,)."),
+        ({"rest_frame": 2.5}, "rest_frame must be a whole number, not 2.5."),
         ({"up_axis": "W"}, "up_axis must be one of X, -X, Y, -Y, Z, -Z, not 'W'."),
         ({"rate_hz": 1.0}, "rate_hz must be at least 5 Hz and at most 2000 Hz and finite, not 1."),
         ({"max_gap": 1.0}, "max_gap is no option; the options are purpose, unit, "),

@@ -7,12 +7,13 @@ gives its side are ignored.
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import takewhile
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -283,7 +284,7 @@ SEGMENT_OF_JOINT = {joint: segment for segment, joints in TRUNK_JOINTS.items() f
     for joint in joints
 }
 """The segments of the 31 joints that the naming conventions name; joints that are missing here have none. Hand is the wrist of a
-file without FingerBase, otherwise `_match_segments` gives it to the forearm."""
+file without FingerBase, otherwise `_complete_segments` gives it to the forearm."""
 
 
 def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) -> BoneMapping | None:
@@ -292,14 +293,32 @@ def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) 
     Bones between two bones of a limb are parts of the upper segment. The table that gives the most bones is chosen, among equals
     the one with the most similar set of names.
     """
+    best = _find_best_table(names, lambda found: _complete_segments(found, parents))
+    return best and BoneMapping({segment: tuple(chain) for segment, chain in best[1].items()}, reason=f"{best[0].title} names")
+
+
+Chains: TypeAlias = dict[str, list[int]]
+"""segment to its bones"""
+
+
+def _find_best_table(names: Sequence[str], complete: Callable[[Chains], Chains]) -> tuple[NameTable, Chains] | None:
+    """Return the table by which most bones have a segment, and these; None if no table gives all that a body needs.
+
+    Args:
+        names: Of the bones.
+        complete: Corrects and completes the bones that have names of the table.
+    """
     spellings = spell_names(names)
-    best: tuple[tuple[int, float], BoneMapping] | None = None
+    best: tuple[tuple[int, float], NameTable, Chains] | None = None
     for table in _load_segment_tables():
-        bones = _match_segments(table, spellings, parents)
-        score = sum(map(len, bones.values())), table.compare_names(spellings)
-        if all(bones.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
-            best = score, BoneMapping(bones, reason=f"{table.title} names")
-    return None if best is None else best[1]
+        found: Chains = {}
+        for segment, bone in table.find_parts(spellings):
+            found.setdefault(segment, []).append(bone)
+        chains = complete({segment: sorted(chain) for segment, chain in found.items()})  # parents have lower indices
+        score = sum(map(len, chains.values())), table.compare_names(spellings)
+        if all(chains.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
+            best = score, table, chains
+    return best and best[1:]
 
 
 @cache
@@ -318,13 +337,8 @@ def _load_segment_tables() -> tuple[NameTable, ...]:
     return tuple(tables)
 
 
-def _match_segments(
-    table: NameTable, spellings: Sequence[Sequence[NameKey]], parents: Int[np.ndarray, " J"]
-) -> dict[str, tuple[int, ...]]:
-    segments: dict[str, list[int]] = {}
-    for segment, bone in table.find_parts(spellings):
-        segments.setdefault(segment, []).append(bone)
-    chains = {segment: sorted(chain) for segment, chain in segments.items()}  # parents have lower indices
+def _complete_segments(chains: Chains, parents: Int[np.ndarray, " J"]) -> Chains:
+    """Return the bones of the segments, with the hand apart from the forearm, without misplaced ones, and with those between."""
     for side in SIDES:
         *inner, wrist = chains.get(f"{side}_hand", [-1])
         if inner and f"{side}_forearm" in chains:
@@ -333,10 +347,10 @@ def _match_segments(
     _correct_pelvis(chains, parents)
     _discard_misplaced_bones(chains, parents)
     _fill_chains(chains, parents)
-    return {segment: tuple(chain) for segment, chain in chains.items() if chain}
+    return {segment: chain for segment, chain in chains.items() if chain}
 
 
-def _correct_pelvis(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+def _correct_pelvis(chains: Chains, parents: Int[np.ndarray, " J"]) -> None:
     """Move the pelvis up to the bone that carries both legs and both arms, where the named one does not."""
     limbs = [chains[segment][0] for side in SIDES for segment in (f"{side}_thigh", f"{side}_upper_arm") if chains.get(segment)]
     pelvis = chains.get("pelvis", [])[:1]
@@ -347,7 +361,7 @@ def _correct_pelvis(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]
         chains["pelvis"] = pelvis
 
 
-def _discard_misplaced_bones(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+def _discard_misplaced_bones(chains: Chains, parents: Int[np.ndarray, " J"]) -> None:
     """Discard bones that are not below the bone before them."""
     for order in SEGMENT_CHAINS:
         above = -1
@@ -361,7 +375,7 @@ def _discard_misplaced_bones(chains: dict[str, list[int]], parents: Int[np.ndarr
                 chains[segment] = kept
 
 
-def _fill_chains(chains: dict[str, list[int]], parents: Int[np.ndarray, " J"]) -> None:
+def _fill_chains(chains: Chains, parents: Int[np.ndarray, " J"]) -> None:
     """Add the bones between the named ones of the spine, the neck and the limbs."""
     if spine := chains.get("spine"):
         chains["spine"] = list_path(spine[-1], int(parents[spine[0]]), parents)
@@ -396,16 +410,7 @@ def find_detached_bones(
         positions: In the rest pose, in metres in the world.
         is_skinned: Whether a mesh follows the bone; only such bones are found.
     """
-    spellings = spell_names(names)
-    best: tuple[tuple[int, float], dict[str, list[int]]] | None = None
-    for table in _load_segment_tables():
-        segments: dict[str, list[int]] = {}
-        for segment, bone in table.find_parts(spellings):
-            segments.setdefault(segment, []).append(bone)
-        score = sum(map(len, segments.values())), table.compare_names(spellings)
-        if all(segments.get(segment) for segment in REQUIRED_SEGMENTS) and (best is None or score > best[0]):
-            best = score, segments
-    if best is None:
+    if (best := _find_best_table(names, lambda found: found)) is None:
         return {}
     segments, limit = best[1], MAX_DETACHED_SHARE * float(np.ptp(positions, axis=0).max())
     hips = np.mean([positions[segments[segment][0]] for segment in SEGMENTS_OF_HIPS], axis=0)
@@ -416,7 +421,7 @@ def find_detached_bones(
     changed = parents.copy()
     for order in SEGMENT_CHAINS:
         above = -1
-        for bone in (bone for segment in order for bone in sorted(segments.get(segment, ()))):
+        for bone in (bone for segment in order for bone in segments.get(segment, ())):
             if above >= 0 and not is_below(bone, above, changed):
                 is_near = np.linalg.norm(positions[bone] - positions[above]) < limit
                 if not is_near or not is_skinned[bone] or is_below(above, bone, changed):
@@ -442,21 +447,20 @@ def map_bones(character: Character) -> BoneMapping:
         SceneError: If the bones do not form a body with two arms and two legs. The message names the file.
     """
     positions, _ = character.skeleton.compute_rest_pose()
-    source = character.source.path if character.source else character.name
     named = find_segments_by_name(character.skeleton.names, character.skeleton.parents)
     if named is not None:
         if _stands_on_hands(positions, named.bones):
             raise SceneError(
-                f"{source}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only a "
-                "character on two legs can take a person's motion."
+                f"{character.origin}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only "
+                "a character on two legs can take a person's motion."
             )
         return _build_mapping(character, positions, dict(named.bones), named.reason)
     try:
         shape = find_segments_by_shape(character.skeleton.parents, positions)
     except ValueError as error:
         raise SceneError(
-            f"{source}: the names of its bones are unknown, and their shape is no body with two arms and two legs in an upright "
-            f"rest pose ({error}); give the bones of each segment in a file (--character-map)."
+            f"{character.origin}: the names of its bones are unknown, and their shape is no body with two arms and two legs in "
+            f"an upright rest pose ({error}); give the bones of each segment in a file (--character-map)."
         ) from error
     how = "By the shape of the skeleton" if shape.faces_forward else "By the shape of the skeleton, taken to face +Z"
     return _build_mapping(character, positions, shape.bones, how)

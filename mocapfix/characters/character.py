@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.errors import SceneError
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, compose_transforms, is_below, list_path
+from mocapfix.model.skeleton import Skeleton, compose_transforms, decompose_transforms, is_below, list_path
 
 SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -50,6 +50,18 @@ class BoneMapping:
         """The segments without which a character cannot be posed and that this mapping lacks."""
         return [segment for segment in REQUIRED_SEGMENTS if not self.bones.get(segment)]
 
+    def renumber(self, place: Mapping[int, int] | Sequence[int]) -> "BoneMapping":
+        """Return the mapping with the new index of each bone, which `place` gives by the old one."""
+        bones, twists = (
+            {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
+            for group in (self.bones, self.twists)
+        )
+        return replace(self, bones=bones, twists=twists)
+
+    def add_sentence(self, sentence: str) -> "BoneMapping":
+        """Return the mapping with a sentence behind its reason."""
+        return replace(self, reason=f"{self.reason} {sentence}")
+
 
 @dataclass(frozen=True)
 class Character:
@@ -67,6 +79,11 @@ class Character:
     source: "CharacterSource | None" = None  # the file it was read from, None for a preset
     # feet and toes to P points of their mesh of which one touches the floor first, in the world in the rest pose, in metres
     soles: Mapping[str, Float[np.ndarray, "P 3"]] = field(default_factory=dict)
+
+    @property
+    def origin(self) -> str:
+        """The file it was read from, or its name, for messages."""
+        return self.source.path if self.source else self.name
 
 
 @dataclass(frozen=True)
@@ -91,26 +108,20 @@ def reparent_bones(character: Character, carriers: Mapping[int, int]) -> Charact
     place = {bone: index for index, bone in enumerate(order)} | {-1: -1}
     parents = np.array([place[parent] for parent in parents[order].tolist()])
     positions, rotations = positions[order], rotations[order]
-    is_root = (parents < 0)[:, None]
-    vectors = np.where(is_root, positions, positions - positions[parents])
-    axes = np.where(is_root[..., None], np.eye(3), rotations[parents])
-    bones, twists = (
-        {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
-        for group in (character.mapping.bones, character.mapping.twists)
-    )
+    offsets, rest_rotations = decompose_transforms(positions, rotations, parents)
     source = character.source
     return replace(
         character,
         skeleton=Skeleton(
             names=tuple(skeleton.names[bone] for bone in order),
             parents=parents,
-            offsets=np.einsum("jba,jb->ja", axes, vectors),
+            offsets=offsets,
             ends=skeleton.ends[order],
-            rest_rotations=axes.swapaxes(1, 2) @ rotations,
+            rest_rotations=rest_rotations,
             hinge_axes=skeleton.hinge_axes[order],
             limits_rad=skeleton.limits_rad[order],
         ),
-        mapping=replace(character.mapping, bones=bones, twists=twists),
+        mapping=character.mapping.renumber(place),
         scales=character.scales[order],
         source=replace(source, nodes=source.nodes[order]) if source is not None and len(source.nodes) else source,
     )

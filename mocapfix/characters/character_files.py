@@ -50,10 +50,11 @@ from mocapfix.io.gltf import (
     parse_glb,
     read_gltf_nodes,
 )
+from mocapfix.io.gltf_mesh import NODE_PROPERTIES
 from mocapfix.io.npz import write_character_npz
 from mocapfix.io.usd import write_usd
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, decompose_transforms
 from mocapfix.options import ROOT_BONE, OutputOptions
 
 MIN_MOVED_ELEMENT = 1e-6
@@ -69,12 +70,6 @@ def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int
     mapped = {bone for group in (character.mapping.bones, character.mapping.twists) for chain in group.values() for bone in chain}
     difference = np.abs(motion.local_rotations - character.skeleton.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
     return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
-
-
-def get_parent_scale(character: Character, bone: int) -> float:
-    """Return the metres in a unit of the file in which the position of a bone is given."""
-    parent = int(character.skeleton.parents[bone])
-    return float(character.scales[parent]) if parent >= 0 else character.root_scale
 
 
 def write_character_glb(target: Path, character: Character, motion: CharacterMotion, take_name: str) -> None:
@@ -99,9 +94,10 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     written = {(int(nodes[bone]), "translation") for bone in curves.positions}
     written |= {(int(nodes[bone]), "rotation") for bone in curves.turning}
     others = _list_animated_nodes(content.document, set(nodes.tolist())).difference(written)
+    entries = content.document["nodes"]
     for node, _ in written | others:
-        _replace_matrix(content.document["nodes"][node])
-    rest_values = {(node, path): content.document["nodes"][node].get(path, REST_VALUES[path]) for node, path in sorted(others)}
+        _replace_matrix(entries[node])
+    rest_values = {(node, path): entries[node].get(path, NODE_PROPERTIES[path]) for node, path in sorted(others)}
     name = _make_name_unique(take_name, content.document.get("animations", []))
     positions = {int(nodes[bone]): position for bone, position in curves.positions.items()}
     turned_nodes = {bone: int(nodes[bone]) for bone in curves.turning}
@@ -126,10 +122,6 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
 
 
-REST_VALUES = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
-"""the values of a node that a document leaves out"""
-
-
 def _list_animated_nodes(document: Mapping[str, Any], nodes: Collection[int]) -> set[tuple[int, str]]:
     """Return node and path of what the animations of a document move, of some nodes."""
     found: set[tuple[int, str]] = set()
@@ -137,7 +129,7 @@ def _list_animated_nodes(document: Mapping[str, Any], nodes: Collection[int]) ->
         channels = animation.get("channels")
         for channel in channels if isinstance(channels, list) else ():
             target = channel.get("target") if isinstance(channel, dict) else None
-            if isinstance(target, dict) and target.get("node") in nodes and target.get("path") in REST_VALUES:
+            if isinstance(target, dict) and target.get("node") in nodes and target.get("path") in NODE_PROPERTIES:
                 found.add((target["node"], target["path"]))
     return found
 
@@ -171,14 +163,10 @@ def _compute_node_curves(
     rest_position[bones], rest_rotation[bones] = at_rest.positions, at_rest.rotations
     rotations, positions = motion.local_rotations, {pelvis: motion.pelvis_position, **motion.positions}
     if len(moved := np.flatnonzero(parents != character.skeleton.parents)):
-        place_world, axes_world = compute_character_poses(character, motion)
+        local_positions, local_rotations = decompose_transforms(*compute_character_poses(character, motion), parents)
         rotations = rotations.copy()
-        for bone in moved.tolist():
-            above = int(parents[bone])
-            axes = axes_world[:, above] if above >= 0 else np.eye(3)[None]
-            vector = place_world[:, bone] - (place_world[:, above] if above >= 0 else 0.0)
-            rotations[:, bone] = axes.swapaxes(1, 2) @ axes_world[:, bone]
-            positions[bone] = np.einsum("tba,tb->ta", axes, vector)
+        rotations[:, moved] = local_rotations[:, moved]
+        positions |= {bone: local_positions[:, bone] for bone in moved.tolist()}
     is_kept = np.abs(rest_position - character.skeleton.offsets).max(1) < MIN_MOVED_OFFSET_M
     for bone in set(np.flatnonzero(~is_kept).tolist()).difference(positions):
         positions[bone] = np.tile(character.skeleton.offsets[bone], (motion.frame_count, 1))
@@ -271,15 +259,11 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
         rest_positions, tails = (np.concatenate([np.zeros((1, 3)), each]) for each in (rest_positions, tails))
         positions = np.concatenate([np.zeros((motion.frame_count, 1, 3)), positions], axis=1)
         turned = np.concatenate([np.tile(np.eye(3), (motion.frame_count, 1, 1, 1)), turned], axis=1)
-    is_root = parents < 0
-    offsets = np.where(is_root[:, None], rest_positions, rest_positions - rest_positions[parents])
-    local_rotations = np.where(is_root[:, None, None], np.eye(3), turned[:, parents]).swapaxes(-1, -2) @ turned
+    offsets = np.where(parents[:, None] < 0, rest_positions, rest_positions - rest_positions[parents])
+    local_positions, local_rotations = decompose_transforms(positions, turned, parents)
     skeleton = Skeleton(tuple(names), parents, offsets, _choose_ends(parents, offsets, tails))
-    pelvis = place[character.mapping.bones["pelvis"][0]] + len(names) - len(bones)
-    positioned = {0: positions[:, 0]}
-    for joint in {pelvis, *(place[bone] + len(names) - len(bones) for bone in motion.positions)} - {0}:
-        above = int(parents[joint])
-        positioned[joint] = np.einsum("tba,tb->ta", turned[:, above], positions[:, joint] - positions[:, above])
+    moved = (place[bone] + len(names) - len(bones) for bone in (character.mapping.bones["pelvis"][0], *motion.positions))
+    positioned = {joint: local_positions[:, joint] for joint in (0, *moved)}
     unit_m = _choose_unit(character)
     write_bvh_tree(target, skeleton, positioned, np.ascontiguousarray(local_rotations), motion.rate, unit_m)
 
@@ -312,7 +296,9 @@ def _choose_ends(
 
 
 def _choose_unit(character: Character) -> float:
-    scale = get_parent_scale(character, character.mapping.bones["pelvis"][0])
+    """Return the metres in a unit of the BVH: the one in which the character's file gives the position of the pelvis."""
+    above = int(character.skeleton.parents[character.mapping.bones["pelvis"][0]])
+    scale = float(character.scales[above]) if above >= 0 else character.root_scale
     return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
@@ -375,7 +361,7 @@ class CharacterFiles:
         moving_bones = list_moving_bones(character, delivered)
         write_character_npz(target.with_suffix(".npz"), character, delivered, moving_bones)
         write_mapping_file(target.with_suffix(".map.yaml"), character)
-        write_character_glb(target, character, delivered, target.name.partition(".")[0])
+        write_character_glb(target, character, delivered, target.name.removesuffix(f".{self.suffixes[0]}"))
         problems = [GLB_CONVERTERS[suffix](target.with_suffix(f".{suffix}"), target, rate) for suffix in self.converted]
         return notes + [each for each in problems if each]
 
@@ -384,6 +370,6 @@ def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float
     """Write the solved skeleton in one of GLB_CONVERTERS. Returns sentences for the report. Raises WriteError."""
     with make_scratch_folder() as folder:
         glb = folder / f"{target.stem}.glb"
-        write_character_glb(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), target.name.partition(".")[0])
+        write_character_glb(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), target.stem)
         problem = GLB_CONVERTERS[target.suffix[1:]](target, glb, rate)
     return [problem] if problem else []

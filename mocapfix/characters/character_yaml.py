@@ -19,7 +19,7 @@ from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineSequence, StrictModel, dump_yaml, read_yaml_model
-from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton
+from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, decompose_transforms
 from mocapfix.options import RIG_NAMES
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -104,9 +104,7 @@ def read_character_yaml(path: str | Path) -> Character:
     if model.segments:
         reason = f"{model.title or model.name}: the segments of the character file."
         mapping = build_bone_mapping(names, parents, model.segments, model.twists, reason=reason, source=str(path))
-    is_root = (parents < 0)[:, None]
-    parent_heads = np.where(is_root, 0.0, heads[parents])
-    parent_rotations = np.where(is_root[..., None], np.eye(3), rotations[parents])
+    offsets, rest_rotations = decompose_transforms(heads, rotations, parents)
     rotation_y_up_file = ROTATION_Y_UP_Z_UP if model.up == "Z" else np.eye(3)
     if model.file_rotation is not None:
         rotation_y_up_file = _read_quaternion(path, "file_rotation", model.file_rotation)
@@ -115,9 +113,9 @@ def read_character_yaml(path: str | Path) -> Character:
         skeleton=Skeleton(
             names,
             parents,
-            offsets=np.einsum("jba,jb->ja", parent_rotations, heads - parent_heads),
+            offsets=offsets,
             ends=np.einsum("jba,jb->ja", rotations, tails - heads),
-            rest_rotations=parent_rotations.swapaxes(-1, -2) @ rotations,
+            rest_rotations=rest_rotations,
             limits_rad=_read_limits(path, model, names),
         ),
         mapping=mapping,

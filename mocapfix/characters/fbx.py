@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mocapfix.errors import ReadError, WriteError
+from mocapfix.errors import ReadError
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import GlbContent, build_glb, parse_glb
 
@@ -95,10 +95,7 @@ def convert_fbx(path: Path) -> bytes:
 
 def _select_last_animation(glb_path: Path) -> tuple[bytes, str]:
     """Return the bytes of a GLB with its last animation alone, so that Blender does not choose another one, and its name."""
-    try:
-        content = parse_glb(glb_path, glb_path.read_bytes())
-    except OSError as error:
-        raise WriteError(f"{glb_path}: cannot be read ({error.strerror}), so no FBX can be written.") from error
+    content = parse_glb(glb_path, glb_path.read_bytes())
     animation = content.document["animations"][-1]
     document = content.document | {"animations": [animation]}
     return build_glb(GlbContent(document, content.binary, content.other_chunks)), animation["name"]

@@ -209,8 +209,8 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
             character = replace(character, mapping=map_bones(character))
         character, strays = attach_stray_bones(character)
         if names := [skeleton.names[bone] for bone in moved] + strays:
-            reason = f"{character.mapping.reason} No bone of the body carries {format_name_list(names)}; they follow it."
-            character = replace(character, mapping=replace(character.mapping, reason=reason))
+            sentence = f"The body moves {format_name_list(names)}, which no bone of it carries in the file."
+            character = replace(character, mapping=character.mapping.add_sentence(sentence))
         return character
 
     character = _choose_skeleton(skeletons, assign, rest_frame)
@@ -224,13 +224,13 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
 
 def _choose_skeleton(skeletons: list[Character], assign: Callable[[Character], Character], rest_frame: int | None) -> Character:
     """Return the first skeleton of a file that has a mapping and a rest pose. Raises what is wrong with the first if none has."""
-    first_error: SceneError | None = None
+    errors: list[SceneError] = []
     for character in skeletons:
         try:
             return choose_rest_pose(character, assign, rest_frame)
         except SceneError as error:
-            first_error = first_error or error
-    raise first_error or SceneError("The file of the character has no skeleton; export it with its armature.")
+            errors.append(error)
+    raise errors[0]
 
 
 def check_lengths(character: Character, name: str) -> None:
@@ -266,8 +266,8 @@ def compute_skin_vertices(character: Character) -> SkinVertices:
     for node in nodes.ordered:
         carriers[node] = bone_of.get(node, carriers[nodes.parents[node]] if nodes.parents[node] >= 0 else -1)
     matrices = move_nodes(nodes, compute_node_matrices(content, nodes)[0], placed)
-    strongest = mesh.slots[np.arange(len(mesh.slots)), mesh.weights.argmax(1)]
-    bones, is_weighted = carriers[mesh.nodes[strongest]], np.isin(mesh.nodes[strongest], list(bone_of))
+    followed = mesh.nodes[mesh.strongest]
+    bones, is_weighted = carriers[followed], np.isin(followed, list(bone_of))
     return SkinVertices(mesh.pose(matrices)[bones >= 0], bones[bones >= 0], is_weighted[bones >= 0])
 
 
@@ -382,10 +382,9 @@ def attach_stray_bones(character: Character) -> tuple[Character, list[str]]:
             if not vertices.is_weighted[vertices.bones == bone].any():
                 continue
             pair = f"{skeleton.names[bone]!r} carries skin at {skeleton.names[nearest]!r}"
-            source = character.source.path if character.source else character.name
             raise SceneError(
-                f"{source}: the bone {pair}, but is above the pelvis and would stay behind; weight that skin to the pelvis, or "
-                "name the bone as the pelvis in a mapping file (--character-map)."
+                f"{character.origin}: the bone {pair}, but is above the pelvis and would stay behind; weight that skin to the "
+                "pelvis, or name the bone as the pelvis in a mapping file (--character-map)."
             )
         if bone not in mapped and not any(is_below(bone, other, skeleton.parents) for other in strays):
             found[bone] = nearest

@@ -20,7 +20,16 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.bone_mapping import find_side_twists
-from mocapfix.characters.character import SIDES, BoneMapping, Character, CharacterSource, build_bone_mapping, compute_tail
+from mocapfix.characters.character import (
+    SIDES,
+    TWISTING_SEGMENTS,
+    BoneMapping,
+    Character,
+    CharacterSource,
+    build_bone_mapping,
+    compute_tail,
+    get_next_segment,
+)
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.gltf import (
     MAX_GLB_BYTES,
@@ -211,13 +220,9 @@ VRM_LIMB_BONES = {
 SEGMENTS_OF_VRM_BONES = VRM_TRUNK_BONES | {
     f"{side}{end}": f"{side}_{segment}" for side in SIDES for end, segment in VRM_LIMB_BONES.items()
 }
-SEGMENTS_BELOW = {
-    "spine": ("spine", "neck", "head"),
-    "neck": ("neck", "head"),
-    **{f"{side}_{upper}": (f"{side}_{lower}",) for side in SIDES for upper, lower in (
-        ("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"),
-    )},
-}  # fmt: skip
+SEGMENTS_BELOW = {"spine": ("spine", "neck", "head"), "neck": ("neck", "head")} | {
+    segment: (get_next_segment(segment),) for segment in TWISTING_SEGMENTS
+}
 """segments of several bones to those that they carry; bones between the two are theirs"""
 
 

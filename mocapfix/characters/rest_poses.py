@@ -27,8 +27,8 @@ from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_
 from mocapfix.errors import SceneError
 from mocapfix.io.bvh import read_bvh
 from mocapfix.io.gltf import GlbContent, GltfNodes, parse_glb, read_gltf_nodes
-from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
-from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
+from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, extract_rotations, move_nodes, read_array
+from mocapfix.model.skeleton import compose_transforms, compute_local_rotations, decompose_transforms
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 MAX_TILT_DEG = 40.0  # angle of the trunk, the thighs and the shins from the vertical of a figure that stands
@@ -109,9 +109,8 @@ def choose_rest_pose(character: Character, assign: Callable[[Character], Charact
     Raises:
         SceneError: If the bones do not form a body, or it stands in no pose of the file. The message names the file.
     """
-    source = character.source.path if character.source else character.name
     if rest_frame is not None:
-        return _note_pose(assign(_take_frame(character, rest_frame, source)), f"frame {rest_frame} of its file")
+        return _note_pose(assign(_take_frame(character, rest_frame)), f"frame {rest_frame} of its file")
     errors: list[SceneError] = []
     found: list[tuple[float, Character]] = []  # with their tilts
     bind = read_bind_pose(character)
@@ -137,8 +136,8 @@ def choose_rest_pose(character: Character, assign: Callable[[Character], Charact
     if standing:
         return standing[0]
     raise SceneError(
-        f"{source}: its trunk or a leg is {found[0][0]:.0f} degrees from the vertical in its rest pose, and it stands in no "
-        "frame of its file; export it in a T- or A-pose."
+        f"{character.origin}: its trunk or a leg is {found[0][0]:.0f} degrees from the vertical in its rest pose, and it stands "
+        "in no frame of its file; export it in a T- or A-pose."
     )
 
 
@@ -148,10 +147,7 @@ def _pose(character: Character, poses: BonePoses, frame: int) -> Character:
 
 
 def _note_pose(character: Character, pose: str) -> Character:
-    if not pose:
-        return character
-    reason = f"{character.mapping.reason} Its rest pose is {pose}."
-    return replace(character, mapping=replace(character.mapping, reason=reason))
+    return replace(character, mapping=character.mapping.add_sentence(f"Its rest pose is {pose}.")) if pose else character
 
 
 def _iterate_frames(character: Character) -> Iterator[BonePoses]:
@@ -171,16 +167,17 @@ def _iterate_frames(character: Character) -> Iterator[BonePoses]:
         yield from iterate_animations(character)
 
 
-def _take_frame(character: Character, rest_frame: int, source: str) -> Character:
-    count = 0
+def _take_frame(character: Character, rest_frame: int) -> Character:
+    count, has = 0, ""
     for poses in _iterate_frames(character):
         if 1 <= rest_frame - count <= len(poses.offsets):
             posed = _pose(character, poses, rest_frame - count - 1)
             if np.isfinite(posed.skeleton.offsets).all():
                 return posed
+            has = "an incomplete frame there"
         count += len(poses.offsets)
-    has = f"frames from 1 to {count}, some of which may be incomplete" if count else "no frames"
-    raise SceneError(f"{source}: has {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); choose another.")
+    has = has or (f"frames 1 to {count}" if count else "no frames")
+    raise SceneError(f"{character.origin}: has {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame).")
 
 
 def _find_standing_frame(character: Character, mapped: Character) -> Character | None:
@@ -191,13 +188,8 @@ def _find_standing_frame(character: Character, mapped: Character) -> Character |
         mapped: The same with the mapping in some pose, in which bones may have other parents.
     """
     place = [character.skeleton.names.index(name) for name in mapped.skeleton.names]
-    bones, twists = (
-        {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
-        for group in (mapped.mapping.bones, mapped.mapping.twists)
-    )
-    character = replace(
-        character, mapping=replace(mapped.mapping, bones=bones, twists=twists), has_feet_flat=mapped.has_feet_flat
-    )
+    mapping = mapped.mapping.renumber(place)
+    character, bones = replace(character, mapping=mapping, has_feet_flat=mapped.has_feet_flat), mapping.bones
     carriers = {place[bone]: place[parent] for bone, parent in enumerate(mapped.skeleton.parents.tolist()) if parent >= 0}
     moved = {bone: carrier for bone, carrier in carriers.items() if character.skeleton.parents[bone] != carrier}
     best: tuple[float, Character, str] | None = None
@@ -277,13 +269,8 @@ def build_bone_matrices(character: Character) -> Matrices:
 
 def _convert_to_poses(character: Character, matrices: Float[np.ndarray, "T J 4 4"]) -> BonePoses:
     """Return poses from the transforms of the bones to the world."""
-    parents, linear, positions = character.skeleton.parents, matrices[..., :3, :3], matrices[..., :3, 3]
-    turned = Rotation.from_matrix(linear.reshape(-1, 3, 3) / np.cbrt(np.linalg.det(linear)).reshape(-1, 1, 1))
-    rotations = turned.as_matrix().reshape(linear.shape)
-    below, vectors = parents >= 0, positions.copy()
-    vectors[:, below] -= positions[:, parents[below]]
-    vectors[:, below] = np.einsum("tjba,tjb->tja", rotations[:, parents[below]], vectors[:, below])
-    return BonePoses(vectors, compute_local_rotations(rotations, parents))
+    rotations = extract_rotations(matrices)
+    return BonePoses(*decompose_transforms(matrices[..., :3, 3], rotations, character.skeleton.parents))
 
 
 def read_bind_pose(character: Character) -> BonePoses | None:
@@ -294,21 +281,12 @@ def read_bind_pose(character: Character) -> BonePoses | None:
     if (file := open_gltf(character)) is None:
         return None
     content, nodes, bone_of = file
-    posed, bound = build_bone_matrices(character), dict[int, Float[np.ndarray, "4 4"]]()
-    shown = compute_node_matrices(content, nodes)[0]
+    shown, bound = compute_node_matrices(content, nodes)[0], dict[int, Float[np.ndarray, "4 4"]]()
     for skin in range(len(content.document.get("skins", []))):
-        for joint, matrix in _bind_joints(content, nodes, shown, skin).items():
-            if joint in bone_of:
-                bound.setdefault(bone_of[joint], matrix)
-    if not bound:
+        bound = _bind_joints(content, nodes, shown, skin) | bound
+    if bound.keys().isdisjoint(bone_of):
         return None
-    matrices = posed.copy()
-    for bone, parent in enumerate(character.skeleton.parents.tolist()):
-        if bone in bound:
-            matrices[bone] = bound[bone]
-        elif parent >= 0:
-            matrices[bone] = matrices[parent] @ np.linalg.inv(posed[parent]) @ posed[bone]
-    return _convert_to_poses(character, matrices[None])
+    return _convert_to_poses(character, move_nodes(nodes, shown, bound)[None, list(bone_of)])
 
 
 def _bind_joints(content: GlbContent, nodes: GltfNodes, shown: Matrices, skin: int) -> dict[int, Float[np.ndarray, "4 4"]]:
@@ -326,7 +304,7 @@ def _bind_joints(content: GlbContent, nodes: GltfNodes, shown: Matrices, skin: i
         stored = read_array(content, content.document["skins"][skin]["inverseBindMatrices"]).astype(float)
         inverse = stored.reshape(len(joints), 4, 4).swapaxes(1, 2)  # stored by columns
         bind, wanted = np.linalg.inv(inverse), np.cbrt(np.linalg.det(shown[joints][:, :3, :3]))
-    except (np.linalg.LinAlgError, *UNREADABLE):
+    except UNREADABLE:
         return {}
     # the last choice: as if the first joint were in the bind pose
     for choice in (np.eye(4), *shown[meshes[:1]], shown[joints[0]] @ inverse[0]):
@@ -347,7 +325,7 @@ def iterate_animations(character: Character) -> Iterator[BonePoses]:
         try:
             times_s = _list_key_times(content, animation, bone_of)
             matrices = compute_node_matrices(content, nodes, animation, times_s)[:, list(bone_of)]
-        except (AttributeError, *UNREADABLE):
+        except UNREADABLE:
             continue
         is_sound = np.isfinite(matrices).all((1, 2, 3)) & (np.linalg.det(matrices[..., :3, :3]) > 0).all(1)
         if is_sound.all() and len(times_s):

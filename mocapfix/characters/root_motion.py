@@ -20,9 +20,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, CharacterSource, compute_character_poses, reparent_bones
+from mocapfix.characters.rest_poses import open_gltf
 from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
-from mocapfix.model.skeleton import UNLIMITED_RAD
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import ROOT_BONE, ROOT_IN_PLACE
 
 SMOOTHING_S = 0.4
@@ -133,12 +134,11 @@ def find_root_bone(character: Character) -> int:
 
 def list_source_joints(character: Character) -> set[int]:
     """Return the bones that are joints of a skin, none for a character without a glTF."""
-    source = character.source
-    if source is None or source.kind != "gltf":
+    if (file := open_gltf(character)) is None:
         return set()
-    skins = parse_glb(Path(source.path), source.data).document.get("skins", [])
-    joints = {joint for skin in skins for joint in skin["joints"]}
-    return {bone for bone, node in enumerate(source.nodes.tolist()) if node in joints}
+    content, _, bone_of = file
+    joints = {joint for skin in content.document.get("skins", []) for joint in skin["joints"]}
+    return {bone for node, bone in bone_of.items() if node in joints}
 
 
 def prepare_root_bone(character: Character) -> Character:
@@ -148,13 +148,12 @@ def prepare_root_bone(character: Character) -> Character:
     skeleton, pelvis = character.skeleton, character.mapping.bones["pelvis"][0]
     name = next((each for each in ROOT_NAMES if each not in skeleton.names), f"root of {character.name}")
     above = int(skeleton.parents[pelvis])
-    bone: dict[str, Any] = {"parents": above, "offsets": np.zeros(3), "ends": np.full(3, np.nan), "rest_rotations": np.eye(3)}
-    bone |= {"hinge_axes": np.full(3, np.nan), "limits_rad": UNLIMITED_RAD}
-    fields: dict[str, Any] = {field: np.concatenate([getattr(skeleton, field), [value]]) for field, value in bone.items()}
+    root = Skeleton((name,), np.array([above]), np.zeros((1, 3)), np.full((1, 3), np.nan))
+    _, *pairs = zip(vars(skeleton).values(), vars(root).values(), strict=True)  # of all arrays
     scale = character.scales[above] if above >= 0 else character.root_scale
     extended = replace(
         character,
-        skeleton=replace(skeleton, names=(*skeleton.names, name), **fields),
+        skeleton=Skeleton((*skeleton.names, name), *(np.concatenate(pair) for pair in pairs)),
         scales=np.append(character.scales, scale),
         source=_add_root_node(character, name),
     )

@@ -46,6 +46,11 @@ class GltfMesh:
             posed += weights[:, None] * (np.einsum("vij,vj->vi", used[:, :3, :3], self.positions) + used[:, :3, 3])
         return posed
 
+    @property
+    def strongest(self) -> Int[np.ndarray, " V"]:
+        """The slot of the greatest weight of each corner."""
+        return np.take_along_axis(self.slots, self.weights.argmax(1)[:, None], axis=1)[:, 0]
+
     def join(self, other: "GltfMesh") -> "GltfMesh":
         """Return this mesh and another one as one."""
         other = replace(other, slots=other.slots + len(self.nodes), triangles=other.triangles + len(self.positions))
@@ -182,6 +187,14 @@ def compute_node_matrices(
         if nodes.parents[node] >= 0:
             matrices[:, node] = matrices[:, nodes.parents[node]] @ matrices[:, node]
     return matrices
+
+
+def extract_rotations(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the rotations in matrices, without their scales; a matrix that mirrors has none."""
+    linear = matrices[..., :3, :3]
+    determinant = np.linalg.det(linear)[..., None, None]
+    linear = np.where(determinant > 0, linear, np.eye(3)) / np.cbrt(np.where(determinant > 0, determinant, 1.0))
+    return Rotation.from_matrix(linear.reshape(-1, 3, 3)).as_matrix().reshape(linear.shape)
 
 
 def move_nodes(

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.gltf import GltfNodes, parse_glb, read_gltf_nodes
-from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, read_array, read_gltf_mesh
-from mocapfix.model.skeleton import compute_local_rotations
+from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, extract_rotations, read_array, read_gltf_mesh
+from mocapfix.model.skeleton import decompose_transforms
 
 ROOT_PATH = "/Character"
 SRGB_EXPONENT = 2.2  # of the colours of a glTF in the mesh; USD has them linear
@@ -45,7 +45,9 @@ def write_usd(target: Path, glb_path: Path, rate: float) -> str | None:
     moving = compute_node_matrices(content, nodes, animation, (np.arange(frame_count) / rate).tolist())[:, joints]
     place = {node: joint for joint, node in enumerate(joints)}
     parents = np.array([place.get(int(nodes.parents[node]), -1) for node in joints])
-    rest_rigid, rigid = _remove_scales(rest), _remove_scales(moving)
+    rest_rigid, rigid = rest.copy(), moving.copy()
+    for each in (rest_rigid, rigid):
+        each[..., :3, :3] = extract_rotations(each)
     # from a joint's axes with the scales of the file to those without
     bind = rest_rigid[0].copy()
     slot_joints = np.array([place[node] for node in mesh.nodes.tolist()], int)
@@ -125,28 +127,14 @@ def _list_joints(nodes: GltfNodes, document: dict[str, Any], animation: dict[str
     return [node for node in nodes.ordered if node in used]
 
 
-def _remove_scales(matrices: Float[np.ndarray, "T J 4 4"]) -> Float[np.ndarray, "T J 4 4"]:
-    """Return matrices with their rotations and places alone; a mirrored one has no rotation."""
-    rigid, linear = matrices.copy(), matrices[..., :3, :3].reshape(-1, 3, 3)
-    determinant = np.linalg.det(linear)
-    is_sound = determinant > 0
-    linear = np.where(is_sound[:, None, None], linear, np.eye(3)) / np.cbrt(np.where(is_sound, determinant, 1.0))[:, None, None]
-    rigid[..., :3, :3] = Rotation.from_matrix(linear).as_matrix().reshape(rigid[..., :3, :3].shape)
-    return rigid
-
-
 def _compute_local(rigid: Float[np.ndarray, "T J 4 4"], parents: Int[np.ndarray, " J"]) -> Float[np.ndarray, "T J 4 4"]:
     """Return rigid matrices in the world as those to each joint's parent."""
-    local, below = rigid.copy(), np.flatnonzero(parents >= 0)
-    local[..., :3, :3] = compute_local_rotations(rigid[..., :3, :3], parents)
-    places = rigid[..., :3, 3]
-    axes = rigid[:, parents[below]][..., :3, :3]
-    local[..., :3, 3][:, below] = np.einsum("tjba,tjb->tja", axes, places[:, below] - places[:, parents[below]])
+    local = rigid.copy()
+    local[..., :3, 3], local[..., :3, :3] = decompose_transforms(rigid[..., :3, 3], rigid[..., :3, :3], parents)
     return local
 
 
 def _move_to_bind(mesh: GltfMesh, moves: Float[np.ndarray, "S 4 4"]) -> Float[np.ndarray, "V 3"]:
     """Return the corners moved as the slot that they follow most is moved from its skin to the bind pose."""
-    strongest = np.take_along_axis(mesh.slots, mesh.weights.argmax(1)[:, None], axis=1)[:, 0]
-    used = moves[strongest]
+    used = moves[mesh.strongest]
     return np.einsum("vij,vj->vi", used[:, :3, :3], mesh.positions) + used[:, :3, 3]

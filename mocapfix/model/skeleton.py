@@ -84,6 +84,16 @@ def compute_local_rotations(
     return local
 
 
+def decompose_transforms(
+    positions: Float[np.ndarray, "*batch J 3"], rotations: Float[np.ndarray, "*batch J 3 3"], parents: Int[np.ndarray, " J"]
+) -> tuple[Float[np.ndarray, "*batch J 3"], Float[np.ndarray, "*batch J 3 3"]]:
+    """Return the positions and rotations of joints relative to their parents, from those in the world; roots keep theirs."""
+    local, below = positions.copy(), np.flatnonzero(parents >= 0)
+    vectors, axes = positions[..., below, :] - positions[..., parents[below], :], rotations[..., parents[below], :, :]
+    local[..., below, :] = np.einsum("...ba,...b->...a", axes, vectors)
+    return local, compute_local_rotations(rotations, parents)
+
+
 @dataclass(frozen=True)
 class Skeleton:
     """A tree of J joints in its rest pose: that of a person, a rig, a character or a file.

@@ -90,7 +90,7 @@ def test_a_skinned_bone_beside_the_body_follows_the_nearest_bone(tmp_path):
     character = load_detached(tmp_path, "LeftHandIndex1", LeftHandIndex1="strap")
     skeleton = character.skeleton
     assert skeleton.names[skeleton.parents[skeleton.find_joint("strap")]] == f"{PREFIX}LeftHand"
-    assert character.mapping.reason.endswith("No bone of the body carries strap; they follow it.")
+    assert character.mapping.reason.endswith("The body moves strap, which no bone of it carries in the file.")
 
 
 def test_skin_of_the_body_on_a_bone_above_the_pelvis_is_refused(tmp_path):

@@ -94,14 +94,14 @@ def test_clips_that_cannot_be_written_are_wrong_usage(mocapfix, brief, tmp_path,
 
 
 def test_clips_hold_the_motions_of_all_takes(mocapfix, brief, tmp_path):
-    second = tmp_path / f"second{brief.path.suffix}"
+    second = tmp_path / f"second.Ann{brief.path.suffix}"
     shutil.copyfile(brief.path, second)
     arguments = ("--subject", brief.subject, "--character", "mixamo", "--clips", tmp_path / "all.glb")
     status, out, _ = mocapfix("clean", brief.path, second, "--out", tmp_path / "out", *arguments)
     assert status == 0
     assert "all.glb: 2 motions as animations of one character." in " ".join(out.split())
     document = parse_glb(tmp_path / "all.glb", (tmp_path / "all.glb").read_bytes()).document
-    assert [each["name"] for each in document["animations"]] == ["brief", "second"]
+    assert [each["name"] for each in document["animations"]] == ["brief", "second.Ann"]
     status, _, err = mocapfix("clean", brief.path, second, "--out", tmp_path / "other", *arguments)
     assert status == 1
     assert "all.glb: already exists; give --overwrite" in " ".join(err.split())
