@@ -32,8 +32,8 @@ class _Terminal(Console):
         raise BrokenPipeError
 
 
-stdout_console = _Terminal(highlight=False)
-stderr_console = _Terminal(stderr=True, highlight=False)
+stdout_console = _Terminal(highlight=False, emoji=False)  # frames as 900:100: are no emoji
+stderr_console = _Terminal(stderr=True, highlight=False, emoji=False)
 
 
 @contextmanager
