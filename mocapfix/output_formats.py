@@ -298,7 +298,7 @@ def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | 
     unused = [] if options.characters else [OPTION_BY_NAME[name] for name in CHARACTER_OPTIONS]
     for option in unused:
         if getattr(options, option.name) != option.default:
-            problem = "is for the motion of a character; name one with --character"
+            problem = "is for the motion of a character; name a character too"
             raise OptionError(option.name, option.flag, option.job_key, problem)
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
     rigs = [build_rig_format(load_rig(name)) for name in dict.fromkeys(options.rigs)]

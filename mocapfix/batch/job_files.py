@@ -130,10 +130,9 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
             given[option.name] = option.from_display(value)
     try:
         options = build_clean_options(**given).map_files(lambda name: _find_beside_job(path, name))
+        list_output_formats(options.output)
     except OptionError as error:
         raise SceneError(f"{path}: {error.job_key}: {error.problem}.") from error
-    try:
-        list_output_formats(options.output)
     except MocapfixError as error:
         raise SceneError(f"{path}: write: {error}") from error
     return options

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion, compute_character_poses
-from mocapfix.characters.root_motion import measure_floor_path, turn_about_vertical
+from mocapfix.characters.root_motion import CycleStep, FloorPath, measure_floor_path
 from mocapfix.io.resampling import FRAME_TOLERANCE
 from mocapfix.model.take import Take
 from mocapfix.stats.rigid_alignment import compute_shortest_rotations
@@ -36,23 +36,6 @@ SPEED_SHARES = {(False, False): (0.5, 0.5), (True, False): (0.0, 1.0), (False, T
 """How much of a difference of a foot's speeds is taken at the beginning and at the end, by whether the foot stands there."""
 MIN_RESERVE_M = 1e-4  # length by which a leg is shorter than its bones, at least
 SHORT_SWING_SHARE = 0.4  # of BLEND_S: a foot that swings for less than 0.16 s is held
-
-
-class CycleStep(NamedTuple):
-    """How the body moves on over the floor from one cycle to the next."""
-
-    yaw_rad: float
-    translation: Float[np.ndarray, " 3"]  # m, after the turn
-    distance_m: float  # from the first place of the pelvis to the last
-
-    @property
-    def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """The turn about the vertical."""
-        return turn_about_vertical(self.yaw_rad).as_matrix()
-
-    def undo(self, position: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Return positions of the last frame as seen in the first cycle."""
-        return (position - self.translation) @ self.rotation
 
 
 def find_trimmed_frames(trim: tuple[int, int] | None, take: Take, rate: float) -> slice:
@@ -75,23 +58,21 @@ def close_loop(
     """
     if motion.frame_count < MIN_LOOP_FRAMES:
         return motion, f"A loop has at least {MIN_LOOP_FRAMES} frames, and the motion {motion.frame_count}: it is left as it is."
-    step = _measure_step(character, motion)
+    floor_path = measure_floor_path(character, motion)
+    step, start = _measure_step(floor_path), floor_path.position[0]
     blended = _blend_poses(character, motion, step)
     closed = _place_feet(character, motion, blended, step, is_standing)
     before, after = (_describe_seam(character, each, step) for each in (motion, closed))
-    duration_s, turn_deg = (motion.frame_count - 1) / motion.rate, np.rad2deg(step.yaw_rad)
-    path = f"A cycle travels {step.distance_m:.2f} m and turns by {turn_deg:.0f} degrees."
+    duration_s, travel_m = (motion.frame_count - 1) / motion.rate, np.linalg.norm(start - step.undo(start))
+    path = f"A cycle travels {travel_m:.2f} m and turns by {np.rad2deg(step.yaw_rad):.0f} degrees."
     return closed, f"Loop of {duration_s:.2f} s: its ends differed by {before}, now by {after}. {path}"
 
 
-def _measure_step(character: Character, motion: CharacterMotion) -> CycleStep:
+def _measure_step(path: FloorPath) -> CycleStep:
     """Return the step of a body that moves on, none for one that returns to its place."""
-    path = measure_floor_path(character, motion)
-    first, last = path.position[[0, -1]]
-    yaw = float(path.yaw_rad[-1] - path.yaw_rad[0])
-    if np.linalg.norm(last - first) < MAX_STANDING_TRAVEL_M and abs(np.sin(yaw / 2)) < np.sin(MAX_STANDING_TURN_RAD / 2):
-        return CycleStep(0.0, np.zeros(3), 0.0)
-    return CycleStep(yaw, last - turn_about_vertical(yaw).apply(first), float(np.linalg.norm(last - first)))
+    step, travel_m = path.measure_step(), np.linalg.norm(path.position[-1] - path.position[0])
+    returns = travel_m < MAX_STANDING_TRAVEL_M and abs(np.sin(step.yaw_rad / 2)) < np.sin(MAX_STANDING_TURN_RAD / 2)
+    return CycleStep(0.0, np.zeros(3)) if returns else step
 
 
 def _describe_seam(character: Character, motion: CharacterMotion, step: CycleStep) -> str:

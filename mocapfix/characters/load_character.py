@@ -21,12 +21,11 @@ from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Charact
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
 from mocapfix.characters.fbx import convert_fbx, is_fbx
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
-from mocapfix.characters.rest_poses import build_bone_matrices, choose_rest_pose, open_gltf
+from mocapfix.characters.rest_poses import build_bone_matrices, choose_rest_pose, open_gltf, parse_character_gltf
 from mocapfix.errors import ReadError, SceneError, format_name_list
 from mocapfix.io.bvh import is_bvh, read_bvh
 from mocapfix.io.capture import extract_head
 from mocapfix.io.file_content import read_file_bytes
-from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
@@ -273,8 +272,7 @@ def compute_skin_vertices(character: Character) -> SkinVertices:
 
 @lru_cache(maxsize=1)
 def _read_mesh(path: str, data: bytes) -> GltfMesh:
-    content = parse_glb(Path(path), data)
-    return read_gltf_mesh(content, read_gltf_nodes(Path(path), content.document))
+    return read_gltf_mesh(*parse_character_gltf(path, data))
 
 
 SOLE_END_SHARE = 0.33  # of a foot's length: its heel, and its front, at whose lowest vertices it stands

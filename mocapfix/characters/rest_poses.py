@@ -177,7 +177,8 @@ def _take_frame(character: Character, rest_frame: int) -> Character:
             has = "an incomplete frame there"
         count += len(poses.offsets)
     has = has or (f"frames 1 to {count}" if count else "no frames")
-    raise SceneError(f"{character.origin}: has {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame).")
+    problem = f"has {has}, so frame {rest_frame} cannot be its rest pose (--rest-frame); name another or none"
+    raise SceneError(f"{character.origin}: {problem}.")
 
 
 def _find_standing_frame(character: Character, mapped: Character) -> Character | None:
@@ -250,11 +251,12 @@ def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, in
     source = character.source
     if source is None or source.kind != "gltf":
         return None
-    return *_parse_gltf(source.path, source.data), {node: bone for bone, node in enumerate(source.nodes.tolist())}
+    return *parse_character_gltf(source.path, source.data), {node: bone for bone, node in enumerate(source.nodes.tolist())}
 
 
 @lru_cache(maxsize=1)
-def _parse_gltf(path: str, data: bytes) -> tuple[GlbContent, GltfNodes]:
+def parse_character_gltf(path: str, data: bytes) -> tuple[GlbContent, GltfNodes]:
+    """Return the content and the nodes of a file, not to be changed."""
     content = parse_glb(Path(path), data)
     return content, read_gltf_nodes(Path(path), content.document)
 
@@ -318,9 +320,9 @@ def _bind_joints(content: GlbContent, nodes: GltfNodes, shown: Matrices, skin: i
 
 def iterate_animations(character: Character) -> Iterator[BonePoses]:
     """Yield the poses of each animation of a glTF that moves its bones, one for every time that has a key."""
-    content, nodes, bone_of = open_gltf(character) or (None, None, {})
-    if content is None or nodes is None:
+    if (file := open_gltf(character)) is None:
         return
+    content, nodes, bone_of = file
     for animation in content.document.get("animations", []):
         try:
             times_s = _list_key_times(content, animation, bone_of)

@@ -39,6 +39,22 @@ def turn_about_vertical(yaw_rad: float | Float[np.ndarray, " T"]) -> Rotation:
     return Rotation.from_rotvec(np.multiply.outer(yaw_rad, [0.0, 1.0, 0.0]))
 
 
+class CycleStep(NamedTuple):
+    """How the body moves on over the floor from one cycle to the next."""
+
+    yaw_rad: float
+    translation: Float[np.ndarray, " 3"]  # m, after the turn
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """The turn about the vertical."""
+        return turn_about_vertical(self.yaw_rad).as_matrix()
+
+    def undo(self, position: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Return positions of the last frame as seen in the first cycle."""
+        return (position - self.translation) @ self.rotation
+
+
 class FloorPath(NamedTuple):
     """Where a figure is on the floor and where it faces, in each of T frames."""
 
@@ -50,17 +66,20 @@ class FloorPath(NamedTuple):
         """The turns as rotations."""
         return turn_about_vertical(self.yaw_rad).as_matrix()
 
+    def measure_step(self) -> CycleStep:
+        """Return the step from the first frame to the last."""
+        yaw_rad = float(self.yaw_rad[-1] - self.yaw_rad[0])
+        return CycleStep(yaw_rad, self.position[-1] - turn_about_vertical(yaw_rad).apply(self.position[0]))
+
     def continue_path(self, count: int) -> "FloorPath":
         """Return the path of a loop with `count` frames more before and behind: each cycle begins where the one before ended."""
         frames = np.arange(-count, len(self.yaw_rad) + count)
         cycle, place = np.divmod(frames, max(len(self.yaw_rad) - 1, 1))
-        turn = float(self.yaw_rad[-1] - self.yaw_rad[0])
-        step = np.eye(4)  # from one cycle to the next
-        step[:3, :3] = turn_about_vertical(turn).as_matrix()
-        step[:3, 3] = self.position[-1] - step[:3, :3] @ self.position[0]
-        steps = np.stack([np.linalg.matrix_power(step, k) for k in range(cycle[0], cycle[-1] + 1)])[cycle - cycle[0]]
+        step, matrix = self.measure_step(), np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = step.rotation, step.translation
+        steps = np.stack([np.linalg.matrix_power(matrix, k) for k in range(cycle[0], cycle[-1] + 1)])[cycle - cycle[0]]
         moved = np.einsum("tab,tb->ta", steps[:, :3, :3], self.position[place]) + steps[:, :3, 3]
-        return FloorPath(moved, self.yaw_rad[place] + cycle * turn)
+        return FloorPath(moved, self.yaw_rad[place] + cycle * step.yaw_rad)
 
 
 def measure_floor_path(character: Character, motion: CharacterMotion) -> FloorPath:

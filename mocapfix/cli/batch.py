@@ -31,7 +31,7 @@ from mocapfix.cli.console import (
     print_usage_error,
     stderr_console,
 )
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, describe_error
 from mocapfix.option import split_names
 from mocapfix.options import CleanOptions
 
@@ -107,7 +107,7 @@ def run_batch(
     try:
         list_output_formats(parsed.output)
     except MocapfixError as error:
-        return print_usage_error(str(error))
+        return print_usage_error(describe_error(error))
 
     from mocapfix.batch.cluster import ClusterOptions, check_dask_installed
 

@@ -76,6 +76,7 @@ def test_marker_set_beside_the_job_takes_precedence(write_job, tmp_path):
         ("solve: {marker_sd_mm: -1}", "solve.marker_sd_mm: must be greater than 0 mm and finite, not -1"),
         ("write: {also: [avi]}", "write.also: must be one of gltf"),
         ("write: {bvh_for: [paint]}", "write: There is no rig 'paint'"),
+        ("write: {loop: true}", "write.loop: is for the motion of a character; name a character too."),
         ("write: {fps: 100000}", "write.fps: must be at least 5 Hz and at most 1000 Hz, not 100000"),
     ],
 )

@@ -41,6 +41,7 @@ def test_failed_takes_are_printed_once_and_on_the_page(mocapfix, tmp_path: Path,
         (["--timeout", "0"], "--timeout must be greater than 0 s, not 0."),
         (["--memory", "-1"], "--memory must be greater than 0 MB, not -1."),
         (["--retries", "-1"], "--retries must be at least 0, not -1."),
+        (["--loop"], "--loop is for the motion of a character; name a character too."),
         (["--slurm", "--ssh", "a,b"], "Give one of --scheduler, --slurm and --ssh."),
     ],
 )

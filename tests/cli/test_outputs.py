@@ -44,7 +44,7 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
         (("--character", "mixamo", "--rest-frame", "0"), "--rest-frame must be at least 1, not 0"),
         (("--character", "mixamo", "--rest-frame", "3"), "mixamo.yaml: has no frames, so frame 3 cannot be its rest pose"),
-        (("--trim", "301:"), "--trim is for the motion of a character; name one with --character"),
+        (("--trim", "301:"), "--trim is for the motion of a character; name a character too"),
         (("--loop",), "--loop is for the motion of a character"),
         (("--fps", "1"), "--fps must be at least 5 Hz and at most 1000 Hz, not 1"),
     ],
