@@ -10,7 +10,7 @@ displacement, and a hand comes beside a part of the body, and leaves it, without
 deviations; the lengths of limbs and what is one-sided are linearised in each round.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -209,28 +209,30 @@ def fit_arms(
     apart, target_apart = (palms[0][k] - palms[1][k] for k in (0, 1))
     nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source.trunk_length_m)
     none = np.zeros((len(apart), 6))
+    beside = DisplacementProblem(np.zeros((len(none), 6, 6)), none.copy())
+    beside.add({0: 1, 1: -1}, nearness[:, None, None] * TOUCH_SD_M**-2 * np.eye(3), scale * apart - target_apart)
+    for k, part in product(range(len(arms)), parts):
+        beside.add({k: 1}, *place_beside_part(palms[k], part, sizes))
     displacement = none
     for _ in range(FIT_ROUNDS):
-        problem = DisplacementProblem(np.zeros((len(none), 6, 6)), none.copy())
+        problem = DisplacementProblem(beside.curvature.copy(), beside.pull.copy())
         for k, (arm, sd_m) in enumerate(arms):
             moved = displacement[:, 3 * k : 3 * k + 3]
             problem.add_limb({k: 1}, arm, moved, arm, sd_m)
             for part in parts:
-                for weight, wanted in place_beside_part(palms[k], moved, part, sizes):
-                    problem.add({k: 1}, weight, wanted)
-        problem.add({0: 1, 1: -1}, nearness[:, None, None] * TOUCH_SD_M**-2 * np.eye(3), scale * apart - target_apart)
+                problem.add({k: 1}, *keep_off_part(palms[k], moved, part, sizes))
         displacement = problem.solve(none, none, rate)
     return {side: wrist + displacement[:, 3 * k : 3 * k + 3] for k, (side, wrist) in enumerate(wrists.items())}
 
 
 def place_beside_part(
-    palms: Sequence[Points], displacement: Points, part: Sequence[Sequence[Points]], sizes: tuple[float, float]
-) -> Iterator[tuple[Weights, Points]]:
-    """Yield weights and wanted displacements in metres of a target's palm near a part of its body.
+    palms: Sequence[Points], part: Sequence[Sequence[Points]], sizes: tuple[float, float]
+) -> tuple[Weights, Points]:
+    """Return the weights and the wanted displacements in metres of a target's palm near a part of its body.
 
     Beside the part it has the vector across it that the source's palm has, scaled. How far along the part it is follows from the
-    arm: a longer arm hangs lower. It is no nearer to the part than the source's palm. Palms and ends of the part are those of the
-    source and of the target, `displacement` is of the round before, and `sizes` are the trunk of the source and the scale.
+    arm: a longer arm hangs lower. Palms and ends of the part are those of the source and of the target, and `sizes` are the trunk
+    of the source and the scale.
     """
     trunk_m, scale = sizes
     distance = np.linalg.norm(find_nearest_point(palms[0], *part[0])[1], axis=1)
@@ -238,13 +240,21 @@ def place_beside_part(
     axis = part[1][1] - part[1][0]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), MIN_LENGTH_M)
     share = compute_nearness(distance / trunk_m)[:, None, None] * TOUCH_SD_M**-2
-    yield share * (np.eye(3) - axis[:, :, None] * axis[:, None, :]), scale * across - target_across
+    return share * (np.eye(3) - axis[:, :, None] * axis[:, None, :]), scale * across - target_across
+
+
+def keep_off_part(
+    palms: Sequence[Points], displacement: Points, part: Sequence[Sequence[Points]], sizes: tuple[float, float]
+) -> tuple[Weights, Points]:
+    """Return the same as `place_beside_part` for a palm that is nearer to a part than the source's, by the round before."""
+    trunk_m, scale = sizes
+    distance = np.linalg.norm(find_nearest_point(palms[0], *part[0])[1], axis=1)
     outward = find_nearest_point(palms[1] + displacement, *part[1])[1]
     reached = np.linalg.norm(outward, axis=1)
     outward = outward / np.maximum(reached, MIN_LENGTH_M)[:, None]
     missing = scale * np.minimum(distance, TOUCH_DISTANCE * trunk_m) - reached
     share = (missing > 0)[:, None, None] * TOUCH_SD_M**-2
-    yield share * outward[:, :, None] * outward[:, None, :], displacement + missing[:, None] * outward
+    return share * outward[:, :, None] * outward[:, None, :], displacement + missing[:, None] * outward
 
 
 def find_nearest_point(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:

@@ -263,9 +263,10 @@ def retarget_motion(
     """
     frames = build_body_frame(source), build_body_frame(target)
     tree = build_solve_tree(frames[1])
-    targets = compute_segment_targets(frames, tree, motion, contacts)
+    segments = compute_segment_motion(frames[0], motion)
+    targets = compute_segment_targets(frames, tree, segments, contacts, motion.rate)
     floor = NO_FLOOR if contacts is None else contacts.floor
-    poses = solve_pushed_segments(frames, tree, targets, compute_segment_motion(frames[0], motion), floor, motion.rate)
+    poses = solve_pushed_segments(frames, tree, targets, segments, floor, motion.rate)
     return compose_character_motion(frames[1], tree, *poses, motion.rate)
 
 
@@ -312,14 +313,13 @@ def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dic
 
 
 def compute_segment_targets(
-    frames: tuple[BodyFrame, BodyFrame], tree: SolveTree, motion: CharacterMotion, contacts: BodyContacts | None
+    frames: tuple[BodyFrame, BodyFrame], tree: SolveTree, segments: SegmentMotion, contacts: BodyContacts | None, rate: float
 ) -> SegmentTargets:
-    """Return what is kept of the motion of a source, the first of the frames, on the tree of the target, the second."""
+    """Return what is kept of the segments of a source, the first of the frames, on the tree of the target, the second."""
     source_frame, target_frame = frames
-    segments = compute_segment_motion(source_frame, motion)
     feet_contacts, floor_height_m = None, 0.0
     if contacts is not None:
-        feet_contacts = kept_positions.resample_foot_contacts(contacts, motion.frame_count, motion.rate)
+        feet_contacts = kept_positions.resample_foot_contacts(contacts, len(segments.rotation["pelvis"]), rate)
         floor_height_m = contacts.floor.height_m
     flat_feet = kept_positions.measure_flat_feet(source_frame, segments, feet_contacts)
     kept = kept_positions.compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
@@ -335,11 +335,11 @@ def compute_segment_targets(
         for side, foot in feet.items():
             joint = tree.find_joint(f"{side}_foot")
             rotation[:, joint] = foot @ tree.standard_rotations[joint]
-    kept = fit_legs(frames, segments, replace(kept, ankles=ankles), start, feet_contacts, motion.rate)
+    kept = fit_legs(frames, segments, replace(kept, ankles=ankles), start, feet_contacts, rate)
     points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
         moved = {segment: place + kept.pelvis - start["pelvis"] for segment, place in start.items()}
-        hands = fit_arms(frames, segments, moved, motion.rate)
+        hands = fit_arms(frames, segments, moved, rate)
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     return SegmentTargets(rotation, kept.pelvis, points)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import (
     REQUIRED_SEGMENTS,
     SIDES,
@@ -73,7 +73,9 @@ def test_feet_and_hands_reach_their_targets(legs, arms):
     character, motion = load_walk()
     target = scale_limbs(character, legs, arms)
     frames = build_body_frame(character), build_body_frame(target)
-    targets = compute_segment_targets(frames, build_solve_tree(frames[1]), motion, None)
+    targets = compute_segment_targets(
+        frames, build_solve_tree(frames[1]), compute_segment_motion(frames[0], motion), None, motion.rate
+    )
     position, _ = compute_character_poses(target, retarget_motion(character, motion, target))
     for side in SIDES:
         for segment, most_mm in (("foot", 1.0), ("hand", 20.0)):
