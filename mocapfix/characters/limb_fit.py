@@ -289,7 +289,7 @@ def compute_pushes(
     """Return by segment how far the targets of pelvis and hands must move to keep parts out of the floor and palms off the body.
 
     A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests. Elbows, knees, hips and the
-    head move with the pelvis.
+    head move with the pelvis. The direction in which a palm is pushed is smooth too: it turns fast where a hand passes a part.
 
     Args:
         frames: Source and target.
@@ -318,7 +318,8 @@ def compute_pushes(
             vectors = [find_nearest_point(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
             distance, reached = (np.linalg.norm(vector, axis=1) for vector in vectors)
             missing = trunk_scale * np.minimum(distance, resting * source.trunk_length_m) - reached
-            outward = vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None]
+            outward = smooth_values(vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None], rate)
+            outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_LENGTH_M)
             push = spread_push(np.maximum(missing, 0.0), rate)[:, None] * outward
             pushes[f"{side}_hand"] = pushes.get(f"{side}_hand", 0.0) + push
     return pushes
@@ -339,7 +340,12 @@ def spread_push(push: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarray,
     """Return what is nowhere less than a push, and begins before it and ends after it, smoothly."""
     from scipy.ndimage import maximum_filter1d  # slow to import
 
-    half = round(PUSH_S * rate)
-    held = maximum_filter1d(push, 2 * half + 1, mode="nearest")
-    kernel = np.hanning(2 * half + 3)[1:-1]
-    return np.convolve(np.pad(held, half, mode="edge"), kernel / kernel.sum(), "valid")
+    return smooth_values(maximum_filter1d(push, 2 * round(PUSH_S * rate) + 1, mode="nearest"), rate)
+
+
+def smooth_values(values: Float[np.ndarray, "T ..."], rate: float) -> Float[np.ndarray, "T ..."]:
+    """Return the weighted means of values over PUSH_S before and after each frame."""
+    from scipy.ndimage import convolve1d  # slow to import
+
+    kernel = np.hanning(2 * round(PUSH_S * rate) + 3)[1:-1]
+    return convolve1d(values, kernel / kernel.sum(), axis=0, mode="nearest")

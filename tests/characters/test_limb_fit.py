@@ -268,6 +268,24 @@ def test_a_push_begins_and_ends_smoothly_and_covers_what_is_needed():
     assert np.abs(np.diff(spread, 2)).max() * 120.0**2 < 40.0
 
 
+def test_a_palm_that_passes_a_thigh_is_pushed_off_it_without_a_jump():
+    """The source's palm passes 50 mm beside the thigh's axis, where the direction away from it turns by 140 degrees in 0.1 s."""
+    character, motion = load_walk()
+    source, still = build_body_frame(character), np.zeros(motion.frame_count, int)
+    segments = compute_segment_motion(source, motion)
+    position = {name: place[still] for name, place in segments.position.items()}
+    rotation = {name: each[still] for name, each in segments.rotation.items()}
+    middle = (position["left_thigh"] + position["left_shin"]) / 2
+    time_s = (np.arange(len(still)) - len(still) // 2) / motion.rate
+    way = np.stack([np.full(len(still), 0.05), np.zeros(len(still)), 3.0 * time_s], axis=1)
+    position["left_hand"] = middle + way - rotation["left_hand"] @ source.compute_palm("left")
+    solved = {**position, "left_hand": position["left_hand"] - 0.5 * np.clip(way, -0.05, 0.05)}
+    motion_past = replace(segments, position=position, rotation=rotation)
+    push = compute_pushes((source, source), motion_past, solved, NO_FLOOR, motion.rate)["left_hand"]
+    assert np.linalg.norm(push, axis=1).max() > 0.015
+    assert np.linalg.norm(np.diff(push, n=2, axis=0), axis=1).max() * motion.rate**2 < 30.0
+
+
 @pytest.mark.parametrize("legs", [0.7, 1.0])
 def test_palms_of_a_character_stay_above_the_floor(legs):
     """Short legs let the hands hang deeper, as a share of the legs; the source's palms come within 20 mm of the floor."""
