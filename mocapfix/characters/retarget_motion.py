@@ -10,7 +10,7 @@
     motion   = compose_character_motion(...)    bones with their shares of the twist
 
 The terms of the solve are orientations of pelvis, chest, head, hands and feet; directions of thighs, shins, upper arms and
-forearms, and the planes in which knees bend; ankles, wrists and pelvis at their targets; the other rotations; and the joint
+forearms, and the planes in which limbs bend; ankles, wrists and pelvis at their targets; the other rotations; and the joint
 limits of the character. Their weights are the same in all frames, and the targets are smooth, so that no joint jumps. The solved
 tree has a joint for each segment, or for each bone of spine and neck.
 
@@ -132,9 +132,10 @@ shoulders before a straight arm that is pushed folds in a plane that nothing sho
 LIMIT_SD_SHARE = 0.3  # of the standard deviation of joint limits in a solve from markers: directions are held that much more here
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}  # standard deviations of rotations relative to the parent, by segment
 OTHER_TRACKING_SD_RAD = 0.3
-SIDEWAYS_SD_RAD = 0.2
-"""Standard deviation of the direction of a thigh's or shin's own sideways axis: it keeps the plane in which a knee bends."""
-SIDEWAYS = np.array([1.0, 0.0, 0.0])  # axis of a segment about which a knee bends, forwards for a positive angle
+BEND_AXES = {"upper_arm": (0.0, 1.0, 0.0), "forearm": (0.0, 1.0, 0.0), "thigh": (1.0, 0.0, 0.0), "shin": (1.0, 0.0, 0.0)}
+"""Axis of a limb's segment about which its elbow or knee bends."""
+BEND_AXIS_SD_RAD = 0.2
+"""Standard deviation of the direction of such an axis: it keeps the plane in which an elbow or knee bends."""
 
 
 class SegmentTargets(NamedTuple):
@@ -183,8 +184,8 @@ def _build_direction_term(tree: SolveTree, rotation: JointRotations) -> Directio
             length = np.linalg.norm(tree.skeleton.offsets[tip]) if tip >= 0 and tree.skeleton.parents[tip] == joint >= 0 else 0.0
             if length > 0:
                 directions.append((joint, tree.skeleton.offsets[tip] / length, BONE_DIRECTION_SD_RAD))
-    knees = [tree.find_joint(f"{side}_{segment}") for side in SIDES for segment in ("thigh", "shin")]
-    directions += [(joint, tree.standard_rotations[joint].T @ SIDEWAYS, SIDEWAYS_SD_RAD) for joint in knees]
+            if joint >= 0:
+                directions.append((joint, tree.standard_rotations[joint].T @ BEND_AXES[start], BEND_AXIS_SD_RAD))
     joints, axes, sd = (np.array(each) for each in zip(*directions, strict=True))
     measured = np.ascontiguousarray((rotation[:, joints] @ axes[:, :, None])[..., 0])
     return DirectionTerm(joints, axes, measured, np.tile(sd**-2.0, (len(measured), 1)))
