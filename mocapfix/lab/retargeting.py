@@ -279,7 +279,7 @@ def measure_characters(
 def summarise_quantity(quantity: str, measured: Sequence[tuple[str, Quantities]]) -> dict[str, float | str]:
     """Return mean, 95th percentile and largest value over motions by name, and the motion, place and frame of the largest."""
     series = [(f"{motion}: {place}", each) for motion, row in measured for place, each in row.get(quantity, {}).items()]
-    values = np.concatenate([each[np.isfinite(each)] for _, each in series])
+    values = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for _, each in series)])
     if not len(values):
         return {}
     where, worst = max(series, key=lambda item: np.nanmax(item[1], initial=-1.0))
