@@ -6,7 +6,7 @@ lies or bends has too). Both are smoothed by a Gaussian of SMOOTHING_S: a pelvis
 is left of that is 1 degree in walks. At the ends of a motion the path goes on as it came, so that the root is under the pelvis
 there; the path of a loop goes on as the loop does.
 
-A root bone that the character has is used: the highest joint above the pelvis that lies near the floor. Otherwise one is added
+A root bone that the character has is used: the highest joint above the pelvis that is near the floor. Otherwise one is added
 above the pelvis, in a glTF as a joint of its skins that moves no corner of the mesh. What hangs at a root bone beside the body,
 such as control bones, goes with it.
 """
@@ -141,7 +141,7 @@ def carry_path(character: Character, motion: CharacterMotion, root_motion: str, 
 
 
 def find_root_bone(character: Character) -> int:
-    """Return the highest joint above the pelvis that lies near the floor, -1 if there is none."""
+    """Return the highest joint above the pelvis that is near the floor, -1 if there is none."""
     joints, bone = list_source_joints(character), character.mapping.bones["pelvis"][0]
     heights = character.skeleton.rest_positions[:, 1]
     limit, found = MAX_ROOT_HEIGHT_SHARE * heights[bone], -1
