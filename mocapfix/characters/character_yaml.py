@@ -102,7 +102,7 @@ def read_character_yaml(path: str | Path) -> Character:
     rotations = _compute_world_rotations(path, model, parents, heads, tails)
     mapping = BoneMapping({})
     if model.segments:
-        reason = f"{model.title or model.name}: the bones of each segment are those that its file names."
+        reason = f"{model.title or model.name}: its file names the segments' bones."
         mapping = build_bone_mapping(names, parents, model.segments, model.twists, reason=reason, source=str(path))
     offsets, rest_rotations = decompose_transforms(heads, rotations, parents)
     rotation_y_up_file = ROTATION_Y_UP_Z_UP if model.up == "Z" else np.eye(3)
