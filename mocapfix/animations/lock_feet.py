@@ -32,7 +32,7 @@ from mocapfix.options import FEET_LOCK, FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.solve.measured_segments import smooth_share
 from mocapfix.stats.rigid_alignment import compute_shortest_rotations
-from mocapfix.stats.sequences import find_runs, smooth_path
+from mocapfix.stats.sequences import find_runs, minimise_acceleration, smooth_path
 
 ROOT_SD_M = 0.06  # standard deviation per axis of the root's displacement
 ROOT_TIME_S = 0.08  # time constant with which it begins and ends
@@ -43,7 +43,6 @@ MAX_ROOT_DISPLACEMENT_M = 0.1
 ROOT_LIMIT_EXPONENT = 8  # exponent with which the displacement approaches its limit
 FIXED_SD_M = 1e-6  # standard deviation of a displacement that is not allowed
 ROOT_ITERATIONS = 6
-MIN_ROOT_FRAMES = 3
 ANKLE_SD_M = 0.002  # standard deviation of an ankle about where its foot is held: it yields for a knee not to jump
 KNEE_CHANGE_SD_RAD = 0.05
 KNEE_TIME_S = 0.05  # size and time constant of the change of a knee's angle
@@ -117,28 +116,18 @@ def find_root_displacement(
     With d the displacement, it minimises the integral of |d|^2 + |ROOT_TIME_S^2 d''|^2 and of the squared changes of the legs'
     reach, in standard deviations, by the method of Gauss and Newton. `ankles` are where each leg's ankle shall be, in metres.
     """
-    from scipy import sparse  # slow to import
-    from scipy.sparse.linalg import spsolve
-
-    frames, moved = len(is_allowed), np.zeros((len(is_allowed), 3))
-    if frames < MIN_ROOT_FRAMES:
-        return moved
-    second = sparse.eye_array(frames - 2, frames) - 2 * sparse.eye_array(frames - 2, frames, k=1)
-    second = sparse.kron(second + sparse.eye_array(frames - 2, frames, k=2), np.eye(3))
-    stiffness = sparse.csr_array(second.T @ second) * ((ROOT_TIME_S * rate) ** 4 / ROOT_SD_M**2)
-    own = np.where(is_allowed, ROOT_SD_M, FIXED_SD_M)[:, None] ** -2.0
+    moved, stiffness = np.zeros((len(is_allowed), 3)), (ROOT_TIME_S * rate) ** 4 / ROOT_SD_M**2
+    own = np.where(is_allowed, ROOT_SD_M, FIXED_SD_M)[:, None, None] ** -2.0 * np.eye(3)
     for _ in range(ROOT_ITERATIONS):
-        information, pull = own[..., None] * np.eye(3), -own * moved
+        information, pull = own, np.zeros_like(moved)
         for leg, ankle in zip(legs, ankles, strict=True):
             reach, change = leg.measure_reach(leg.knee_angle)
             weight = (1 / ((KNEE_SD_RAD * change) ** 2 + MIN_REACH_SD_M**2))[:, None]
             distance = measure_length(leg.hip + moved - ankle)
             along = (leg.hip + moved - ankle) / distance[:, None]
             information = information + weight[..., None] * along[:, :, None] * along[:, None, :]
-            pull = pull - weight * (distance - reach)[:, None] * along
-        blocks = sparse.bsr_array((information, np.arange(frames), np.arange(frames + 1)))
-        step = spsolve((stiffness + blocks).tocsc(), pull.ravel() - np.asarray(stiffness @ moved.ravel()))
-        moved = moved + step.reshape(frames, 3)
+            pull = pull + weight * ((along * moved).sum(1) + reach - distance)[:, None] * along
+        moved = minimise_acceleration(information, pull, stiffness)
     ratio = np.linalg.norm(moved, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
     return moved / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
 

@@ -21,6 +21,7 @@ from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
 from mocapfix.characters.kept_positions import UPWARD, KeptPositions, Points
 from mocapfix.contacts.contacts import BodyContacts, Floor
+from mocapfix.stats.sequences import minimise_acceleration
 
 Weights = Float[np.ndarray, "T 3 3"]  # of displacements, in 1/m^2
 BEND_SD_RAD = np.deg2rad(2.0)  # standard deviation of the angle of a knee or elbow about the source's
@@ -73,27 +74,10 @@ class DisplacementProblem:
 
         Their speed from each frame to the next has a weight in s^2/m^2; they shall accelerate as those of the `course`.
         """
-        from scipy.linalg import solveh_banded  # slow to import
-
-        frames, size = self.pull.shape
-        if not frames:
-            return self.pull
-        band = np.zeros((2 * size + 1, frames, size))  # row d has the elements that are d below the diagonal
-        for below in range(size):
-            band[below, :, : size - below] = np.diagonal(self.curvature, -below, 1, 2)
-        speed, inner = speed_weight[:-1] * rate**2, max(frames - 2, 0)
-        stiffness = (rate**2 / ACCELERATION_SD_M_S2) ** 2
-        pull = self.pull.copy()
-        for frame in (0, 1):
-            band[0, frame : frame + len(speed)] += speed
-            band[size, frame : frame + inner] -= 2.0 * stiffness
-        band[size, : len(speed)] -= speed
-        band[2 * size, :inner] += stiffness
+        stiffness, bend, pull = (rate**2 / ACCELERATION_SD_M_S2) ** 2, np.diff(course, n=2, axis=0), self.pull.copy()
         for frame, coefficient in enumerate((1.0, -2.0, 1.0)):
-            band[0, frame : frame + inner] += coefficient**2 * stiffness
-            pull[frame : frame + inner] += coefficient * stiffness * np.diff(course, n=2, axis=0)[:inner]
-        solved = solveh_banded(band.reshape(2 * size + 1, -1), pull.ravel(), lower=True, overwrite_ab=True, check_finite=False)
-        return solved.reshape(frames, size)
+            pull[frame : frame + len(bend)] += coefficient * stiffness * bend
+        return minimise_acceleration(self.curvature, pull, stiffness, speed_weight[:-1] * rate**2)
 
 
 ARM, LEG = ("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot")

@@ -139,25 +139,53 @@ def smooth_path(
         variance: Per component.
         acceleration_power: In squared units of the path / s^3.
     """
-    from scipy.linalg import solveh_banded  # slow to import
-
-    frames = len(path)
-    if frames < 3:
+    if len(path) < 3:
         return path
-    stiffness = rate**3 / acceleration_power[1:-1]  # of the second difference about each inner frame
-    band = np.zeros((3, frames))
     information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
-    stiffness = np.minimum(stiffness, MAX_STIFFNESS_RATIO * _compute_line_information(information))
-    band[2] = information
-    for shift, coefficient in ((0, 1.0), (1, 4.0), (2, 1.0)):
-        band[2, shift : shift + frames - 2] += coefficient * stiffness
-    band[1, 1 : frames - 1] -= 2 * stiffness
-    band[1, 2:] -= 2 * stiffness
-    band[0, 2:] += stiffness
-    return np.ascontiguousarray(solveh_banded(band, path * information[:, None], overwrite_ab=True, check_finite=False))
+    stiffness = np.minimum(rate**3 / acceleration_power[1:-1], MAX_STIFFNESS_RATIO * _compute_line_information(information))
+    smooth = minimise_acceleration(information[:, None, None], (path * information[:, None])[:, None], stiffness)
+    return np.ascontiguousarray(smooth[:, 0])
 
 
 def _compute_line_information(information: Float[np.ndarray, " T"]) -> float:
     """Return the least information that the frames give about a straight line of unit length, which stiffness leaves free."""
     lines = np.linalg.qr(np.vander(np.linspace(-1, 1, len(information)), 2))[0]
     return float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])
+
+
+def minimise_acceleration(
+    curvature: Float[np.ndarray, "T M M"],
+    pull: Float[np.ndarray, "T M *R"],
+    stiffness: float | Float[np.ndarray, " inner"],
+    speed_weight: float | Float[np.ndarray, "steps M"] = 0.0,
+) -> Float[np.ndarray, "T M *R"]:
+    """Return the path x of M coordinates that minimises a quadratic cost of its places, its steps and its second differences.
+
+    The cost is half of sum x_t A_t x_t - 2 b_t x_t + sum w_t (x_t+1 - x_t)^2 + sum k_t |x_t-1 - 2 x_t + x_t+1|^2. Its matrix is
+    banded: a frame is coupled to the two before it.
+
+    Args:
+        curvature: A, symmetric.
+        pull: b, for each of R paths of their own, or of one.
+        stiffness: k, of the second difference about each frame but the first and the last.
+        speed_weight: w, of the step from each frame to the next.
+    """
+    from scipy.linalg import solveh_banded  # slow to import
+
+    frames, size = pull.shape[:2]
+    if not frames:
+        return pull
+    band = np.zeros((2 * size + 1, frames, size))  # row 2 M - d has the elements that are d above the diagonal
+    for above in range(size):
+        band[-1 - above, :, above:] = np.diagonal(curvature, above, 1, 2)
+    steps, inner = frames - 1, max(frames - 2, 0)
+    bend = np.reshape(stiffness, (-1, 1))
+    for frame, coefficient in enumerate((1.0, -2.0, 1.0)):
+        band[-1, frame : frame + inner] += coefficient**2 * bend
+    for frame in (0, 1):
+        band[-1, frame : frame + steps] += speed_weight
+        band[size, 1 + frame : 1 + frame + inner] -= 2.0 * bend
+    band[size, 1:] -= speed_weight
+    band[0, 2:] += bend
+    flat = pull.reshape(frames * size, *pull.shape[2:])
+    return solveh_banded(band.reshape(len(band), -1), flat, overwrite_ab=True, check_finite=False).reshape(pull.shape)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.stats.sequences import smooth_path
+from mocapfix.stats.sequences import minimise_acceleration, smooth_path
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)
@@ -60,3 +60,19 @@ def test_any_rate_gives_a_path(rate, known_frames, power):
     smooth = smooth_path(path, variance, np.full(200, power), rate)
     assert np.isfinite(smooth).all()
     assert np.abs(smooth[:known_frames]).max(initial=0) < 10
+
+
+@given(seeds, st.integers(0, 12), st.integers(1, 3))
+def test_path_of_coupled_coordinates_solves_the_dense_equations(seed, frames, size):
+    rng = np.random.default_rng(seed)
+    roots, pull = rng.normal(size=(frames, size, size)), rng.normal(size=(frames, size, 2))
+    curvature = roots @ roots.swapaxes(1, 2) + np.eye(size)
+    speed, stiffness = rng.uniform(0, 9, (max(frames - 1, 0), size)), rng.uniform(0, 9, max(frames - 2, 0))
+    matrix = np.zeros((frames, size, frames, size))
+    matrix[np.arange(frames), :, np.arange(frames)] = curvature
+    for weight, order in ((speed, 1), (np.tile(stiffness[:, None], size), 2)):
+        difference = np.diff(np.eye(frames), order, axis=0)
+        matrix += np.einsum("da,dm,db,mn->ambn", difference, weight, difference, np.eye(size))
+    expected = np.linalg.solve(matrix.reshape(frames * size, -1), pull.reshape(-1, 2)) if frames else pull
+    found = minimise_acceleration(curvature, pull, stiffness, speed)
+    np.testing.assert_allclose(found, expected.reshape(pull.shape), atol=1e-9)
