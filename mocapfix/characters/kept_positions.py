@@ -27,11 +27,15 @@ MAX_INCLINATION_RAD, MAX_STEADY_INCLINATION_RAD = np.deg2rad(15.0), np.deg2rad(5
 """A foot that is more inclined in contact does not lie flat: it stands on its toes or on an edge. The second limit is for a foot
 that is always inclined alike, because its skeleton has the ankle higher above the ball."""
 MAX_UNSTEADINESS_RAD = np.deg2rad(5.0)  # median difference of the inclinations of such a foot from their median
+MAX_SLOPE_DIFFERENCE_RAD = np.deg2rad(10.0)
+"""of the lines from ankle to ball of two flat feet of a body, 6 degrees at most in six captures; one that slopes more is on its
+toes."""
 MAX_HEIGHT_CHANGE = 0.05  # largest difference of the measured height of the ball from that of the skeleton, in lengths of the leg
 LOWEST_BALL_PERCENTILE = 2.0
 MAX_HEIGHT_ABOVE_LOWEST_M = 0.01
 """The ball of a flat foot is at most so much higher than in the lowest frames of the take, which are not below the floor."""
 UPWARD = np.array([0.0, 1.0, 0.0])
+MIRROR = np.diag([-1.0, 1.0, 1.0])  # from one side to the other
 
 
 @dataclass(frozen=True)
@@ -50,16 +54,17 @@ class FlatFoot:
 def measure_flat_feet(source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None) -> dict[str, FlatFoot]:
     """Return the flat feet of the source by side, those of its skeleton where they cannot be measured.
 
-    The contacts are those of the feet at the rate of the motion.
+    A foot that never lies flat in the take is like the other one. The contacts are those of the feet at the rate of the motion.
     """
-    feet = {side: FlatFoot(source.ball_height_m, np.eye(3)) for side in SIDES}
+    feet, slopes = {side: FlatFoot(source.ball_height_m, np.eye(3)) for side in SIDES}, dict.fromkeys(SIDES, -np.inf)
     if contacts is None:
         return feet
     for side in SIDES:
         is_flat = contacts.is_contact[:, [contacts.joints.index(joint) for joint in FOOT_JOINTS[side]]].all(1)
         if is_flat.sum() < MIN_FLAT_S * contacts.rate:
             continue
-        heights = contacts.floor.compute_height_above(motion.carry(f"{side}_foot", source.compute_ball(side)))
+        ball = source.compute_ball(side)
+        heights = contacts.floor.compute_height_above(motion.carry(f"{side}_foot", ball))
         lowest_m = float(np.percentile(heights, LOWEST_BALL_PERCENTILE))
         height_m = min(float(np.median(heights[is_flat])), lowest_m + MAX_HEIGHT_ABOVE_LOWEST_M)
         limit_m = MAX_HEIGHT_CHANGE * source.leg_length_m
@@ -72,7 +77,17 @@ def measure_flat_feet(source: BodyFrame, motion: SegmentMotion, contacts: BodyCo
             float(np.clip(height_m, source.ball_height_m - limit_m, source.ball_height_m + limit_m)),
             compute_shortest_rotation(upward, UPWARD) if is_plausible else np.eye(3),
         )
+        if is_plausible:
+            slopes[side] = measure_slope(upward, ball)
+    flatter, steeper = sorted(SIDES, key=slopes.__getitem__, reverse=True)
+    if slopes[flatter] - slopes[steeper] > MAX_SLOPE_DIFFERENCE_RAD:
+        feet[steeper] = replace(feet[flatter], inclination=MIRROR @ feet[flatter].inclination @ MIRROR)
     return feet
+
+
+def measure_slope(upward: Float[np.ndarray, " 3"], ball: Float[np.ndarray, " 3"]) -> float:
+    """Return the angle in radians by which the line from ankle to ball rises; the vertical is in the same axes, of any length."""
+    return float(np.arcsin(upward @ ball / (np.linalg.norm(upward) * np.linalg.norm(ball))))
 
 
 def level_feet(motion: SegmentMotion, feet: Mapping[str, FlatFoot]) -> SegmentMotion:

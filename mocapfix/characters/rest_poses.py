@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_bones
+from mocapfix.characters.kept_positions import MAX_SLOPE_DIFFERENCE_RAD, measure_slope
 from mocapfix.errors import SceneError
 from mocapfix.io.bvh import read_bvh
 from mocapfix.io.gltf import GlbContent, GltfNodes, parse_glb, read_gltf_nodes
@@ -38,7 +39,7 @@ MAX_FRAME_TILT_DEG, MAX_FRAME_ASYMMETRY_DEG, MAX_FRAME_ARM_DEG = 25.0, 15.0, 30.
 MAX_ARM_SLOPE_DEG = 60.0  # angle between an upper arm and the horizontal in A-poses; a larger one counts as a bend
 ARM_COST, STANDING_COST = 0.5, 1000.0
 """costs of a degree of an arm, over that of a leg, and of a frame in which the figure stands, but not in a T- or A-pose"""
-LOWEST_FOOT_PERCENTILE = 10.0  # of the heights of a foot, up to which it lies flat
+LOWEST_FOOT_PERCENTILE, FLAT_FOOT_RANGE_M = 2.0, 0.01  # of the heights of a foot; so far above that it lies flat
 SAME_OFFSET_M, SAME_ROTATION = 1e-3, 2e-3  # differences of two poses that count as the same: 1 mm and 0.1 degrees
 UP = np.array([0.0, 1.0, 0.0])
 TRUNK_SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_clavicle" for side in SIDES))
@@ -217,7 +218,7 @@ def _straighten(posed: Character, world: BonePoses, is_standing: Bool[np.ndarray
     """Return a character that stands as in the poses of its file, which are given in the world.
 
     Trunk and head are turned as in the mean of the poses in which it stands, the feet as where they are lowest; on that height
-    they stand.
+    they stand. A foot that slopes more than the other one is on its toes in all poses, and is turned like that one.
     """
     bones, skeleton = posed.mapping.bones, posed.skeleton
     place, axes = skeleton.compute_rest_pose()
@@ -227,16 +228,25 @@ def _straighten(posed: Character, world: BonePoses, is_standing: Bool[np.ndarray
     for segment in TRUNK_SEGMENTS:
         for bone in bones.get(segment, ()):
             straight[bone] = Rotation.from_matrix(facing @ standing.rotations[:, bone]).mean().as_matrix()
+    slopes, lines = dict.fromkeys(SIDES, -np.inf), dict[str, Float[np.ndarray, " 3"]]()
     for side in SIDES:
         foot = [bones[f"{side}_{segment}"][0] for segment in ("foot", "toe") if bones.get(f"{side}_{segment}")]
         height = world.offsets[:, foot, 1].max(1)
-        is_flat = height <= np.percentile(height, LOWEST_FOOT_PERCENTILE)
+        is_flat = height <= np.percentile(height, LOWEST_FOOT_PERCENTILE) + FLAT_FOOT_RANGE_M
         lowest[foot[-1]] = float(np.median(world.offsets[is_flat, foot[-1], 1]))
         for bone in foot:
-            upward = world.rotations[is_flat, bone, 1].mean(0)
+            upward = np.median(world.rotations[is_flat, bone, 1], axis=0)
             straight[bone] = compute_shortest_rotation(axes[bone] @ upward, UP) @ axes[bone]
+        if len(foot) > 1:
+            lines[side] = straight[foot[0]] @ axes[foot[0]].T @ (place[foot[1]] - place[foot[0]])
+            slopes[side] = measure_slope(UP, lines[side])
+    flatter, steeper = sorted(SIDES, key=slopes.__getitem__, reverse=True)
+    if len(lines) > 1 and slopes[flatter] - slopes[steeper] > MAX_SLOPE_DIFFERENCE_RAD:
+        foot, along = bones[f"{steeper}_foot"][0], lines[steeper] * [1, 0, 1]
+        sloping = along / np.linalg.norm(along) + np.tan(slopes[flatter]) * UP
+        straight[foot] = compute_shortest_rotation(lines[steeper], sloping) @ straight[foot]
     turned = replace(skeleton, rest_rotations=compute_local_rotations(straight, skeleton.parents))
-    drop = np.mean(turned.rest_positions[list(lowest), 1] - list(lowest.values()))
+    drop = np.mean(turned.rest_positions[list(lowest), 1]) - min(lowest.values())
     offsets = turned.offsets - drop * UP * (skeleton.parents < 0)[:, None]
     return replace(posed, skeleton=replace(turned, offsets=offsets))
 

@@ -223,10 +223,9 @@ STEP_HEIGHT_WINDOW_S = 1.0  # time within which they are: uneven floors are kept
 MIN_SLIDE_STEPS = 2  # steps that show a slide
 MAX_SHARE_ERROR = 0.1  # difference of a step's share from that of the steps about it
 SLIDE_STEPS = 5  # consecutive steps whose median share is that of the middle one
+STANDING_PERCENTILE = 25  # of the shares of a step, at which its toes stand: before and after it they roll forward
 MIN_SLIDE_SHARE, MIN_SLIDE_M_S = 0.03, 0.03
-"""Share of the hips' speed, and speed, below which feet do not slide: toes that roll have 0.00 to 0.06 and 0.00 to 0.08 m/s in
-captures of walks, in which they stand still in most steps."""
-MIN_MISSED_SHARE = 0.25  # share of the steps in which no foot stands still, from which feet slide: 0.39 at 3 % too much path
+"""Share of the hips' speed, and speed, below which feet do not slide: -0.02 to 0.02 in walks, 0.04 at 3 % too much path."""
 
 
 class Slide(NamedTuple):
@@ -242,13 +241,14 @@ def estimate_slide(
     """Return how far a body moves beyond its steps, as a share of the horizontal velocity of its hips that changes slowly.
 
     A foot that stands is low and moves backwards relative to the hips about as fast as these move; one that swings overtakes the
-    hips. The share is the speed of the toes in the direction of the hips, relative to that of the hips.
+    hips. The share is the speed of the toes in the direction of the hips, relative to that of the hips. It is negative where the
+    path is too short.
 
     Args:
         hips: Metres.
         toes: Metres, of the left and of the right foot.
         contacts: Those that are found without a slide, or given.
-        is_given: The contacts are given, and feet slide in them. Otherwise they slide if they stand still in too few steps.
+        is_given: The contacts are given, and feet slide in them.
     """
     no_slide = Slide(np.zeros(hips.shape), np.zeros((len(hips), 2), bool))
     if len(hips) < 2:
@@ -263,11 +263,10 @@ def estimate_slide(
     is_support = (is_contact if is_given else is_support) & (speed > MIN_WALKING_SPEED_M_S)
     supports = [(foot, run) for foot in (0, 1) for run in find_runs(remove_short_runs(is_support[:, foot], contacts.rate))]
     steps = sorted((sum(run) / 2, foot, slice(run[0], run[1] + 1)) for foot, run in supports)
-    step_shares = np.array([np.median(shares[span, foot]) for _, foot, span in steps])
-    missed = [not is_contact[span, foot].any() for _, foot, span in steps]
+    step_shares = np.array([np.percentile(shares[span, foot], STANDING_PERCENTILE) for _, foot, span in steps])
     speeds = [share * speed[span].mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
     is_fast = len(steps) > 0 and abs(np.median(step_shares)) > MIN_SLIDE_SHARE and abs(np.median(speeds)) > MIN_SLIDE_M_S
-    if not steps or not (is_given or (is_fast and len(steps) >= MIN_SLIDE_STEPS and np.mean(missed) > MIN_MISSED_SHARE)):
+    if not steps or not (is_given or (is_fast and len(steps) >= MIN_SLIDE_STEPS)):
         return no_slide
     usual = median_filter(step_shares, SLIDE_STEPS, mode="nearest")
     for (_, foot, span), step_share, usual_share in zip(steps, step_shares, usual, strict=True):

@@ -79,14 +79,19 @@ def test_feet_that_are_never_flat_are_those_of_the_skeleton(standing):
             np.testing.assert_array_equal(foot.inclination, np.eye(3))
 
 
-def test_a_foot_that_stands_on_an_edge_is_not_taken_to_be_flat(standing):
+@pytest.mark.parametrize("steep_deg", [20, 60])
+def test_a_foot_that_stands_on_its_toes_or_an_edge_is_not_taken_to_be_flat(standing, steep_deg):
     character, motion, contacts = standing
     steep = motion.local_rotations.copy()
     bone = character.mapping.bones["left_foot"][0]
-    steep[:, bone] = steep[:, bone] @ Rotation.from_euler("x", 60, degrees=True).as_matrix()
+    steep[:, bone] = steep[:, bone] @ Rotation.from_euler("x", steep_deg, degrees=True).as_matrix()
     frame = build_body_frame(character)
     segments = compute_segment_motion(frame, replace(motion, local_rotations=steep))
-    np.testing.assert_array_equal(measure_flat_feet(frame, segments, contacts)["left"].inclination, np.eye(3))
+    feet = measure_flat_feet(frame, segments, contacts)
+    upward = {side: foot.inclination[1] for side, foot in feet.items()}
+    np.testing.assert_allclose(upward["left"], upward["right"] * [-1, 1, 1], atol=1e-12)  # like that of the other foot
+    angle_deg = np.degrees(np.arccos(upward["left"][1]))
+    assert angle_deg == pytest.approx(INCLINATION_DEG, abs=1.5)
 
 
 @pytest.mark.parametrize(("sway_deg", "is_levelled"), [(2.0, True), (20.0, False)])
@@ -95,8 +100,8 @@ def test_a_foot_of_constant_inclination_lies_flat(standing, sway_deg, is_levelle
     character, motion, contacts = standing
     local = motion.local_rotations.copy()
     pitch = 30.0 + sway_deg * np.sin(np.arange(FRAMES))
-    foot = character.mapping.bones["left_foot"][0]
-    local[:, foot] = Rotation.from_euler("x", pitch[:, None], degrees=True).as_matrix() @ local[:, foot]
+    for foot in (character.mapping.bones[f"{side}_foot"][0] for side in SIDES):
+        local[:, foot] = Rotation.from_euler("x", pitch[:, None], degrees=True).as_matrix() @ local[:, foot]
     frame = build_body_frame(character)
     feet = measure_flat_feet(frame, compute_segment_motion(frame, replace(motion, local_rotations=local)), contacts)
     angle_deg = np.degrees(np.linalg.norm(Rotation.from_matrix(feet["left"].inclination).as_rotvec()))

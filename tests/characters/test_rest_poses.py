@@ -251,13 +251,14 @@ def test_a_bvh_with_offsets_along_the_bones_stands_as_in_its_t_pose(tmp_path):
 
 
 def test_where_the_figure_only_walks_trunk_and_feet_are_straightened(tmp_path):
-    """The trunk leans by 15 degrees to either side in turns; the left foot is flat only where its ankle is lowest."""
+    """The trunk leans to either side; the left foot is flat where its ankle is lowest, the right one always on its toes."""
     names, count = load_cmu31_skeleton().names, 40
     frames, phase = np.tile(np.eye(3), (count, len(names), 1, 1)), np.linspace(0, 4 * np.pi, count, endpoint=False)
     swing, pitch = 25 + 5 * (1 + np.cos(phase)), 20 * (1 + np.cos(phase))
     turns = {
         "LowerBack": ("z", 15 * np.sin(phase)), "LeftUpLeg": ("x", swing), "LeftFoot": ("x", pitch - swing),
-        "RightUpLeg": ("x", 0 * phase - 20), "LeftArm": ("z", 0 * phase - 80), "RightArm": ("z", 0 * phase + 80),
+        "RightUpLeg": ("x", 0 * phase - 20), "RightFoot": ("x", 0 * phase + 35),
+        "LeftArm": ("z", 0 * phase - 80), "RightArm": ("z", 0 * phase + 80),
     }  # fmt: skip
     for name, (axis, degrees) in turns.items():
         frames[:, names.index(name)] = Rotation.from_euler(axis, degrees[:, None], degrees=True).as_matrix()
@@ -265,7 +266,7 @@ def test_where_the_figure_only_walks_trunk_and_feet_are_straightened(tmp_path):
     character = load_character(tmp_path / "walk.bvh")
     assert re.search(r"Its rest pose is frame \d+ of its file\.$", character.mapping.reason)
     _, rotations = character.skeleton.compute_rest_pose()
-    for name in ("LowerBack", "LeftFoot"):
+    for name in ("LowerBack", "LeftFoot", "RightFoot"):
         upward = rotations[character.skeleton.find_joint(name)] @ axes[names.index(name), 1]
         assert np.linalg.norm(upward - [0, 1, 0]) < np.deg2rad(2), name
 

@@ -17,6 +17,7 @@ from mocapfix.contacts.find_contacts import (
 )
 from mocapfix.lab.sound_takes import build_known_motion
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.stats.sequences import find_runs
 from tests.contacts.walking_feet import find_true_stances, make_feet, tilt, walk
 
 SKELETON = load_cmu31_body().skeleton
@@ -165,6 +166,18 @@ def test_the_slide_of_a_stretched_walk_is_found_and_its_contacts_are_those_of_th
     assert (contacts.is_contact == true.is_contact).mean() > 0.95
     assert (found.is_contact == true.is_contact).mean() < 0.9
     assert (slide.is_support & ~true.is_contact[:, [1, 3]]).mean() < 0.02
+
+
+def test_toes_that_roll_forward_do_not_hide_that_the_path_is_too_short():
+    hips, feet = build_stretched_walk(-0.1)
+    true, roll_m = find(build_stretched_walk(0.0)[1], 120.0), 0.012
+    for toes in (1, 3):
+        runs = find_runs(true.is_contact[:, toes])
+        frames = [frame for first, last in runs for frame in (last - 0.4 * (last - first), last, last + 30)]
+        feet[:, toes, 2] += np.interp(np.arange(len(feet)), frames, np.tile([0, roll_m, 0], len(runs)))
+    found = find(feet, 120.0)
+    path = estimate_slide(hips, feet[:, [1, 3]], found, is_given=False).path[:, 2]
+    np.testing.assert_allclose(path[-1], -0.1 / 0.9 * (hips[-1] - hips[0])[2], rtol=0.1)
 
 
 @pytest.mark.parametrize("step_height_m", [0.0, 0.17])
