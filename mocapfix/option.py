@@ -98,6 +98,9 @@ class Option:
             expected = 2 if self.type == FRAME_RANGE_TYPE else 1
             if len(numbers) != expected or not all(isinstance(each, Integral) for each in numbers):
                 return f"must be {ARGUMENT_FORMS[self.type]}, not {value!r}"
+            first, last = cast("tuple[int, ...]", (numbers[0], numbers[-1]))
+            if first > last:
+                return f"must be FIRST:LAST with FIRST at most LAST, not {format_frames(first, last)}"
         elements = cast("tuple[object, ...]", value) if isinstance(value, tuple) else (value,)
         return next((problem for each in elements if (problem := self._find_element_problem(each))), "")
 

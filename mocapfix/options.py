@@ -10,11 +10,12 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from mocapfix.errors import OptionError, format_name_list
-from mocapfix.option import StageOptions, define_option, list_options
+from mocapfix.errors import OptionError, TakeError, format_name_list
+from mocapfix.option import StageOptions, define_option, format_frames, list_options
 
 if TYPE_CHECKING:
     from mocapfix.model.subject import Subject
+    from mocapfix.model.take import Take
 
 
 DEFAULT_PRIOR_NAME = "autoencoder"
@@ -418,6 +419,25 @@ PURPOSE_OPTIONS = ("purpose", *PURPOSE_DEFAULTS)
 def build_clean_options(**values: object) -> CleanOptions:
     """Return the default options with other values, as `CleanOptions.change`."""
     return CleanOptions().change(**values)
+
+
+def check_take_options(take: "Take", options: CleanOptions, noun: str = "marker") -> None:
+    """Raise TakeError if `keep`, `frames` or `trim` name what the take does not have.
+
+    Args:
+        take: the take.
+        options: the options to check.
+        noun: "marker", or "joint" for an animation.
+    """
+    known = set(take.labels) | set(take.bare_labels)
+    if unknown := [label for label in options.fill.keep if label not in known]:
+        known_labels = format_name_list(take.labels)
+        raise TakeError(f"{take.name}: has no {noun} {format_name_list(unknown)} to keep; its {noun}s are {known_labels}.")
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    for option in (OPTION_BY_NAME["frames"], OPTION_BY_NAME["trim"]):
+        if (frames := option.get_value(options)) and (frames[1] < first or frames[0] > last):
+            given = f"{option.flag} {format_frames(*frames)}"
+            raise TakeError(f"{take.name}: {given} is not in the take, which has frames {first} to {last}.")
 
 
 def format_arguments(options: CleanOptions) -> list[str]:

@@ -15,7 +15,7 @@ from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
-from mocapfix.fill.gap_filling import check_take_options, fill_gaps
+from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
 from mocapfix.labels import multi_subject
@@ -29,7 +29,7 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions
+from mocapfix.options import CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport

@@ -18,13 +18,12 @@ from mocapfix.errors import (
     join_names,
     shorten_message,
 )
-from mocapfix.fill.gap_filling import check_take_options
 from mocapfix.io.capture import read_capture
 from mocapfix.labels import multi_subject
 from mocapfix.labels.label_summary import describe_labelling
 from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.take import Take
-from mocapfix.options import SubjectOptions, build_clean_options
+from mocapfix.options import SubjectOptions, build_clean_options, check_take_options
 from mocapfix.report import notes
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.solve.lost_in_sight import LostPart

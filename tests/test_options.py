@@ -85,6 +85,8 @@ def test_repairable_kinds_are_those_of_faults():
         ),
         ({"trim": "5"}, "trim must be FIRST:LAST, as in 100:250, not '5'."),
         ({"trim": (5,)}, "trim must be FIRST:LAST, as in 100:250, not (5,)."),
+        ({"trim": (900, 100)}, "trim must be FIRST:LAST with FIRST at most LAST, not 900:100."),
+        ({"frames": "350:340"}, "frames must be FIRST:LAST with FIRST at most LAST, not 350:340."),
         ({"rest_frame": 2.5}, "rest_frame must be a whole number, not 2.5."),
         ({"up_axis": "W"}, "up_axis must be one of X, -X, Y, -Y, Z, -Z, not 'W'."),
         ({"rate_hz": 1.0}, "rate_hz must be at least 5 Hz and at most 2000 Hz and finite, not 1."),

@@ -351,10 +351,9 @@ def test_options_restrict_which_samples_are_changed(brief, subject, options, exp
     ("options", "sentence"),
     [
         (FillOptions(keep=("RELB", "NOSE")), "brief.c3d: has no marker NOSE to keep; its markers are "),
-        (FillOptions(frames=(1, 300)), "brief.c3d: frames 1:300 are not in the take, which has 301 to 420."),
-        (FillOptions(frames=(421, 500)), "brief.c3d: frames 421:500 are not in the take, which has 301 to 420."),
-        (FillOptions(frames=(421, FRAME_LIMIT)), "brief.c3d: frames 421: are not in the take, which has 301 to 420."),
-        (FillOptions(frames=(350, 340)), "brief.c3d: frames 350:340: the first must not come after the last."),
+        (FillOptions(frames=(1, 300)), "brief.c3d: --frames 1:300 is not in the take, which has frames 301 to 420."),
+        (FillOptions(frames=(421, 500)), "brief.c3d: --frames 421:500 is not in the take, which has frames 301 to 420."),
+        (FillOptions(frames=(421, FRAME_LIMIT)), "brief.c3d: --frames 421: is not in the take, which has frames 301 to 420."),
     ],
 )
 def test_markers_and_frames_that_the_take_does_not_have_are_errors(brief, options, sentence):

@@ -31,7 +31,6 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTAC
 from mocapfix.contacts.find_contacts import estimate_slide, find_contacts, replace_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
-from mocapfix.fill.gap_filling import check_take_options
 from mocapfix.io.animation_inference import estimate_height
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.contact_files import read_contacts
@@ -45,7 +44,7 @@ from mocapfix.model.skeleton import compose_transforms
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions
+from mocapfix.options import FEET_LOCK, OPTIONS, CleanOptions, check_take_options
 from mocapfix.report import build_report, notes
 from mocapfix.report.build_report import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report

@@ -291,3 +291,11 @@ def _check_order(names: Sequence[str], parents: Int[np.ndarray, " J"], mapping: 
                     f"{source}: twists.{segment}: the bone {names[bone]!r} is not below {names[chain[0]]!r}, the first bone of "
                     "the segment; name twist bones that the segment carries."
                 )
+
+
+def build_bone_matrices(character: Character) -> Float[np.ndarray, "J 4 4"]:
+    """Return the transforms of the bones to the world in the rest pose, from the unit of the file along their axes."""
+    positions, rotations = character.skeleton.compute_rest_pose()
+    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = rotations * character.scales[:, None, None], positions
+    return matrices

@@ -17,11 +17,20 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import compute_facing
 from mocapfix.characters.bone_mapping import find_detached_bones, map_bones
-from mocapfix.characters.character import LIMB_ENDS, SIDES, BoneMapping, Character, CharacterSource, compute_tail, reparent_bones
+from mocapfix.characters.character import (
+    LIMB_ENDS,
+    SIDES,
+    BoneMapping,
+    Character,
+    CharacterSource,
+    build_bone_matrices,
+    compute_tail,
+    reparent_bones,
+)
 from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
 from mocapfix.characters.fbx import convert_fbx, is_fbx
-from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
-from mocapfix.characters.rest_poses import build_bone_matrices, choose_rest_pose, open_gltf, parse_character_gltf
+from mocapfix.characters.read_gltf import is_gltf, open_gltf, parse_character_gltf, read_gltf_skeletons
+from mocapfix.characters.rest_poses import choose_rest_pose
 from mocapfix.errors import ReadError, SceneError, format_name_list
 from mocapfix.io.bvh import is_bvh, read_bvh
 from mocapfix.io.capture import extract_head

@@ -6,14 +6,20 @@ The bones are in the pose of the nodes, which is what a viewer shows without an 
 
 Embedded and side files are packed into one GLB, to which an animation can be added; the bytes of buffers and images are kept. A
 VRM names its humanoid bones (VRM Consortium, VRM 0.0, extension VRM, and VRM 1.0, extension VRMC_vrm, section humanoid).
+
+The bind pose follows from the skins (Khronos, glTF 2.0, section 3.7.3). A vertex v is shown at the weighted mean of W B v over
+its joints, with the transform W of each joint's node and its inverse bind matrix B. In the bind pose W B is the same G for all
+joints, so the mesh has its original shape. Exporters differ in whether G is the identity or the transform of the mesh's node; the
+scales of the nodes show which.
 """
 
 import base64
 import binascii
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
@@ -45,7 +51,8 @@ from mocapfix.io.gltf import (
     read_index,
     read_indices,
 )
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, extract_rotations, move_nodes, read_array
+from mocapfix.model.skeleton import Skeleton, decompose_transforms
 
 ALIGNMENT_BYTES = 16
 """of a buffer that is appended to another: enough for every component and for compressed data"""
@@ -448,3 +455,103 @@ def _read_offset(entry: Mapping[str, Any]) -> Float[np.ndarray, " 3"]:
     offset = matrix[12:15] if isinstance(matrix, list) else entry.get("translation")
     is_valid = isinstance(offset, list) and len(offset) == 3 and are_numbers(offset)
     return np.array(offset if is_valid else [0.0, 0.0, 0.0], float)
+
+
+MAX_BIND_SCALE_ERROR = 0.02  # relative difference of the scale of a bone in the bind pose from that of its node
+
+
+class BonePoses(NamedTuple):
+    """T poses of J bones, as the offsets and rest rotations of a skeleton."""
+
+    offsets: Float[np.ndarray, "T J 3"]  # m
+    rotations: Float[np.ndarray, "T J 3 3"]
+
+
+def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, int]] | None:
+    """Return the glTF of a character, not to be changed, and its bones by node; None for a character of another kind."""
+    source = character.source
+    if source is None or source.kind != "gltf":
+        return None
+    return *parse_character_gltf(source.path, source.data), {node: bone for bone, node in enumerate(source.nodes.tolist())}
+
+
+@lru_cache(maxsize=1)
+def parse_character_gltf(path: str, data: bytes) -> tuple[GlbContent, GltfNodes]:
+    """Return the content and the nodes of a file, not to be changed."""
+    content = parse_glb(Path(path), data)
+    return content, read_gltf_nodes(Path(path), content.document)
+
+
+def _convert_to_poses(character: Character, matrices: Float[np.ndarray, "T J 4 4"]) -> BonePoses:
+    """Return poses from the transforms of the bones to the world."""
+    rotations = extract_rotations(matrices)
+    return BonePoses(*decompose_transforms(matrices[..., :3, 3], rotations, character.skeleton.parents))
+
+
+def read_bind_pose(character: Character) -> BonePoses | None:
+    """Return the pose in which the mesh was bound to the bones; None if the file is no glTF or does not have it.
+
+    Bones that are no joints of a skin keep their transform relative to the bone above.
+    """
+    if (file := open_gltf(character)) is None:
+        return None
+    content, nodes, bone_of = file
+    shown, bound = compute_node_matrices(content, nodes)[0], dict[int, Float[np.ndarray, "4 4"]]()
+    for skin in range(len(content.document.get("skins", []))):
+        bound = _bind_joints(content, nodes, shown, skin) | bound
+    if bound.keys().isdisjoint(bone_of):
+        return None
+    return _convert_to_poses(character, move_nodes(nodes, shown, bound)[None, list(bone_of)])
+
+
+def _bind_joints(
+    content: GlbContent, nodes: GltfNodes, shown: Float[np.ndarray, "N 4 4"], skin: int
+) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Return the transforms of the joints of a skin to the world in the bind pose, nothing if these are not known.
+
+    Args:
+        content: The file.
+        nodes: Its nodes.
+        shown: Their transforms in the file.
+        skin: Index of the skin.
+    """
+    meshes = [node for node, entry in enumerate(nodes.entries) if "mesh" in entry and entry.get("skin") == skin]
+    joints: list[int] = content.document["skins"][skin]["joints"]
+    try:
+        stored = read_array(content, content.document["skins"][skin]["inverseBindMatrices"]).astype(float)
+        inverse = stored.reshape(len(joints), 4, 4).swapaxes(1, 2)  # stored by columns
+        bind, wanted = np.linalg.inv(inverse), np.cbrt(np.linalg.det(shown[joints][:, :3, :3]))
+    except UNREADABLE:
+        return {}
+    # the last choice: as if the first joint were in the bind pose
+    for choice in (np.eye(4), *shown[meshes[:1]], shown[joints[0]] @ inverse[0]):
+        matrices = choice @ bind
+        with np.errstate(all="ignore"):
+            scales = np.cbrt(np.linalg.det(matrices[:, :3, :3])) / wanted
+        if np.isfinite(matrices).all() and (np.abs(scales - 1.0) < MAX_BIND_SCALE_ERROR).all():
+            return dict(zip(joints, matrices, strict=True))
+    return {}
+
+
+def iterate_animations(character: Character) -> Iterator[BonePoses]:
+    """Yield the poses of each animation of a glTF that moves its bones, one for every time that has a key."""
+    if (file := open_gltf(character)) is None:
+        return
+    content, nodes, bone_of = file
+    for animation in content.document.get("animations", []):
+        try:
+            times_s = _list_key_times(content, animation, bone_of)
+            matrices = compute_node_matrices(content, nodes, animation, times_s)[:, list(bone_of)]
+        except UNREADABLE:
+            continue
+        is_sound = np.isfinite(matrices).all((1, 2, 3)) & (np.linalg.det(matrices[..., :3, :3]) > 0).all(1)
+        if is_sound.all() and len(times_s):
+            yield _convert_to_poses(character, matrices)
+
+
+def _list_key_times(content: GlbContent, animation: dict[str, Any], bone_of: dict[int, int]) -> Sequence[float]:
+    """Return the times in seconds at which a bone has a key. Raises one of UNREADABLE."""
+    samplers = [each["sampler"] for each in animation["channels"] if each["target"].get("node") in bone_of]
+    inputs = {animation["samplers"][sampler]["input"] for sampler in samplers}
+    times = [read_array(content, each)[:, 0] for each in sorted(inputs)]
+    return np.unique(np.concatenate([np.zeros(0), *times])).tolist()

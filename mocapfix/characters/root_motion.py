@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, CharacterSource, compute_character_poses, reparent_bones
-from mocapfix.characters.rest_poses import open_gltf
+from mocapfix.characters.read_gltf import open_gltf
 from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
 from mocapfix.model.skeleton import Skeleton

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
 
-from mocapfix.errors import TakeError, format_name_list
 from mocapfix.fill.gap_estimates import FillRequest, estimate_missing_samples
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.changes_file import Correction
@@ -17,8 +16,7 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, compute_editable_mask
 from mocapfix.model.detected import Detected, MarkerEpochs
 from mocapfix.model.take import Take
-from mocapfix.option import format_frames
-from mocapfix.options import CleanOptions, FillOptions
+from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
@@ -154,27 +152,6 @@ def fill_take(
     reasons[~is_editable] = EXCLUDED_REASON
     reasons[:, ~take.visible.any(0)] = NEVER_VISIBLE_REASON
     return FilledTake(after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1))
-
-
-def check_take_options(take: Take, options: CleanOptions, noun: str = "marker") -> None:
-    """Raise TakeError if `keep`, `frames` or `trim` name what the take does not have.
-
-    Args:
-        take: the take.
-        options: the options to check.
-        noun: "marker", or "joint" for an animation.
-    """
-    known = set(take.labels) | set(take.bare_labels)
-    if unknown := [label for label in options.fill.keep if label not in known]:
-        known_labels = format_name_list(take.labels)
-        raise TakeError(f"{take.name}: has no {noun} {format_name_list(unknown)} to keep; its {noun}s are {known_labels}.")
-    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
-    for start, stop in filter(None, (options.fill.frames, options.output.trim)):
-        given = f"{take.name}: frames {format_frames(start, stop)}"
-        if start > stop:
-            raise TakeError(f"{given}: the first must not come after the last.")
-        if stop < first or start > last:
-            raise TakeError(f"{given} are not in the take, which has {first} to {last}.")
 
 
 def compute_gap_durations(is_inlier: Bool[np.ndarray, "T M"], rate: float) -> Float[np.ndarray, "T M"]:

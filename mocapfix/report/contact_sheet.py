@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from PIL import Image, ImageDraw, ImageFont
 
-from mocapfix.characters.character import Character
-from mocapfix.characters.rest_poses import build_bone_matrices
+from mocapfix.characters.character import Character, build_bone_matrices
 from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.model.motion import Motion

@@ -370,7 +370,7 @@ def test_missing_file_folder_and_other_formats_are_errors(mocapfix, cleaned, tmp
         (["--marker-set", "helen-hayes"], "brief.c3d: helen-hayes does not fit: "),
         (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
         (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),
-        (["--frames", "1:20"], "brief.c3d: frames 1:20 are not in the take, which has 301 to 420"),
+        (["--frames", "1:20"], "brief.c3d: --frames 1:20 is not in the take, which has frames 301 to 420"),
         (["--keep", "NOSE"], "brief.c3d: has no marker NOSE to keep; its markers are "),
         (["--subject", "gone.yaml"], "gone.yaml"),
     ],

@@ -95,11 +95,13 @@ def test_clips_that_cannot_be_written_are_wrong_usage(mocapfix, brief, tmp_path,
 
 def test_frames_that_are_refused_are_named_as_they_were_given(mocapfix, brief, tmp_path):
     """Colons around a number are no emoji on the terminal."""
-    status, _, err = mocapfix(
-        "clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--character", "mixamo", "--trim", "900:100"
-    )
+    arguments = "clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--character", "mixamo", "--trim"
+    status, _, err = mocapfix(*arguments, "900:100")
+    assert status == 2
+    assert "--trim must be FIRST:LAST with FIRST at most LAST, not 900:100." in " ".join(err.split())
+    status, _, err = mocapfix(*arguments, "900:1000")
     assert status == 1
-    assert "frames 900:100: the first must not come after the last" in " ".join(err.split())
+    assert "brief.c3d: --trim 900:1000 is not in the take, which has frames 301 to 420." in " ".join(err.split())
 
 
 def test_clips_hold_the_motions_of_all_takes(mocapfix, brief, tmp_path):
