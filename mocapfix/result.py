@@ -238,9 +238,11 @@ class CleaningResult:
         content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
         for each in list_output_formats(options):
             if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
+                target, usage = folder / f"{self.input_take.output_stem}.{each.suffix}", f"{each.suffix} {each.usage_note}"
                 with timer(each.timer_stage):
-                    sentences = each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", content)
-                    content.report["notes"].extend(sentences or ())
+                    content.report["notes"].extend(each.write_file(target, content) or ())
+                if usage in content.report["notes"] and not target.exists():
+                    content.report["notes"].remove(usage)
 
     def build_content(self, exported: ExportedMotion | None) -> OutputContent:
         """Return what the files of a take of at most one subject are written from, with the motion as it is written."""

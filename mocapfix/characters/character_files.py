@@ -29,7 +29,7 @@ from mocapfix.characters.character import (
     convert_motion,
 )
 from mocapfix.characters.character_yaml import write_mapping_file
-from mocapfix.characters.clips import close_loop
+from mocapfix.characters.clips import close_loop, name_whole_stride
 from mocapfix.characters.fbx import write_fbx
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.retarget_motion import retarget_motion
@@ -46,7 +46,7 @@ from mocapfix.io.gltf import (
     add_test_skin,
     build_glb,
     compute_bone_transforms,
-    copy_last_animation,
+    copy_first_animation,
     parse_glb,
     read_gltf_nodes,
 )
@@ -214,9 +214,9 @@ def write_clips(target: Path, paths: Sequence[Path]) -> None:
     """
     first, *others = (parse_glb(path, path.read_bytes()) for path in paths)
     buffer = GltfBuffer(first.document, first.binary)
-    for other in others:
-        name = _make_name_unique(other.document["animations"][-1]["name"], first.document["animations"])
-        copy_last_animation(buffer, name, other)
+    for place, other in enumerate(others, start=1):
+        name = _make_name_unique(other.document["animations"][0]["name"], first.document["animations"])
+        copy_first_animation(buffer, name, other, place)
     with replace_atomically(target) as part:
         part.write_bytes(build_glb(GlbContent(first.document, buffer.finish(), first.other_chunks)))
 
@@ -345,17 +345,18 @@ class CharacterFiles:
         """
         root_motion, source = self.options.root_motion, build_cmu31_character(skeleton)
         character = prepare_root_bone(self.character) if root_motion == ROOT_BONE else self.character
-        delivered = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts).select_frames(frames)
+        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
+        delivered = retargeted.select_frames(frames)
         if not delivered.frame_count:
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
-        notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
+        notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, as the legs are."]
         if self.options.loop:
             count = motion.frame_count
             feet = resample_foot_contacts(contacts or build_no_contacts(count, rate), count, rate)
             is_standing = {side: feet.find_foot_contact(side)[frames] for side in SIDES}
             delivered, seam = close_loop(character, delivered, is_standing)
-            notes.append(f"{target.name}: {seam}")
+            notes += [f"{target.name}: {each}" for each in (seam, name_whole_stride(character, retargeted, frames)) if each]
         delivered = carry_path(character, delivered, root_motion, is_loop=self.options.loop)
         write_character_bvh(target.with_suffix(".bvh"), character, delivered)
         moving_bones = list_moving_bones(character, delivered)

@@ -68,6 +68,33 @@ def close_loop(
     return closed, f"Loop of {duration_s:.2f} s: its ends differed by {before}, now by {after}. {path}"
 
 
+MIN_STRIDE_S, MAX_END_SHIFT_S = 0.5, 0.7  # time of a stride; a whole one ends at most so long before or after another frame
+SPEED_TIME_S = 0.1  # time by which speeds count beside poses
+MAX_DIFFERENCE_RATIO = 0.7  # of a whole stride's ends to those of another clip: 0.2 to 0.5 where these are 0.1 s apart
+
+
+def name_whole_stride(character: Character, motion: CharacterMotion, frames: slice) -> str:
+    """Return a sentence on the frame near the last of a clip that is more like its first, "" if none is.
+
+    Args:
+        motion: The whole motion, of which `frames` are the clip.
+    """
+    first, stop, _ = frames.indices(motion.frame_count)
+    bones = {bone for chain in character.mapping.bones.values() for bone in chain} - {character.mapping.bones["pelvis"][0]}
+    poses = motion.local_rotations[:, sorted(bones)]
+    reach, earliest = round(MAX_END_SHIFT_S * motion.rate), first + max(round(MIN_STRIDE_S * motion.rate), 1)
+    ends = np.arange(max(earliest, stop - 1 - reach), min(stop + reach, motion.frame_count))
+    if not len(ends):
+        return ""
+    speeds = SPEED_TIME_S * motion.rate * np.gradient(poses, axis=0)
+    difference = np.hypot(*(np.linalg.norm((each - each[first]).reshape(len(each), -1), axis=1) for each in (poses, speeds)))
+    shift = int(ends[difference[ends].argmin()]) - (stop - 1)
+    if difference[stop - 1 + shift] >= MAX_DIFFERENCE_RATIO * difference[stop - 1]:
+        return ""
+    when = f"{abs(shift) / motion.rate:.2f} s ({abs(shift)} frames) {'later' if shift > 0 else 'earlier'}"
+    return f"The loop is no whole stride: one ends {when}; move the end of --trim there."
+
+
 def _measure_step(path: FloorPath) -> CycleStep:
     """Return the step of a body that moves on, none for one that returns to its place."""
     step, travel_m = path.measure_step(), np.linalg.norm(path.position[-1] - path.position[0])

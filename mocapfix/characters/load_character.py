@@ -217,7 +217,7 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
             character = replace(character, mapping=map_bones(character))
         character, strays = attach_stray_bones(character)
         if names := [skeleton.names[bone] for bone in moved] + strays:
-            sentence = f"The body moves {format_name_list(names)}, which no bone of it carries in the file."
+            sentence = f"The body moves {format_name_list(names)}, though none of its bones carries them."
             character = replace(character, mapping=character.mapping.add_sentence(sentence))
         return character
 

@@ -156,9 +156,11 @@ def clean_takes(
                 reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
                 laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
                 clip_paths += [path for suffix, path in outputs.items() if suffix.endswith(CLIP_SUFFIXES)]
+                problems = each.describe_missing_outputs(folder, options.output)
                 if not as_json:
-                    print_summary(reports[-1], outputs, options.subject.subject_prefix)
-                for problem in each.describe_missing_outputs(folder, options.output):
+                    notes = [note for note in reports[-1]["notes"] if note not in problems]
+                    print_summary({**reports[-1], "notes": notes}, outputs, options.subject.subject_prefix)
+                for problem in problems:
                     attempts.add_failure(take, problem)
     if clips and clip_paths:
         with attempts.attempt(clips):

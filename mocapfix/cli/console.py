@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from mocapfix.errors import MocapfixError, describe_error, shorten_message
+from mocapfix.errors import MAX_MESSAGE_LENGTH, MocapfixError, describe_error, shorten_message
 from mocapfix.model.stage_timer import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
@@ -85,7 +85,9 @@ def print_json(data: object) -> None:
 
 
 def print_note(note: str) -> None:
-    """Print a sentence of the report to standard output, indented; the report has the whole of a long one."""
+    """Print a note of the report to standard output, indented: of a long one the first sentences, as the report has the whole."""
+    while len(note) > MAX_MESSAGE_LENGTH and ". " in note:
+        note = f"{note.rpartition('. ')[0]}."
     print_line(f"  {escape(shorten_message(note))}")
 
 

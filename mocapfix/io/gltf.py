@@ -342,6 +342,8 @@ def add_animation(
 ) -> None:
     """Add an animation to the document, with a key in every frame, or a single one of a rotation that does not change.
 
+    It becomes the first, which Blender shows when it opens the file.
+
     Args:
         local_rotations: Axes of each bone to its parent's.
         positions: Node to its positions in the unit of its parent, of the nodes that get such a curve.
@@ -369,11 +371,11 @@ def add_animation(
         add_curve(node, "rotation", "VEC4", rotation[:1] if is_constant else rotation)
     for (node, path), value in rest_values.items():
         add_curve(node, path, f"VEC{len(value)}", np.array([value], float))
-    buffer.document.setdefault("animations", []).append({"name": name, "channels": channels, "samplers": samplers})
+    buffer.document.setdefault("animations", []).insert(0, {"name": name, "channels": channels, "samplers": samplers})
 
 
-def copy_last_animation(buffer: GltfBuffer, name: str, other: GlbContent) -> None:
-    """Add the last animation of another document with the same nodes, which `add_animation` wrote, under a name."""
+def copy_first_animation(buffer: GltfBuffer, name: str, other: GlbContent, place: int) -> None:
+    """Insert the first animation of another document with the same nodes, which `add_animation` wrote, at a place in the list."""
     accessors, views = other.document["accessors"], other.document["bufferViews"]
     copied: dict[int, int] = {}
 
@@ -388,9 +390,9 @@ def copy_last_animation(buffer: GltfBuffer, name: str, other: GlbContent) -> Non
             copied[index] = len(buffer.document["accessors"]) - 1
         return copied[index]
 
-    animation = other.document["animations"][-1]
+    animation = other.document["animations"][0]
     samplers = [each | {key: copy_array(each[key]) for key in ("input", "output")} for each in animation["samplers"]]
-    buffer.document["animations"].append(animation | {"name": name, "samplers": samplers})
+    buffer.document["animations"].insert(place, animation | {"name": name, "samplers": samplers})
 
 
 BONE_WAIST_FRACTION = 0.12  # of a bone's length: from its beginning to the widest place of its double pyramid

@@ -1,4 +1,4 @@
-"""Write USD with a skeleton (UsdSkel) from a binary glTF: mesh, joints, weights and the last animation. It needs usd-core.
+"""Write USD with a skeleton (UsdSkel) from a binary glTF: mesh, joints, weights and the first animation. It needs usd-core.
 
 Source: OpenUSD, UsdSkel (Schemas In-Depth). A joint is every node of the glTF that a skin or the animation names, and all above
 it. Lengths are metres, Y is up. USD gives a joint one bind transform for all meshes, glTF one for each skin: the corners of a
@@ -24,7 +24,7 @@ SRGB_EXPONENT = 2.2  # of the colours of a glTF in the mesh; USD has them linear
 
 
 def write_usd(target: Path, glb_path: Path, rate: float) -> str | None:
-    """Write the character in a GLB as USD, with its last animation at `rate` frames per second.
+    """Write the character in a GLB as USD, with its first animation at `rate` frames per second.
 
     Returns:
         A sentence why no file was written, None if it was.
@@ -37,7 +37,7 @@ def write_usd(target: Path, glb_path: Path, rate: float) -> str | None:
     except ModuleNotFoundError:
         return f"{target.name} was not written: USD needs usd-core; install it with: pip install 'mocapfix[usd]'."
     content = parse_glb(glb_path, glb_path.read_bytes())
-    nodes, animation = read_gltf_nodes(glb_path, content.document), content.document["animations"][-1]
+    nodes, animation = read_gltf_nodes(glb_path, content.document), content.document["animations"][0]
     mesh = read_gltf_mesh(content, nodes)
     joints = _list_joints(nodes, content.document, animation, mesh)
     frame_count = max(len(read_array(content, each["input"])) for each in animation["samplers"])

@@ -122,7 +122,7 @@ def _show_character(
 ) -> tuple[list[SheetFigure], Float[np.ndarray, "N 3"]]:
     """Return the character in the rest pose and at some times, and the colours of triangles; in the views given for the last."""
     content = parse_glb(glb, glb.read_bytes())
-    nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][-1]
+    nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][0]
     numbers = {name: node for node, name in enumerate(nodes.names)}
     bones = [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
     rest_bones = dict(zip(bones, build_bone_matrices(character), strict=True))

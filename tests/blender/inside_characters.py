@@ -22,17 +22,6 @@ def open_file(path: str, scale: float, rate: float):
     return next(each for each in bpy.data.objects if each.type == "ARMATURE")
 
 
-def select_action(armature, name: str) -> None:
-    """Make the action of an animation the active one."""
-    action = next((each for each in bpy.data.actions if each.name == name or each.name.startswith(f"{name}_")), None)
-    if action:
-        data = armature.animation_data
-        data.action = action
-        data.action_slot = next(slot for slot in action.slots if slot.target_id_type == "OBJECT")
-        for track in data.nla_tracks:
-            track.mute = True
-
-
 def read_heads(armature, frame: float) -> dict[str, list[float]]:
     """Return the heads of the bones in the world, in metres, at a frame of the scene."""
     bpy.context.scene.frame_set(int(frame), subframe=frame - int(frame))
@@ -42,8 +31,6 @@ def read_heads(armature, frame: float) -> dict[str, list[float]]:
 def answer(job: dict) -> dict:
     """Return heads in some frames of the motion, the rate, and the number of frames."""
     armature, render = open_file(job["path"], job["scale"], job["rate"]), bpy.context.scene.render
-    if job["path"].endswith(".glb"):
-        select_action(armature, job["take"])
     first, last = armature.animation_data.action.frame_range
     return {
         "rate": render.fps / render.fps_base,

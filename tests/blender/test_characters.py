@@ -45,7 +45,6 @@ def build_glb_that_moves_a_finger() -> bytes:
     node = node_of(FIGURE.names.index("LeftHandIndex1"))
     places = np.array(content.document["nodes"][node]["translation"]) + [[2.0, 0.0, 0.0], [5.0, 1.0, 0.0]]
     add_animation(buffer, "wave", np.tile(np.eye(3), (2, 1, 1, 1)), {node: places}, {}, 1.0)
-    content.document["animations"].reverse()  # Blender shows the first animation of a file
     return build_glb(GlbContent(content.document, buffer.finish()))
 
 
@@ -119,7 +118,6 @@ def opened(written) -> dict[str, dict]:
             "scale": written[file.partition(".")[0]].bvh_unit_m,
             "rate": RATE_HZ,
             "frames": FRAMES,
-            "take": "take",
         }
         for file in files
     ]

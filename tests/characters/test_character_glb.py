@@ -93,7 +93,7 @@ def compute_worlds(document, binary, animation, times):
 def check_written_poses(path, character, motion, nodes, atol=2e-6):
     document, binary = (json.loads(split_glb(path.read_bytes())[0]), split_glb(path.read_bytes())[1])
     times = np.arange(motion.frame_count) / motion.rate
-    worlds = compute_worlds(document, binary, document["animations"][-1], times)[:, nodes]
+    worlds = compute_worlds(document, binary, document["animations"][0], times)[:, nodes]
     positions, rotations = compute_character_poses(character, motion)
     np.testing.assert_allclose(worlds[..., :3, 3], positions, atol=atol)
     scale = np.linalg.norm(worlds[..., :3, 0], axis=-1)[..., None, None]
@@ -109,14 +109,16 @@ def test_all_of_the_users_file_is_kept(tmp_path):
     length = old["buffers"][0]["byteLength"]
     assert new_binary[:length] == old_binary[:length]
     for key, value in old.items():
-        if key in ("accessors", "bufferViews", "animations"):
+        if key in ("accessors", "bufferViews"):
             assert new[key][: len(value)] == value
+        elif key == "animations":
+            assert new[key][1:] == value
         elif key == "buffers":
             assert new[key][0]["byteLength"] <= len(new_binary)
         else:
             assert new[key] == value, key
     assert set(new) == set(old)
-    assert [each["name"] for each in new["animations"]] == ["walk", "walk.001"]
+    assert [each["name"] for each in new["animations"]] == ["walk.001", "walk"]
 
 
 @pytest.mark.parametrize("data", [GLB, build_vrm(0), build_vrm(1)], ids=["mixamo", "vrm 0", "vrm 1"])
@@ -182,7 +184,7 @@ def test_rotations_that_do_not_change_have_one_key_and_resting_bones_none(tmp_pa
     write_character_glb(tmp_path / "out.glb", character, motion, "walk")
     document = json.loads(split_glb((tmp_path / "out.glb").read_bytes())[0])
     assert character.source is not None
-    nodes, animation = character.source.nodes, document["animations"][-1]
+    nodes, animation = character.source.nodes, document["animations"][0]
     counts = {}
     for channel in animation["channels"]:
         sampler = animation["samplers"][channel["sampler"]]
@@ -226,7 +228,7 @@ def test_khronos_validator_reports_no_errors(tmp_path):
 
 
 def test_clips_of_several_takes_are_animations_of_one_file(tmp_path):
-    """Each has the keys of its own file, the user's animation stays the first, and a name that is used gets a number."""
+    """Each has the keys of its own file, they are before the user's animation, and a name that is used gets a number."""
     character = read_figure(tmp_path)
     motions = [build_motion(character, 20 + 10 * seed, seed=seed) for seed in range(3)]
     paths = [tmp_path / f"{seed}.glb" for seed in range(3)]
@@ -236,8 +238,8 @@ def test_clips_of_several_takes_are_animations_of_one_file(tmp_path):
     write_clips(tmp_path / "all.glb", paths)
     text, binary = split_glb((tmp_path / "all.glb").read_bytes())
     document = json.loads(text)
-    assert [each["name"] for each in document["animations"]] == ["walk", "run", "turn", "run.001"]
-    for motion, animation in zip(motions, document["animations"][1:], strict=True):
+    assert [each["name"] for each in document["animations"]] == ["run", "turn", "run.001", "walk"]
+    for motion, animation in zip(motions, document["animations"][:-1], strict=True):
         times = np.arange(motion.frame_count) / motion.rate
         worlds = compute_worlds(document, binary, animation, times)[:, character.source.nodes]
         np.testing.assert_allclose(worlds[..., :3, 3], compute_character_poses(character, motion)[0], atol=2e-6)
@@ -259,8 +261,8 @@ def test_what_other_animations_move_returns_to_the_rest_pose(tmp_path):
     document = check_written_poses(tmp_path / "out.glb", character, motion, character.source.nodes)
     node = node_of(FIGURE.names.index("LeftHandIndex1"))
     keys = {
-        each["target"]["path"]: document["accessors"][document["animations"][-1]["samplers"][each["sampler"]]["output"]]["count"]
-        for each in document["animations"][-1]["channels"]
+        each["target"]["path"]: document["accessors"][document["animations"][0]["samplers"][each["sampler"]]["output"]]["count"]
+        for each in document["animations"][0]["channels"]
         if each["target"]["node"] == node
     }
     assert keys == {"rotation": 1, "translation": 1}

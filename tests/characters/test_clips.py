@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import compute_character_poses
-from mocapfix.characters.clips import close_loop, find_trimmed_frames
+from mocapfix.characters.clips import close_loop, find_trimmed_frames, name_whole_stride
 from mocapfix.characters.root_motion import carry_path, find_root_bone, prepare_root_bone
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import ROOT_BONE
 from tests.characters.walking_body import RATE, build_contacts, load_walk
 from tests.io.read_back import motion_of
 
-FRAMES = slice(88, 163)  # of the walk: four frames more than a stride
+FRAMES, STRIDE_STOP = slice(88, 163), 158  # of the walk: four frames more than a stride, and the end of that
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,16 @@ def test_a_motion_of_a_few_frames_is_no_loop(walk):
     closed, sentence = close_loop(character, short, {side: each[:4] for side, each in standing.items()})
     assert closed is short
     assert sentence == "A loop has at least 5 frames, and the motion 4: it is left as it is."
+
+
+@pytest.mark.parametrize(
+    ("stop", "shift"), [(STRIDE_STOP, ""), (STRIDE_STOP - 14, "(14 frames) later"), (175, "earlier"), (95, "")]
+)
+def test_the_end_of_a_whole_stride_near_that_of_a_clip_is_named(stop, shift):
+    character, motion = load_walk()
+    sentence = name_whole_stride(character, motion, slice(FRAMES.start, stop))
+    assert shift in sentence
+    assert bool(sentence) == bool(shift)
 
 
 @pytest.mark.parametrize(

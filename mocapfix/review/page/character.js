@@ -1,4 +1,4 @@
-// A character that the body moves, beside it: the written GLB with its last animation, which is that of the take.
+// A character that the body moves, beside it: the written GLB with its first animation, which is that of the take.
 
 import { GLTFLoader, THREE } from "./three.js";
 
@@ -9,7 +9,7 @@ const HEIGHT_M = 1.75; // with which each character is shown
 export class CharacterView {
   // Loads a file; throws an error that says why it cannot be shown.
   static async load(url) {
-    const file = await new GLTFLoader().loadAsync(url), clip = file.animations.at(-1);
+    const file = await new GLTFLoader().loadAsync(url), clip = file.animations[0];
     if (!clip) throw new Error("it has no animation");
     return new CharacterView(file.scene, clip);
   }
