@@ -7,7 +7,8 @@ across the part's axis, so that a hand on a thigh stays there, and it is never n
 
 The displacements are solved over the whole motion at once, as those of least acceleration: a foot in contact keeps its
 displacement, and a hand comes beside a part of the body, and leaves it, without a jump. The terms are linear, with standard
-deviations; the lengths of limbs and what is one-sided are linearised in each round.
+deviations; the lengths of limbs and what is one-sided are linearised in each round. Characters are of any size: standard
+deviations of places, speeds and accelerations are in lengths of the target's leg, those of the hands in lengths of its trunk.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +28,6 @@ Weights = Float[np.ndarray, "T 3 3"]  # of displacements, in 1/m^2
 BEND_SD_RAD = np.deg2rad(2.0)  # standard deviation of the angle of a knee or elbow about the source's
 MIN_BEND_SINE = 0.05  # a limb that is straighter is not held more exactly
 DIRECTION_SD_RAD = np.deg2rad(2.0)  # standard deviation of a limb's direction about the source's
-ACCELERATION_SD_M_S2 = 1.0  # standard deviation of the acceleration of a displacement
 FIT_ROUNDS = 3
 MIN_LENGTH_M = 1e-6
 
@@ -68,13 +68,14 @@ class DisplacementProblem:
         self.add(signs, lengthwise / sd_m[:, None, None] ** 2 + across / across_sd_m[..., None] ** 2, change)
 
     def solve(
-        self, speed_weight: Float[np.ndarray, "T M"], course: Float[np.ndarray, "T M"], rate: float
+        self, speed_weight: Float[np.ndarray, "T M"], course: Float[np.ndarray, "T M"], acceleration_sd_m_s2: float, rate: float
     ) -> Float[np.ndarray, "T M"]:
         """Return the displacements of least cost in metres.
 
-        Their speed from each frame to the next has a weight in s^2/m^2; they shall accelerate as those of the `course`.
+        Their speed from each frame to the next has a weight in s^2/m^2; they shall accelerate as those of the `course`, with this
+        standard deviation.
         """
-        stiffness, bend, pull = (rate**2 / ACCELERATION_SD_M_S2) ** 2, np.diff(course, n=2, axis=0), self.pull.copy()
+        stiffness, bend, pull = (rate**2 / acceleration_sd_m_s2) ** 2, np.diff(course, n=2, axis=0), self.pull.copy()
         for frame, coefficient in enumerate((1.0, -2.0, 1.0)):
             pull[frame : frame + len(bend)] += coefficient * stiffness * bend
         return minimise_acceleration(self.curvature, pull, stiffness, speed_weight[:-1] * rate**2)
@@ -97,10 +98,12 @@ def compute_wanted_limb(
     return vector, BEND_SD_RAD * upper_m * lower_m * np.maximum(sine, MIN_BEND_SINE) / length
 
 
-PELVIS_PLACE_SD_M, FOOT_PLACE_SD_M = 0.03, 0.1  # standard deviations of pelvis and feet about their scaled places
-FLOOR_SD_M = 0.0005  # of the height of a foot that stands; above the floor it grows, up to FOOT_PLACE_SD_M
-CLEARANCE_SHARE = 0.04  # of the height of a foot above the floor, as the standard deviation of that height
-CONTACT_SPEED_SD_M_S = 0.0005  # standard deviation of the speed of a displacement while the foot stands
+PELVIS_PLACE_SD, FOOT_PLACE_SD = 0.1, 0.3  # standard deviations of pelvis and feet about their scaled places
+FLOOR_SD = 0.0006  # of the height of a foot that stands
+CLEARANCE_SHARE, RISE_SHARE = 0.04, 0.3
+"""Standard deviations of the height of a foot that swings, downwards and upwards, as shares of its height above the floor."""
+CONTACT_SPEED_SD = 0.0006  # of the speed of a displacement while the foot stands
+LEG_ACCELERATION_SD = 1.7  # of the acceleration of a displacement
 COURSE_SHARE = 0.5
 """Share of the way from where a foot is placed by its ball to where it would be by its ankle, and of that from where the trunk is
 placed by the hips to where it would be by the shoulders, with which feet and pelvis accelerate. Feet and trunks of other lengths
@@ -127,8 +130,8 @@ def fit_legs(
         return kept
     source, target = frames
     leg_m, scale, count = source.leg_length_m, target.leg_length_m / source.leg_length_m, len(kept.pelvis)
-    information, speed_weight, course = np.full((count, 9), FOOT_PLACE_SD_M**-2), np.zeros((count, 9)), np.zeros((count, 9))
-    information[:, :3] = PELVIS_PLACE_SD_M**-2
+    speed_weight, course, place_sd = np.zeros((count, 9)), np.zeros((count, 9)), np.full((2, count, 9), FOOT_PLACE_SD)
+    place_sd[:, :, :3] = PELVIS_PLACE_SD
     trunks = [
         np.mean([each[f"{side}_upper_arm"] - each[f"{side}_thigh"] for side in SIDES], axis=0)
         for each in (motion.position, start)
@@ -143,19 +146,21 @@ def fit_legs(
         else:  # a foot stands whose lower end is low and whose slower end is slow
             steps = [np.linalg.norm(np.diff(place, axis=0, append=place[-1:]), axis=1) for place in (ankle, ball)]
             is_standing = (height < STANDING_HEIGHT * leg_m) & (np.min(steps, axis=0) * rate < STANDING_SPEED * leg_m)
-        height_sd_m = np.where(is_standing, FLOOR_SD_M, np.clip(CLEARANCE_SHARE * height, FLOOR_SD_M, FOOT_PLACE_SD_M))
-        information[:, 3 * k + 1] = height_sd_m**-2
+        for direction, share in enumerate((CLEARANCE_SHARE, RISE_SHARE)):
+            swing_sd = np.clip(share * height / leg_m, FLOOR_SD, FOOT_PLACE_SD)
+            place_sd[direction, :, 3 * k + 1] = np.where(is_standing, FLOOR_SD, swing_sd)
         own = slice(3 * k, 3 * k + 3)
-        speed_weight[:-1, own] = (is_standing[1:] & is_standing[:-1])[:, None] * CONTACT_SPEED_SD_M_S**-2
+        speed_weight[:-1, own] = (is_standing[1:] & is_standing[:-1])[:, None] * (CONTACT_SPEED_SD * target.leg_length_m) ** -2
         course[:, own] = COURSE_SHARE * (scale * ankle - kept.ankles[side])
         hip = motion.rotation["pelvis"] @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh"))
         limbs.append((kept.ankles[side] - kept.pelvis - hip, *compute_wanted_limb(target, motion, side, LEG)))
     displacement = np.zeros((count, 9))
     for _ in range(FIT_ROUNDS):
+        information = (target.leg_length_m * np.where(displacement > 0, place_sd[1], place_sd[0])) ** -2
         problem = DisplacementProblem(information[:, :, None] * np.eye(9), np.zeros((count, 9)))
         for k, (leg, wanted, sd_m) in enumerate(limbs, 1):
             problem.add_limb({k: 1, 0: -1}, leg, displacement[:, 3 * k : 3 * k + 3] - displacement[:, :3], wanted, sd_m)
-        displacement = problem.solve(speed_weight, course, rate)
+        displacement = problem.solve(speed_weight, course, LEG_ACCELERATION_SD * target.leg_length_m, rate)
     ankles = {side: kept.ankles[side] + displacement[:, 3 * k : 3 * k + 3] for k, side in enumerate(SIDES, 1)}
     return KeptPositions(kept.pelvis + displacement[:, :3], ankles)
 
@@ -164,7 +169,8 @@ NEAR_DISTANCE, FAR_DISTANCE = 0.17, 0.25
 """Distances of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept, and
 from which only the arm's directions are."""
 TOUCH_DISTANCE = 0.23  # distance up to which a palm comes no nearer than the source's
-TOUCH_SD_M = 0.005  # standard deviation of a palm about its place beside a part of the body, or beside the other palm
+TOUCH_SD = 0.01  # standard deviation of a palm about its place beside a part of the body, or beside the other palm
+ARM_ACCELERATION_SD = 3.0  # of the acceleration of a displacement
 LEG_PARTS = tuple((f"{side}_thigh", f"{side}_shin") for side in SIDES)
 BODY_PARTS = (*LEG_PARTS, ("hips", "neck"), ("neck", "head"))
 """Parts of the body near which hands keep their places: lines from where one segment begins to where another does; "hips" is the
@@ -194,7 +200,8 @@ def fit_arms(
     nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source.trunk_length_m)
     none = np.zeros((len(apart), 6))
     beside = DisplacementProblem(np.zeros((len(none), 6, 6)), none.copy())
-    beside.add({0: 1, 1: -1}, nearness[:, None, None] * TOUCH_SD_M**-2 * np.eye(3), scale * apart - target_apart)
+    touch_weight = (TOUCH_SD * target.trunk_length_m) ** -2
+    beside.add({0: 1, 1: -1}, nearness[:, None, None] * touch_weight * np.eye(3), scale * apart - target_apart)
     for k, part in product(range(len(arms)), parts):
         beside.add({k: 1}, *place_beside_part(palms[k], part, sizes))
     displacement = none
@@ -205,7 +212,7 @@ def fit_arms(
             problem.add_limb({k: 1}, arm, moved, arm, sd_m)
             for part in parts:
                 problem.add({k: 1}, *keep_off_part(palms[k], moved, part, sizes))
-        displacement = problem.solve(none, none, rate)
+        displacement = problem.solve(none, none, ARM_ACCELERATION_SD * target.trunk_length_m, rate)
     return {side: wrist + displacement[:, 3 * k : 3 * k + 3] for k, (side, wrist) in enumerate(wrists.items())}
 
 
@@ -223,7 +230,7 @@ def place_beside_part(
     across, target_across = (split_along_line(palm, *ends)[1] for palm, ends in zip(palms, part, strict=True))
     axis = part[1][1] - part[1][0]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), MIN_LENGTH_M)
-    share = compute_nearness(distance / trunk_m)[:, None, None] * TOUCH_SD_M**-2
+    share = compute_nearness(distance / trunk_m)[:, None, None] * (TOUCH_SD * scale * trunk_m) ** -2
     return share * (np.eye(3) - axis[:, :, None] * axis[:, None, :]), scale * across - target_across
 
 
@@ -237,7 +244,7 @@ def keep_off_part(
     reached = np.linalg.norm(outward, axis=1)
     outward = outward / np.maximum(reached, MIN_LENGTH_M)[:, None]
     missing = scale * np.minimum(distance, TOUCH_DISTANCE * trunk_m) - reached
-    share = (missing > 0)[:, None, None] * TOUCH_SD_M**-2
+    share = (missing > 0)[:, None, None] * (TOUCH_SD * scale * trunk_m) ** -2
     return share * outward[:, :, None] * outward[:, None, :], displacement + missing[:, None] * outward
 
 

@@ -68,6 +68,7 @@ class SolveTree:
     bones: Int[np.ndarray, " N"]  # the bone that has each joint's rotation
     free: Bool[np.ndarray, " N"]  # the joints that the solver turns
     standard_rotations: Float[np.ndarray, "N 3 3"]  # C of `BodyFrame`
+    leg_length_m: float
 
     @property
     def kernel_tree(self) -> KinematicTree:
@@ -120,13 +121,15 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
         rest_rotations=compute_local_rotations(frame.rest_rotation[bones], parents),
         limits_rad=np.where(is_shared[:, None, None], UNLIMITED_RAD, skeleton.limits_rad[bones]),
     )
-    return SolveTree(solved, bones, free, np.stack([frame.standard_rotations[bone] for bone in bones.tolist()]))
+    standard = np.stack([frame.standard_rotations[bone] for bone in bones.tolist()])
+    return SolveTree(solved, bones, free, standard, frame.leg_length_m)
 
 
-ANKLE_SD_M, WRIST_SD_M, PELVIS_SD_M = 0.0003, 0.003, 0.006  # standard deviations of positions about their targets
+ANKLE_SD, WRIST_SD, PELVIS_SD = 0.0004, 0.005, 0.007
+"""Standard deviations of positions about their targets, in lengths of the leg."""
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
-BONE_DIRECTION_SD_RAD = 0.03
+BONE_DIRECTION_SD_RAD = 0.025
 """Standard deviation of the direction of a limb's bone. It is small: the pelvis moves a little before a straight knee bends, and
 shoulders before a straight arm that is pushed folds in a plane that nothing shows."""
 LIMIT_SD_SHARE = 0.3  # of the standard deviation of joint limits in a solve from markers: directions are held that much more here
@@ -172,7 +175,7 @@ def _get_base_segment(segment: str) -> str:
 def _build_point_term(tree: SolveTree, targets: SegmentTargets) -> PointTerm:
     joints = np.array([tree.find_joint(segment) for segment in targets.points])
     measured = np.ascontiguousarray(np.stack(list(targets.points.values()), axis=1))
-    sd = np.array([ANKLE_SD_M if segment.endswith("foot") else WRIST_SD_M for segment in targets.points])
+    sd = tree.leg_length_m * np.array([ANKLE_SD if segment.endswith("foot") else WRIST_SD for segment in targets.points])
     return PointTerm(joints, np.zeros((len(joints), 3)), measured, np.tile(sd**-2, (len(measured), 1)))
 
 
@@ -203,7 +206,7 @@ def _build_orientation_term(tree: SolveTree, rotation: JointRotations) -> Orient
 def _build_tracking_term(tree: SolveTree, local: JointRotations, pelvis: Points) -> TrackingTerm:
     sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.skeleton.names])
     weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
-    return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), PELVIS_SD_M**-2))
+    return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), (PELVIS_SD * tree.leg_length_m) ** -2))
 
 
 NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "hand", "shin": "foot"}

@@ -173,7 +173,7 @@ def _record_person(
     others = [each for other, motions in by_person.items() if other != name for each in motions[:2]]
     turn = number * take_count % max(1, len(others))
     chosen = [*by_person.get(name, []), *others[turn:], *others[:turn]][:take_count]
-    motions = [_play_to_duration(resample_performance(each), duration_s) for each in chosen]
+    motions = [_play_part(each, 0, each.frame_count, duration_s) for each in map(resample_performance, chosen)]
     return SessionPerson(name, subject, tuple(record_take(rng, subject, motion) for motion in motions))
 
 
@@ -185,8 +185,7 @@ def _compose_person(name: str, number: int, take_count: int, duration_s: float) 
     length, takes = round(duration_s * SOUND_TAKE_RATE_HZ), list[SyntheticTake]()
     for take in range(take_count):
         first = round(take * (whole.frame_count - length) / max(1, take_count - 1)) if length < whole.frame_count else 0
-        part = _play_to_duration(_cut_motion(whole, first, min(length, whole.frame_count - first)), duration_s)
-        takes.append(record_take(rng, subject, part))
+        takes.append(record_take(rng, subject, _play_part(whole, first, min(length, whole.frame_count - first), duration_s)))
     return SessionPerson(name, subject, tuple(takes))
 
 
@@ -208,17 +207,11 @@ def move_marker(subject: Subject, rng: np.random.Generator, distance_m: float) -
     return replace(subject, marker_offsets=offsets), marker
 
 
-def _play_to_duration(motion: Motion, duration_s: float) -> Motion:
-    """Return a motion played forwards and backwards until it has the duration."""
-    frame_count = motion.frame_count
-    turns = np.r_[np.arange(frame_count), np.arange(frame_count - 2, 0, -1)]
+def _play_part(motion: Motion, first: int, frame_count: int, duration_s: float) -> Motion:
+    """Return a part of a motion played forwards and backwards until it has the duration."""
+    turns = first + np.r_[np.arange(frame_count), np.arange(frame_count - 2, 0, -1)]
     frames = np.resize(turns, round(duration_s * SOUND_TAKE_RATE_HZ))
     return build_known_motion(motion.root_position[frames], np.ascontiguousarray(motion.local_rotations[frames]))
-
-
-def _cut_motion(motion: Motion, first: int, length: int) -> Motion:
-    part = slice(first, first + length)
-    return build_known_motion(motion.root_position[part], np.ascontiguousarray(motion.local_rotations[part]))
 
 
 def _compute_length_s(performance: PerformedMotion) -> float:

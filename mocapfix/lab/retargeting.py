@@ -10,7 +10,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,16 +43,13 @@ from mocapfix.result import CleaningResult
 Points = Float[np.ndarray, "T 3"]  # in the world, in metres
 Quantities = dict[str, dict[str, Float[np.ndarray, " T"]]]
 """By quantity and place on the body: a value in each frame, NaN where there is none."""
-
-
 COMPOSED, MAX_PERFORMED = 4, 40  # numbers of takes
 MARKED_LANDMARKS = {
     "forearm": ("Arm", "ForeArm"), "hand": ("ForeArm", "FingerBase"), "shin": ("UpLeg", "Leg"), "foot": ("Leg", "Foot"),
 }  # fmt: skip
 """By landmark: the joint with which its markers move, and the joint beside which they are."""
 MAX_MARKER_DISTANCE_M = 0.11  # from the joint
-ACCELERATING = ("upper_arm", "forearm", "hand", "thigh", "shin", "foot", "ball", "head")
-LEG_LANDMARKS = ("thigh", "shin", "foot", "ball")
+LANDMARK_CHAINS = "hips thigh shin foot ball", "hips shoulders upper_arm forearm hand", "shoulders head"
 MIN_PEAK_M_S2 = 20.0  # largest acceleration of the performer's landmark that is told from noise
 HALF_THICKNESS_M = {"palm": 0.03, "forearm": 0.04, "shin": 0.05, "thigh": 0.09, "head": 0.1}
 """Height of a landmark above the floor on which a person of average size rests it."""
@@ -135,17 +132,15 @@ def find_foot_corners(character: Character) -> dict[int, Points]:
 
 
 def find_landmarks(character: Character, motion: CharacterMotion, corners: Mapping[int, Points]) -> Landmarks:
-    """Return the landmarks of a character; its wrists are at the joint FingerBase if it has one.
+    """Return the landmarks of a character.
 
     The soles are at the lowest of the `corners` of the mesh by `find_foot_corners`; without these at the lower of their two ends.
     """
-    frame, names = build_body_frame(character), character.skeleton.names
+    frame = build_body_frame(character)
     (position, rotation), segments = compute_character_poses(character, motion), compute_segment_motion(frame, motion)
     places, soles_m = dict(segments.position), dict[str, Float[np.ndarray, " T"]]()
     for side in SIDES:
         foot, ball, hand = (f"{side}_{name}" for name in ("foot", "ball", "hand"))
-        if (wrist := f"{side.capitalize()}FingerBase") in names:
-            places[hand] = position[:, names.index(wrist)]
         if hand in places:
             places[f"{side}_palm"] = places[hand] + segments.rotation[hand] @ frame.compute_palm(side)
         places[ball] = segments.carry(foot, frame.compute_ball(side))
@@ -155,9 +150,9 @@ def find_landmarks(character: Character, motion: CharacterMotion, corners: Mappi
         own = [bone for bone in corners if bone == first or is_below(bone, first, character.skeleton.parents)]
         soles = [position[:, bone, 1] + (rotation[:, bone, 1] @ corners[bone].T).min(axis=1) for bone in own] or soles
         soles_m[side] = np.min(soles, axis=0)
-    places["shoulders"] = (places["left_upper_arm"] + places["right_upper_arm"]) / 2
-    arm = [places[f"left_{each}"] for each in ("upper_arm", "forearm", "hand") if f"left_{each}" in places]
-    arm_m = float(np.linalg.norm(np.diff(arm, axis=0), axis=2).sum(0).mean())
+    for name, segment in (("hips", "thigh"), ("shoulders", "upper_arm")):
+        places[name] = (places[f"left_{segment}"] + places[f"right_{segment}"]) / 2
+    arm_m = frame.compute_length("upper_arm", "forearm", "hand") if frame.has_hands else 0.0
     return Landmarks(places, frame.leg_length_m, arm_m, frame.trunk_length_m, soles_m)
 
 
@@ -180,12 +175,11 @@ def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -
             if all(name in each.markers for name in ends):
                 marked = each.markers[ends[1]] - each.markers[ends[0]]
                 quantities[f"{start}_to_markers_deg"][side] = compute_angle_deg(line, marked)
+    for name, place in scale_by_limb(performer, figure).items():
+        peak = max(float(compute_accelerations(place, rate).max(initial=0.0)), MIN_PEAK_M_S2)
+        quantities["acceleration_ratio"][name] = compute_accelerations(places[name], rate) / peak
     for name in sorted(wanted.keys() & places.keys()):
         part = name.partition("_")[2] or name
-        if part in ACCELERATING:
-            scale = leg if part in LEG_LANDMARKS else max(leg, arm)
-            peak = max(scale * float(compute_accelerations(wanted[name], rate).max(initial=0.0)), MIN_PEAK_M_S2)
-            quantities["acceleration_ratio"][name] = compute_accelerations(places[name], rate) / peak
         if part in HALF_THICKNESS_M:
             low = leg * np.minimum(floor.compute_height_above(wanted[name]), HALF_THICKNESS_M[part])
             quantities["in_floor_mm"][name] = 1e3 * np.maximum(low - measure_height(places[name], floor), 0.0)
@@ -208,6 +202,19 @@ def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -
             is_free = np.min(list(distances[0].values()), axis=0) > FAR_DISTANCE * performer.trunk_m
             quantities["free_hand_mm"][side] = np.where(is_free, 1e3 * np.linalg.norm(off, axis=1), np.nan)
     return quantities
+
+
+def scale_by_limb(performer: Landmarks, figure: Landmarks) -> dict[str, Points]:
+    """Return where landmarks were if the lines from one to the next had the performer's directions and the figure's lengths."""
+    wanted, places = performer.places, figure.places
+    scaled = {"hips": figure.leg_m / performer.leg_m * wanted["hips"]}
+    for side, chain in product(SIDES, LANDMARK_CHAINS):
+        for start, end in pairwise(each if each in wanted else f"{side}_{each}" for each in chain.split()):
+            if end in wanted and end in places:
+                lines = np.stack([each[end] - each[start] for each in (wanted, places)])
+                lengths = np.median(np.linalg.norm(lines, axis=2), axis=1)
+                scaled[end] = scaled[start] + lengths[1] / lengths[0] * lines[0]
+    return scaled
 
 
 def measure_part_distances(side: str, places: Mapping[str, Points]) -> dict[tuple[str, str], Float[np.ndarray, " T"]]:

@@ -136,14 +136,14 @@ def test_palm_that_came_too_near_to_a_thigh_stays_out():
 def test_takes_of_few_frames_are_solved(frames):
     problem = DisplacementProblem(np.full((frames, 1, 1), 4.0) * np.eye(3), np.full((frames, 3), 2.0))
     none = np.zeros((frames, 3))
-    np.testing.assert_allclose(problem.solve(none, none, 60.0), 0.5)
+    np.testing.assert_allclose(problem.solve(none, none, 1.0, 60.0), 0.5)
 
 
 def test_course_gives_its_accelerations():
     seconds = np.arange(60) / 60.0
     course = np.column_stack([np.sin(9.0 * seconds), np.zeros(60), seconds])
     problem = DisplacementProblem(np.full((60, 1, 1), 1e-6) * np.eye(3), np.zeros((60, 3)))
-    solved = problem.solve(np.zeros((60, 3)), course, 60.0)
+    solved = problem.solve(np.zeros((60, 3)), course, 1.0, 60.0)
     np.testing.assert_allclose(np.diff(solved, n=2, axis=0), np.diff(course, n=2, axis=0), atol=1e-6)
 
 

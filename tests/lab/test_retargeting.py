@@ -19,6 +19,7 @@ from mocapfix.lab.retargeting import (
     load_bench_motions,
     measure_characters,
     measure_motion,
+    scale_by_limb,
     summarise_quantity,
 )
 from mocapfix.synthetic import compose_take
@@ -84,6 +85,17 @@ def test_a_pop_is_compared_with_the_largest_acceleration_of_the_performer(perfor
     assert quantities["acceleration_ratio"]["left_shin"].max() == pytest.approx(1440 / own, abs=1.1)
     row = summarise_quantity("acceleration_ratio", [("walk", quantities)])
     assert row["where"] in ("walk: left_shin, frame 99", "walk: left_shin, frame 100")
+
+
+def test_limbs_of_other_lengths_are_compared_with_the_performer_of_these_lengths(performer):
+    """A figure with twice the height and four times the length of each thigh has its knees below the scaled hips."""
+    places = {name: 2.0 * place for name, place in performer.places.items()}
+    for side in ("left", "right"):
+        for name in ("shin", "foot", "ball"):
+            places[f"{side}_{name}"] += 2.0 * (performer.places[f"{side}_shin"] - performer.places[f"{side}_thigh"])
+    scaled = scale_by_limb(performer, performer._replace(places=places, leg_m=2.0 * performer.leg_m))
+    for name in ("left_ball", "right_shin", "left_hand", "head"):
+        np.testing.assert_allclose(scaled[name], places[name], atol=0.01)
 
 
 def test_a_palm_below_its_clearance_is_in_the_floor(performed, performer):
