@@ -29,7 +29,7 @@ from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import FEET_LOCK, FillOptions
-from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import LegPath, compute_world_poses, measure_length
 from mocapfix.solve.measured_segments import smooth_share
 from mocapfix.stats.rigid_alignment import compute_shortest_rotations
 from mocapfix.stats.sequences import find_runs, minimise_acceleration, smooth_path
@@ -46,66 +46,6 @@ ROOT_ITERATIONS = 6
 ANKLE_SD_M = 0.002  # standard deviation of an ankle about where its foot is held: it yields for a knee not to jump
 KNEE_CHANGE_SD_RAD = 0.05
 KNEE_TIME_S = 0.05  # size and time constant of the change of a knee's angle
-PLANE_REACH_M = 0.01  # distance of a knee from the line from hip to ankle below which its usual plane counts
-
-
-class LegPath(NamedTuple):
-    """The joints of one leg in the world, in every frame, in metres."""
-
-    hip: Float[np.ndarray, "T 3"]
-    knee: Float[np.ndarray, "T 3"]
-    ankle: Float[np.ndarray, "T 3"]
-    toes: Float[np.ndarray, "T 3"]
-    usual_bend: Float[np.ndarray, "T 3"]  # the direction in which the knee bends, of length 1
-
-    @property
-    def knee_offset(self) -> Float[np.ndarray, "T 3"]:
-        """The distance in metres of the knee from the line from hip to ankle."""
-        return find_offset(self.knee - self.hip, self.ankle - self.hip)
-
-    @property
-    def lengths_m(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-        """The lengths of thigh and shin."""
-        return measure_length(self.knee - self.hip), measure_length(self.ankle - self.knee)
-
-    @property
-    def knee_angle(self) -> Float[np.ndarray, " T"]:
-        """The angle between thigh and shin in radians, pi for a straight leg."""
-        return self.find_knee_angle(measure_length(self.ankle - self.hip))
-
-    def find_knee_angle(self, reach_m: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-        """Return the angle with which the ankle is at a distance from the hip; that of a straight leg if it is too far."""
-        thigh, shin = self.lengths_m
-        return np.arccos(np.clip((thigh**2 + shin**2 - reach_m**2) / (2 * thigh * shin), -1, 1))
-
-    def measure_reach(self, knee_angle: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-        """Return the distance of the ankle from the hip, in metres, and its change with the angle, in m/rad."""
-        thigh, shin = self.lengths_m
-        reach = np.sqrt(np.maximum(thigh**2 + shin**2 - 2 * thigh * shin * np.cos(knee_angle), 1e-9))
-        return reach, thigh * shin * np.sin(knee_angle) / reach
-
-
-def build_leg_path(
-    skeleton: Skeleton, positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"], side: str
-) -> LegPath:
-    """Return a leg of the 31-joint skeleton; its knee usually bends as it does on average, in the axes of its thigh."""
-    joints = [skeleton.names.index(side.capitalize() + bone) for bone in (*LEG_BONES, "ToeBase")]
-    hip, knee, ankle, toes = (positions[:, joint] for joint in joints)
-    thigh = rotations[:, joints[0]]
-    bend = thigh @ np.einsum("tji,tj->i", thigh, find_offset(knee - hip, ankle - hip))
-    bend = find_offset(bend, ankle - hip)
-    return LegPath(hip, knee, ankle, toes, bend / measure_length(bend)[:, None])
-
-
-def find_offset(vectors: Float[np.ndarray, "T 3"], directions: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return the part of each vector that is perpendicular to a direction of any length."""
-    unit = directions / measure_length(directions)[:, None]
-    return vectors - (vectors * unit).sum(1, keepdims=True) * unit
-
-
-def measure_length(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
-    """Return the length of each vector, at least a nanometre."""
-    return np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)
 
 
 def find_root_displacement(
@@ -132,36 +72,19 @@ def find_root_displacement(
     return moved / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
 
 
-def pose_leg(
-    leg: LegPath, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], toes: Float[np.ndarray, "T 3"], rate: float
-) -> tuple[LegPath, tuple[Float[np.ndarray, "T 3 3"], ...]]:
-    """Return a leg with its ankle and toes near other places, in metres, and the turns of thigh, shin and foot in the world.
+def reach_ankle(
+    leg: LegPath, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], rate: float
+) -> Float[np.ndarray, " T"]:
+    """Return the distances from a hip at which a leg has its ankle near a place, in metres.
 
-    The knee's angle changes smoothly, in the leg's plane: where the leg is nearly straight, the ankle yields along it.
+    The knee's angle changes smoothly: where the leg is nearly straight, the ankle yields along it.
     """
-    angle, direction = leg.knee_angle, (ankle - hip) / measure_length(ankle - hip)[:, None]
+    angle = leg.knee_angle
     wanted = leg.find_knee_angle(measure_length(ankle - hip)) - angle
     change = leg.measure_reach(np.minimum(angle, angle + wanted))[1]
     variance = rate * (ANKLE_SD_M / np.maximum(change, MIN_REACH_CHANGE_M)) ** 2
     power = np.full(len(angle), (KNEE_CHANGE_SD_RAD / KNEE_TIME_S**2) ** 2)
-    reach = leg.measure_reach(np.minimum(angle + smooth_path(wanted[:, None], variance, power, rate)[:, 0], np.pi))[0]
-    thigh, shin = leg.lengths_m
-    along = (thigh**2 + reach**2 - shin**2) / (2 * reach)
-    across = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
-    turn = compute_shortest_rotations(leg.ankle - leg.hip, direction)
-    bend, change_m = leg.knee_offset, across - measure_length(leg.knee_offset)
-    bend = bend + leg.usual_bend * (change_m**2 / (np.abs(change_m) + PLANE_REACH_M))[:, None]
-    bend = np.einsum("tij,tj->ti", turn, bend / measure_length(bend)[:, None])
-    posed = leg._replace(
-        hip=hip, knee=hip + along[:, None] * direction + across[:, None] * bend, ankle=hip + reach[:, None] * direction
-    )
-    thigh_turn, shin_turn = (
-        compute_shortest_rotations(np.einsum("tij,tj->ti", turn, old), new) @ turn
-        for old, new in ((leg.knee - leg.hip, posed.knee - hip), (leg.ankle - leg.knee, posed.ankle - posed.knee))
-    )
-    foot_turn = compute_shortest_rotations(leg.toes - leg.ankle, toes - posed.ankle)
-    posed = posed._replace(toes=posed.ankle + np.einsum("tij,tj->ti", foot_turn, leg.toes - leg.ankle))
-    return posed, (thigh_turn, shin_turn, foot_turn)
+    return leg.measure_reach(np.minimum(angle + smooth_path(wanted[:, None], variance, power, rate)[:, 0], np.pi))[0]
 
 
 LEG_BONES = ("UpLeg", "Leg", "Foot")
@@ -266,24 +189,27 @@ def _hold_legs(
     is_contact = feet.contacts.is_contact[frames, : len(columns)] & np.repeat(is_held[frames], 2, axis=1)
     is_known = feet.contacts.is_known[frames, : len(columns)]
     contacts = replace(feet.contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known)
-    positions, rotations = kinematics.compute_world_poses(skeleton, motion.select_frames(frames))
+    positions, rotations = compute_world_poses(skeleton, motion.select_frames(frames))
     fitting = positions[:, columns] - feet.slide[frames, None]
     lock = GIVEN_LOCK if feet.is_given else ANIMATION_LOCK
     displacement = compute_foot_displacements(fitting, contacts, is_locked=True, lock=lock)
     displacement += compute_step_displacements(fitting, contacts, feet.slide[frames])
     displacement *= share[..., None]
     target = positions[:, columns] + displacement
-    legs = [build_leg_path(skeleton, positions, rotations, side) for side in FOOT_JOINTS]
+    joints = [[skeleton.names.index(side.capitalize() + bone) for bone in LEG_BONES] for side in FOOT_JOINTS]
+    legs = [LegPath.build(positions[:, leg], rotations[:, leg[0]]) for leg in joints]
     root = find_root_displacement(legs, [target[:, 0], target[:, 2]], is_root_free[frames], rate)
     local_rotations, foot_m, is_posed = motion.local_rotations.copy(), np.zeros(is_held.shape), np.zeros(is_held.shape, bool)
-    for side, (leg, prefix) in enumerate(zip(legs, FOOT_JOINTS, strict=True)):
-        posed, turns = pose_leg(leg, leg.hip + root, target[:, 2 * side], target[:, 2 * side + 1], rate)
-        above = rotations[:, skeleton.parents[skeleton.names.index(prefix.capitalize() + LEG_BONES[0])]]
-        for bone, turn in zip(LEG_BONES, turns, strict=True):
-            joint = skeleton.names.index(prefix.capitalize() + bone)
+    for side, (leg, bones) in enumerate(zip(legs, joints, strict=True)):
+        hip, ankle, toes = leg.hip + root, target[:, 2 * side], positions[:, columns[2 * side + 1]]
+        posed, *turns = leg.pose(hip, ankle, reach_ankle(leg, hip, ankle, rate))
+        turns.append(compute_shortest_rotations(toes - leg.ankle, target[:, 2 * side + 1] - posed.ankle))
+        above = rotations[:, skeleton.parents[bones[0]]]
+        for joint, turn in zip(bones, turns, strict=True):
             turned = turn @ rotations[:, joint]
             local_rotations[:, joint], above = above.swapaxes(1, 2) @ turned, turned
-        moved_m = np.linalg.norm(np.subtract(posed[:4], leg[:4]), axis=-1)
+        posed_toes = posed.ankle + np.einsum("tij,tj->ti", turns[-1], toes - leg.ankle)
+        moved_m = np.linalg.norm(np.subtract((*posed[:3], posed_toes), (*leg[:3], toes)), axis=-1)
         foot_m[:, side], is_posed[:, side] = moved_m[2:].max(0), moved_m.max(0) > MIN_LOCK_DISPLACEMENT_M
     is_motion = frames == np.arange(len(frames))  # not the reference pose
     root_position = motion.root_position + np.where(is_motion[:, None], root, 0.0)

@@ -36,6 +36,7 @@ from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
 from mocapfix.io.yaml_files import JointName, StrictModel, find_by_name, read_yaml_model
 from mocapfix.model.skeleton import find_ancestor, find_common_joint, is_below, list_path, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS
+from mocapfix.stats.rigid_alignment import split_along_line
 
 NAMESPACE_END = re.compile(r"[:|]")
 NAME_PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")  # words and numbers in a bone's name: LeftArm, upper_arm.L.001
@@ -505,18 +506,14 @@ def find_side_twists(
         chain, following = bones.get(segment, ()), bones.get(get_next_segment(segment), ())
         if not chain or not following:
             continue
-        start, axis = positions[chain[0]], positions[following[0]] - positions[chain[0]]
-        length = float(np.linalg.norm(axis))
-        shares: dict[int, float] = {}
-        for bone in np.flatnonzero(np.isin(parents, chain)).tolist():
-            if bone in used or length == 0.0:
-                continue
-            share = float((positions[bone] - start) @ axis) / length**2
-            distance = float(np.linalg.norm(positions[bone] - start - share * axis))
-            if distance <= MAX_AXIS_DISTANCE_SHARE * length and _is_twist(names[bone], share):
-                shares[bone] = share
-        if shares:
-            found[segment] = tuple(sorted(shares, key=shares.__getitem__))
+        ends = positions[chain[0]], positions[following[0]]
+        length = np.linalg.norm(ends[1] - ends[0])
+        children = [bone for bone in np.flatnonzero(np.isin(parents, chain)).tolist() if bone not in used and length > 0]
+        shares, across = split_along_line(positions[children], *ends)
+        is_near = np.linalg.norm(across, axis=1) <= MAX_AXIS_DISTANCE_SHARE * length
+        beside = sorted(zip(shares.tolist(), children, is_near.tolist(), strict=True))
+        if twists := tuple(bone for share, bone, near in beside if near and _is_twist(names[bone], share)):
+            found[segment] = twists
     return found
 
 

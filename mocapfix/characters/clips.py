@@ -22,15 +22,12 @@ from mocapfix.characters.character import SIDES, Character, CharacterMotion, com
 from mocapfix.characters.root_motion import CycleStep, FloorPath, measure_floor_path
 from mocapfix.io.resampling import FRAME_TOLERANCE
 from mocapfix.model.take import Take
-from mocapfix.stats.rigid_alignment import compute_shortest_rotations
+from mocapfix.solve.kinematics import LegPath
 from mocapfix.stats.sequences import find_runs
 
 BLEND_S = 0.4  # time in which the difference at the seam fades: about one swing of a foot
-MAX_STANDING_TRAVEL_M = (
-    0.2  # way of the pelvis from the first to the last frame up to which a body returns: less than half a step
-)
+MAX_STANDING_TRAVEL_M = 0.2  # way of the pelvis from the first to the last frame up to which a body returns: under half a step
 MAX_STANDING_TURN_RAD = np.deg2rad(20.0)  # the same of its heading
-BEND_SHARE = 0.05  # weight of the mean plane in which a knee bends, beside that of the frame: it decides where a leg is straight
 MIN_LOOP_FRAMES = 5
 SPEED_SHARES = {(False, False): (0.5, 0.5), (True, False): (0.0, 1.0), (False, True): (1.0, 0.0), (True, True): (0.0, 0.0)}
 """How much of a difference of a foot's speeds is taken at the beginning and at the end, by whether the foot stands there."""
@@ -217,12 +214,12 @@ def _place_feet(
         )
         target = _close_places(place, step, fades, rate)
         turned = _close_rotations(axes, step.rotation.T[None], fades, rate)[:, 0]
-        leg = blended_positions[:, [thigh, shin, foot]]
-        swing, bend = _reach(leg, blended_rotations[:, thigh], target)
+        leg = LegPath.build(blended_positions[:, [thigh, shin, foot]], blended_rotations[:, thigh])
+        _, thigh_turn, shin_turn = leg.pose(leg.hip, target, _reach_ankle(leg, target))
         above_thigh, above_shin, above_foot = (blended_rotations[:, parents[bone]] for bone in (thigh, shin, foot))
-        local[:, thigh] = above_thigh.swapaxes(1, 2) @ swing @ blended_rotations[:, thigh]
-        local[:, shin] = above_shin.swapaxes(1, 2) @ bend @ blended_rotations[:, shin]
-        local[:, foot] = (swing @ bend @ above_foot).swapaxes(1, 2) @ turned
+        local[:, thigh] = above_thigh.swapaxes(1, 2) @ thigh_turn @ blended_rotations[:, thigh]
+        local[:, shin] = (thigh_turn @ above_shin).swapaxes(1, 2) @ shin_turn @ blended_rotations[:, shin]
+        local[:, foot] = (shin_turn @ above_foot).swapaxes(1, 2) @ turned
     return replace(blended, local_rotations=local)
 
 
@@ -246,32 +243,8 @@ def _find_fade(stands: Bool[np.ndarray, " T"], rate: float) -> FadeFrames:
     return FadeFrames(held, min(duration, following - held), min(duration, swing))
 
 
-def _reach(
-    leg: Float[np.ndarray, "T 3 3"], thigh_axes: Float[np.ndarray, "T 3 3"], target: Float[np.ndarray, "T 3"]
-) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3 3"]]:
-    """Return the rotations in the world of a whole leg, and before that of its shin about the knee, by which it ends at a target.
-
-    Args:
-        leg: Hip, knee and ankle.
-        thigh_axes: Rotation of the thigh in the world.
-        target: Where the ankle shall be; it comes near smoothly where the leg becomes straight.
-    """
-    hip, knee, ankle = leg.swapaxes(0, 1)
-    upper, lower = knee - hip, ankle - knee
-    upper_m, lower_m = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
-    normal = np.cross(upper, lower) / (upper_m * lower_m)[:, None]
-    mean = np.einsum("tba,tb->a", thigh_axes, normal)
-    normal += BEND_SHARE * (thigh_axes @ (mean / max(float(np.linalg.norm(mean)), np.finfo(float).tiny)))
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
-
-    def measure_flexion(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-        cosine = (distance**2 - upper_m**2 - lower_m**2) / (2.0 * upper_m * lower_m)
-        return np.arccos(np.clip(cosine, -1.0, 1.0))
-
-    distance = np.linalg.norm(ankle - hip, axis=1)
-    longer, reserve = np.linalg.norm(target - hip, axis=1) - distance, np.maximum(upper_m + lower_m - distance, MIN_RESERVE_M)
-    longer = np.where(longer > 0, -reserve * np.expm1(-np.maximum(longer, 0.0) / reserve), longer)
-    change = measure_flexion(distance + longer) - measure_flexion(distance)
-    bend = Rotation.from_rotvec(change[:, None] * normal).as_matrix()
-    swing = compute_shortest_rotations(upper + np.einsum("tab,tb->ta", bend, lower), target - hip)
-    return swing, bend
+def _reach_ankle(leg: LegPath, target: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
+    """Return the distances of a leg's ankle from its hip that a target needs, less where the leg would be too straight."""
+    distance, longest = np.linalg.norm(leg.ankle - leg.hip, axis=1), np.sum(leg.lengths_m, axis=0)
+    longer, reserve = np.linalg.norm(target - leg.hip, axis=1) - distance, np.maximum(longest - distance, MIN_RESERVE_M)
+    return distance + np.where(longer > 0, -reserve * np.expm1(-np.maximum(longer, 0.0) / reserve), longer)

@@ -22,6 +22,7 @@ from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
 from mocapfix.characters.kept_positions import UPWARD, KeptPositions, Points
 from mocapfix.contacts.contacts import BodyContacts, Floor
+from mocapfix.stats.rigid_alignment import find_nearest_points, split_along_line
 from mocapfix.stats.sequences import minimise_acceleration
 
 Weights = Float[np.ndarray, "T 3 3"]  # of displacements, in 1/m^2
@@ -226,7 +227,7 @@ def place_beside_part(
     of the source and the scale.
     """
     trunk_m, scale = sizes
-    distance = np.linalg.norm(find_nearest_point(palms[0], *part[0])[1], axis=1)
+    distance = np.linalg.norm(find_nearest_points(palms[0], *part[0])[1], axis=1)
     across, target_across = (split_along_line(palm, *ends)[1] for palm, ends in zip(palms, part, strict=True))
     axis = part[1][1] - part[1][0]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), MIN_LENGTH_M)
@@ -239,26 +240,13 @@ def keep_off_part(
 ) -> tuple[Weights, Points]:
     """Return the same as `place_beside_part` for a palm that is nearer to a part than the source's, by the round before."""
     trunk_m, scale = sizes
-    distance = np.linalg.norm(find_nearest_point(palms[0], *part[0])[1], axis=1)
-    outward = find_nearest_point(palms[1] + displacement, *part[1])[1]
+    distance = np.linalg.norm(find_nearest_points(palms[0], *part[0])[1], axis=1)
+    outward = find_nearest_points(palms[1] + displacement, *part[1])[1]
     reached = np.linalg.norm(outward, axis=1)
     outward = outward / np.maximum(reached, MIN_LENGTH_M)[:, None]
     missing = scale * np.minimum(distance, TOUCH_DISTANCE * trunk_m) - reached
     share = (missing > 0)[:, None, None] * (TOUCH_SD * scale * trunk_m) ** -2
     return share * outward[:, :, None] * outward[:, None, :], displacement + missing[:, None] * outward
-
-
-def find_nearest_point(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
-    """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
-    share = np.clip(split_along_line(point, start, end)[0], 0.0, 1.0)
-    return share, point - start - share[:, None] * (end - start)
-
-
-def split_along_line(point: Points, start: Points, end: Points) -> tuple[Float[np.ndarray, " T"], Points]:
-    """Return how far along a line a point is, in lengths of the line also beyond its ends, and its vector across the line."""
-    axis = end - start
-    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_LENGTH_M**2)
-    return share, point - start - share[:, None] * axis
 
 
 def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
@@ -306,7 +294,7 @@ def compute_pushes(
     pushes = {name: spread_push(rise, rate)[:, None] * UPWARD for name, rise in rises.items()}
     for side, (ends, resting) in product(SIDES, RESTING_DISTANCES.items()):
         if all(f"{side}_palm" in body for body in bodies):
-            vectors = [find_nearest_point(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
+            vectors = [find_nearest_points(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
             distance, reached = (np.linalg.norm(vector, axis=1) for vector in vectors)
             missing = trunk_scale * np.minimum(distance, resting * source.trunk_length_m) - reached
             outward = smooth_values(vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None], rate)

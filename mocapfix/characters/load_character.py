@@ -40,7 +40,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import Skeleton, find_ancestor, is_below, load_cmu31_skeleton
 from mocapfix.options import CHARACTER_PRESETS
-from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation, find_nearest_points
 
 MAX_BACKWARD_COSINE = -0.5  # cosine of the horizontal angle between a foot and the front, below which it points backwards
 MIN_HORIZONTAL_FOOT_SHARE = 0.3
@@ -372,15 +372,15 @@ def attach_stray_bones(character: Character) -> tuple[Character, list[str]]:
     heads, ends, height = skeleton.rest_positions, skeleton.compute_rest_ends(), float(np.ptp(skeleton.rest_positions[:, 1]))
     pelvis, mapped = mapping.bones["pelvis"][0], [bone for chain in mapping.bones.values() for bone in chain]
     carriers = [bone for bone in mapped if bone not in mapping.bones.get("neck", ()) or not mapping.bones.get("head")]
-    starts, lines = heads[carriers], np.nan_to_num(ends[carriers] - heads[carriers])
+    starts = heads[carriers]
+    tips = np.where(np.isnan(ends[carriers]), starts, ends[carriers])
     body = {pelvis, *(bone for bone in range(len(heads)) if is_below(bone, pelvis, skeleton.parents))}
     strays = sorted(set(vertices.bones.tolist()) - body)
     found: dict[int, int] = {}
     for bone in strays:
         points = vertices.positions[vertices.bones == bone]
         centre, size = points.mean(0), float(np.ptp(points, axis=0).max())
-        along = ((centre - starts) * lines).sum(1) / np.maximum((lines**2).sum(1), MIN_LIMB_LENGTH_M)
-        distance = np.linalg.norm(centre - starts - np.clip(along, 0, 1)[:, None] * lines, axis=1)
+        distance = np.linalg.norm(find_nearest_points(centre, starts, tips)[1], axis=1)
         is_nearest = distance <= distance.min() + SAME_DISTANCE_SHARE * height
         nearest = carriers[int(np.flatnonzero(is_nearest)[-1])]  # of two bones that meet there, the outer one
         if distance.min() > MAX_STRAY_DISTANCE_SHARE * height or size > MAX_STRAY_SIZE_SHARE * height:

@@ -55,6 +55,7 @@ from mocapfix.solve.terms import (
     PointTerm,
     TrackingTerm,
 )
+from mocapfix.stats.rigid_alignment import find_nearest_points
 
 JointRotations = Float[np.ndarray, "T N 3 3"]
 FIXED_SEGMENTS = ("neck", "toe")  # segments that keep their rotation relative to their parent
@@ -247,8 +248,7 @@ def _find_share_along(frame: BodyFrame, bone: int, start: str, end: str) -> floa
     """Return how far along a segment a bone begins, from 0 to 1."""
     if end not in frame.segment_bones:
         return 0.5
-    vector = frame.find_head(end) - frame.find_head(start)
-    return float(np.clip((frame.rest_position[bone] - frame.find_head(start)) @ vector / (vector @ vector), 0.0, 1.0))
+    return float(find_nearest_points(frame.rest_position[bone], frame.find_head(start), frame.find_head(end))[0])
 
 
 def retarget_motion(

@@ -1,6 +1,6 @@
-"""Forward kinematics of motions: world positions of joints and markers."""
+"""Forward kinematics of motions: world positions of joints and markers; and legs that reach a place, in closed form."""
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_over_frames
+from mocapfix.stats.rigid_alignment import compute_shortest_rotations, split_along_line
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
 
@@ -75,3 +76,74 @@ def _compute_positions(subject: Subject, pose: Poses) -> tuple[Float[np.ndarray,
         joints, markers,
     )  # fmt: skip
     return joints, markers
+
+
+PLANE_REACH_M = 0.01  # distance of a knee from the line from hip to ankle below which its usual plane counts
+MIN_LENGTH_M = 1e-9  # of a vector that has a direction
+
+
+class LegPath(NamedTuple):
+    """The joints of one leg in the world, in every frame, in metres."""
+
+    hip: Float[np.ndarray, "T 3"]
+    knee: Float[np.ndarray, "T 3"]
+    ankle: Float[np.ndarray, "T 3"]
+    usual_bend: Float[np.ndarray, "T 3"]  # the direction in which the knee bends, of length 1
+
+    @classmethod
+    def build(cls, joints: Float[np.ndarray, "T 3 3"], thigh_axes: Float[np.ndarray, "T 3 3"]) -> "LegPath":
+        """Return the leg of hip, knee and ankle; its knee usually bends as it does on average, in the axes of its thigh."""
+        hip, knee, ankle = joints.swapaxes(0, 1)
+        bend = thigh_axes @ np.einsum("tji,tj->i", thigh_axes, split_along_line(knee, hip, ankle)[1])
+        bend = split_along_line(hip + bend, hip, ankle)[1]
+        return cls(hip, knee, ankle, bend / measure_length(bend)[:, None])
+
+    @property
+    def lengths_m(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
+        """The lengths of thigh and shin."""
+        return measure_length(self.knee - self.hip), measure_length(self.ankle - self.knee)
+
+    @property
+    def knee_angle(self) -> Float[np.ndarray, " T"]:
+        """The angle between thigh and shin in radians, pi for a straight leg."""
+        return self.find_knee_angle(measure_length(self.ankle - self.hip))
+
+    def find_knee_angle(self, reach_m: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+        """Return the angle with which the ankle is at a distance from the hip; that of a straight leg if it is too far."""
+        thigh, shin = self.lengths_m
+        return np.arccos(np.clip((thigh**2 + shin**2 - reach_m**2) / (2 * thigh * shin), -1, 1))
+
+    def measure_reach(self, knee_angle: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
+        """Return the distance of the ankle from the hip, in metres, and its change with the angle, in m/rad."""
+        thigh, shin = self.lengths_m
+        reach = np.sqrt(np.maximum(thigh**2 + shin**2 - 2 * thigh * shin * np.cos(knee_angle), 1e-9))
+        return reach, thigh * shin * np.sin(knee_angle) / reach
+
+    def pose(
+        self, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], reach_m: Float[np.ndarray, " T"]
+    ) -> tuple["LegPath", Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3 3"]]:
+        """Return the leg with its hip at another place, and the turns of thigh and shin in the world.
+
+        Its ankle is at a distance from the hip, in the direction of another place. The knee stays in the plane of the leg; where
+        that is nearly straight, it bends as it usually does.
+        """
+        thigh, shin = self.lengths_m
+        direction = (ankle - hip) / measure_length(ankle - hip)[:, None]
+        along = (thigh**2 + reach_m**2 - shin**2) / (2 * reach_m)
+        across = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
+        turn = compute_shortest_rotations(self.ankle - self.hip, direction)
+        bend = split_along_line(self.knee, self.hip, self.ankle)[1]
+        change_m = across - measure_length(bend)
+        bend = bend + self.usual_bend * (change_m**2 / (np.abs(change_m) + PLANE_REACH_M))[:, None]
+        bend = np.einsum("tij,tj->ti", turn, bend / measure_length(bend)[:, None])
+        knee, ankle = hip + along[:, None] * direction + across[:, None] * bend, hip + reach_m[:, None] * direction
+        thigh_turn, shin_turn = (
+            compute_shortest_rotations(np.einsum("tij,tj->ti", turn, old), new) @ turn
+            for old, new in ((self.knee - self.hip, knee - hip), (self.ankle - self.knee, ankle - knee))
+        )
+        return self._replace(hip=hip, knee=knee, ankle=ankle), thigh_turn, shin_turn
+
+
+def measure_length(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
+    """Return the length of each vector, at least a nanometre."""
+    return np.maximum(np.linalg.norm(vectors, axis=1), MIN_LENGTH_M)

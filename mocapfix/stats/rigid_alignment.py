@@ -148,3 +148,20 @@ def compute_lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray,
     """Return the lengths of vectors, as `np.linalg.norm` does, which along so short an axis takes several times as long."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.sqrt(x * x + y * y + z * z)
+
+
+def split_along_line(
+    points: Float[np.ndarray, "*points 3"], start: Float[np.ndarray, "*lines 3"], end: Float[np.ndarray, "*lines 3"]
+) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape 3"]]:
+    """Return how far along a line points are, in lengths of the line also beyond its ends, and their vectors across the line."""
+    axis = end - start
+    share = np.asarray(((points - start) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), MIN_DIRECTION_M**2))
+    return share, points - start - share[..., None] * axis
+
+
+def find_nearest_points(
+    points: Float[np.ndarray, "*points 3"], start: Float[np.ndarray, "*lines 3"], end: Float[np.ndarray, "*lines 3"]
+) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape 3"]]:
+    """Return the shares of the way along a line of the points on it that are nearest, from 0 to 1, and the vectors from there."""
+    share = np.asarray(np.clip(split_along_line(points, start, end)[0], 0.0, 1.0))
+    return share, points - start - share[..., None] * (end - start)

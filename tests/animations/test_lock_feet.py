@@ -10,7 +10,7 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.animations.clean import AnimationResult
-from mocapfix.animations.lock_feet import MAX_ROOT_DISPLACEMENT_M, LegPath, find_root_displacement, pose_leg
+from mocapfix.animations.lock_feet import MAX_ROOT_DISPLACEMENT_M, find_root_displacement, reach_ankle
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.io import bvh
 from mocapfix.io.bvh import write_bvh
@@ -18,7 +18,7 @@ from mocapfix.io.contact_files import read_contacts, write_contacts
 from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
 from mocapfix.options import CleanOptions
-from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.solve.kinematics import LegPath, compute_world_poses
 from mocapfix.synthetic import compose_take
 
 LEGS = {f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot")}
@@ -273,30 +273,35 @@ def test_the_root_stays_if_its_change_is_declined(path, locked, tmp_path):
 def build_leg(knee_forward_m: float, frames: int = 60) -> LegPath:
     """Return a leg of 0.4 m and 0.4 m that stands, whose knee is forward of the line from hip to ankle."""
     half = np.sqrt(0.16 - knee_forward_m**2)
-    places = [[0, 2 * half, 0], [0, half, knee_forward_m], [0, 0, 0], [0, -0.05, 0.13], [0, 0, 1]]
+    places = [[0, 2 * half, 0], [0, half, knee_forward_m], [0, 0, 0], [0, 0, 1]]
     return LegPath(*(np.tile(np.array(each, float), (frames, 1)) for each in places))
+
+
+def pose_leg(leg: LegPath, ankle: np.ndarray):
+    return leg.pose(leg.hip, ankle, reach_ankle(leg, leg.hip, ankle, 60.0))
 
 
 def test_a_leg_keeps_its_pose_if_its_places_stay():
     leg = build_leg(0.02)
-    posed, turns = pose_leg(leg, leg.hip, leg.ankle, leg.toes, 60.0)
+    posed, *turns = pose_leg(leg, leg.ankle)
     np.testing.assert_allclose(np.array(posed), np.array(leg), atol=1e-7)
-    np.testing.assert_allclose(turns, np.broadcast_to(np.eye(3), (3, 60, 3, 3)), atol=1e-6)
+    np.testing.assert_allclose(turns, np.broadcast_to(np.eye(3), (2, 60, 3, 3)), atol=1e-6)
 
 
 def test_a_bent_leg_reaches_its_place_with_its_own_lengths():
     leg, shift = build_leg(0.15), np.array([0.03, 0.02, 0.05])
-    posed = pose_leg(leg, leg.hip, leg.ankle + shift, leg.toes + shift, 60.0)[0]
+    posed, thigh_turn, shin_turn = pose_leg(leg, leg.ankle + shift)
     np.testing.assert_allclose(posed.ankle, leg.ankle + shift, atol=1e-4)
-    np.testing.assert_allclose(posed.toes, leg.toes + shift, atol=1e-3)
     np.testing.assert_allclose(posed.lengths_m, 0.4, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("tij,tj->ti", thigh_turn, leg.knee - leg.hip), posed.knee - posed.hip, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("tij,tj->ti", shin_turn, leg.ankle - leg.knee), posed.ankle - posed.knee, atol=1e-9)
 
 
 def test_a_straight_leg_bends_forward_and_yields_smoothly_where_its_place_is_out_of_reach():
     leg = build_leg(0.0)
     pull = np.zeros((60, 3))
     pull[20:40, 1], pull[40:, 1] = 0.02, -0.02  # nearer, then out of reach
-    posed = pose_leg(leg, leg.hip, leg.ankle + pull, leg.toes + pull, 60.0)[0]
+    posed = pose_leg(leg, leg.ankle + pull)[0]
     assert (posed.knee[24:36, 2] > 0.05).all()
     np.testing.assert_allclose(posed.ankle[24:36], (leg.ankle + pull)[24:36], atol=2e-3)
     np.testing.assert_allclose(posed.ankle[50:], leg.ankle[50:], atol=1e-3)

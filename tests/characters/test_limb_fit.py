@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
@@ -17,26 +15,15 @@ from mocapfix.characters.limb_fit import (
     DisplacementProblem,
     compute_nearness,
     compute_pushes,
-    find_nearest_point,
     fit_arms,
     fit_legs,
-    split_along_line,
     spread_push,
 )
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import NO_FLOOR, Floor, build_no_contacts
+from mocapfix.stats.rigid_alignment import find_nearest_points, split_along_line
 from tests.characters.character_files import change_bones
 from tests.characters.walking_body import RATE, load_walk, scale_limbs
-
-
-@given(st.integers(0, 2**31))
-def test_nearest_point_is_nearer_than_any_other_of_the_line(seed):
-    rng = np.random.default_rng(seed)
-    point, start, end = rng.normal(size=(3, 1, 3))
-    share, vector = find_nearest_point(point, start, end)
-    assert 0 <= share[0] <= 1
-    shares = np.linspace(0, 1, 101)[:, None]
-    assert np.linalg.norm(vector) <= np.linalg.norm(point - start - shares * (end - start), axis=1).min() + 1e-12
 
 
 def test_nearness_falls_from_one_to_zero():
@@ -129,7 +116,7 @@ def test_palm_that_came_too_near_to_a_thigh_stays_out():
     hands = fit_arms((frame, frame), replace(segments, position=positions), start, RATE)
     palm = hands["left"] + hand @ frame.compute_palm("left")
     assert source_m < TOUCH_DISTANCE * frame.trunk_length_m
-    assert np.linalg.norm(find_nearest_point(palm, start["left_thigh"], start["left_shin"])[1]) > source_m - 0.01
+    assert np.linalg.norm(find_nearest_points(palm, start["left_thigh"], start["left_shin"])[1]) > source_m - 0.01
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])

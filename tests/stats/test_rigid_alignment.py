@@ -9,6 +9,7 @@ from mocapfix.stats.rigid_alignment import (
     align_to_common_shape,
     compute_cross_covariance,
     compute_shortest_rotation,
+    find_nearest_points,
     fit_rotations,
     transform_to_body_axes,
 )
@@ -131,3 +132,13 @@ def test_opposite_directions_give_a_half_turn():
 def test_zero_vectors_give_the_identity():
     np.testing.assert_array_equal(compute_shortest_rotation(np.zeros(3), np.ones(3)), np.eye(3))
     np.testing.assert_array_equal(compute_shortest_rotation(np.ones(3), np.zeros(3)), np.eye(3))
+
+
+@given(seeds)
+def test_nearest_point_is_nearer_than_any_other_of_the_line(seed):
+    rng = np.random.default_rng(seed)
+    point, start, end = rng.normal(size=(3, 1, 3))
+    share, vector = find_nearest_points(point, start, end)
+    assert 0 <= share[0] <= 1
+    shares = np.linspace(0, 1, 101)[:, None]
+    assert np.linalg.norm(vector) <= np.linalg.norm(point - start - shares * (end - start), axis=1).min() + 1e-12
