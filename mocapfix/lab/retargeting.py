@@ -28,7 +28,7 @@ from mocapfix.characters.character import (
     compute_character_poses,
     convert_motion,
 )
-from mocapfix.characters.limb_fit import FAR_DISTANCE, LEG_PARTS, find_nearest_point
+from mocapfix.characters.limb_fit import FAR_DISTANCE, LEG_PARTS
 from mocapfix.characters.load_character import compute_skin_vertices, load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, Floor
@@ -39,6 +39,7 @@ from mocapfix.model.skeleton import Skeleton, is_below
 from mocapfix.model.subject import Subject
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
+from mocapfix.stats.rigid_alignment import find_nearest_points
 
 Points = Float[np.ndarray, "T 3"]  # in the world, in metres
 Quantities = dict[str, dict[str, Float[np.ndarray, " T"]]]
@@ -145,7 +146,7 @@ def find_landmarks(character: Character, motion: CharacterMotion, corners: Mappi
             places[f"{side}_palm"] = places[hand] + segments.rotation[hand] @ frame.compute_palm(side)
         places[ball] = segments.carry(foot, frame.compute_ball(side))
         upward, first = segments.rotation[foot][:, 1, 1], character.mapping.bones[foot][0]
-        ends = ((ball, frame.ball_height_m), (foot, frame.ankle_height_m))
+        ends = (ball, frame.ball_height_m), (foot, frame.ankle_height_m)
         soles = [places[end][:, 1] - upward * height_m for end, height_m in ends]
         own = [bone for bone in corners if bone == first or is_below(bone, first, character.skeleton.parents)]
         soles = [position[:, bone, 1] + (rotation[:, bone, 1] @ corners[bone].T).min(axis=1) for bone in own] or soles
@@ -221,7 +222,7 @@ def measure_part_distances(side: str, places: Mapping[str, Points]) -> dict[tupl
     """Return the distances in metres of a palm from the axes of the parts of the body, and from the other palm."""
     other = f"{SIDES[side == SIDES[0]]}_palm"
     parts = (*TOUCHING_DISTANCE_M, ("shoulders", "head" if "head" in places else "shoulders"), (other, other))
-    vectors = {part: find_nearest_point(places[f"{side}_palm"], places[part[0]], places[part[1]])[1] for part in parts}
+    vectors = {part: find_nearest_points(places[f"{side}_palm"], places[part[0]], places[part[1]])[1] for part in parts}
     return {part: np.linalg.norm(vector, axis=1) for part, vector in vectors.items()}
 
 
@@ -286,8 +287,7 @@ def measure_characters(
 def summarise_quantity(quantity: str, measured: Sequence[tuple[str, Quantities]]) -> dict[str, float | str]:
     """Return mean, 95th percentile and largest value over motions by name, and the motion, place and frame of the largest."""
     series = [(f"{motion}: {place}", each) for motion, row in measured for place, each in row.get(quantity, {}).items()]
-    values = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for _, each in series)])
-    if not len(values):
+    if not len(values := np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for _, each in series)])):
         return {}
     where, worst = max(series, key=lambda item: np.nanmax(item[1], initial=-1.0))
     mean, high, largest = (round(float(each), 3) for each in (values.mean(), np.percentile(values, 95), values.max()))
