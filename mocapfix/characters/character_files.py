@@ -39,12 +39,11 @@ from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import (
-    GLTF_ASSET,
     GlbContent,
     GltfBuffer,
     add_animation,
-    add_test_skin,
     build_glb,
+    build_skinned_document,
     compute_bone_transforms,
     copy_first_animation,
     parse_glb,
@@ -112,14 +111,10 @@ def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " 
     source = character.source
     if source is not None and source.kind == "gltf":
         return parse_glb(Path(source.path), source.data), source.nodes
-    buffer = GltfBuffer(_build_skinned_document(character))
-    positions, rotations = character.skeleton.compute_rest_pose()
-    has_child = np.isin(np.arange(len(positions)), character.skeleton.parents)
-    tails = positions + np.einsum("jab,jb->ja", rotations, character.skeleton.ends)
     shown_parents = character.skeleton.parents.copy()
     shown_parents[character.mapping.bones["pelvis"][0]] = -1  # no bone is shown from a root bone to the pelvis
-    add_test_skin(buffer, shown_parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
-    return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
+    buffer = build_skinned_document(character.skeleton, shown_parents)
+    return GlbContent(buffer.document, buffer.finish()), np.arange(len(shown_parents))
 
 
 def _list_animated_nodes(document: Mapping[str, Any], nodes: Collection[int]) -> set[tuple[int, str]]:
@@ -174,25 +169,6 @@ def _compute_node_curves(
     scales = np.where(parents < 0, character.root_scale, character.scales[parents])
     turning = sorted({*turning, *np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()})
     return NodeCurves(rotations, turning, {bone: each / scales[bone] for bone, each in sorted(positions.items())})
-
-
-def _build_skinned_document(character: Character) -> dict[str, Any]:
-    """Return a document with the bones as its first nodes, in metres, and a node for mesh 0 and skin 0."""
-    quaternions = Rotation.from_matrix(character.skeleton.rest_rotations).as_quat()
-    nodes: list[dict[str, Any]] = [
-        {"name": name, "translation": position.tolist(), "rotation": quaternion.tolist()}
-        for name, position, quaternion in zip(character.skeleton.names, character.skeleton.offsets, quaternions, strict=True)
-    ]
-    for bone, parent in enumerate(character.skeleton.parents):
-        if parent >= 0:
-            nodes[parent].setdefault("children", []).append(bone)
-    roots = np.flatnonzero(character.skeleton.parents < 0).tolist()
-    nodes.append({"name": "Bones", "mesh": 0, "skin": 0})
-    scene_nodes = [*roots, len(nodes) - 1]
-    if len(roots) > 1:  # the joints of a skin need a common ancestor
-        nodes.append({"name": "Armature", "children": roots})
-        scene_nodes = [len(nodes) - 1, len(nodes) - 2]
-    return {"asset": GLTF_ASSET, "scene": 0, "scenes": [{"nodes": scene_nodes}], "nodes": nodes}
 
 
 def _replace_matrix(node: dict[str, Any]) -> None:

@@ -38,7 +38,7 @@ from mocapfix.io.file_content import read_file_bytes
 from mocapfix.io.gltf_mesh import GltfMesh, compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.animation import Animation
-from mocapfix.model.skeleton import Skeleton, find_ancestor, is_below, load_cmu31_skeleton
+from mocapfix.model.skeleton import Skeleton, find_ancestor, is_below, load_cmu31_skeleton, make_names_unique
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, find_nearest_points
 
@@ -138,17 +138,6 @@ def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Charac
         rotation_y_up_file=animation.rotation_y_up_file,
         source=CharacterSource(str(path), data, np.zeros(0, int), "bvh"),
     )
-
-
-def make_names_unique(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names with a number behind each that was used before."""
-    used: dict[str, None] = {}
-    for index, name in enumerate(names):
-        unique = name
-        while unique in used:
-            unique = f"{unique}#{index}"
-        used[unique] = None
-    return tuple(used)
 
 
 YAML_SUFFIXES = (".yaml", ".yml")

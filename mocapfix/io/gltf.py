@@ -24,7 +24,7 @@ from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.files import replace_atomically
 from mocapfix.kernels import lie
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, make_names_unique
 
 GLB_MAGIC = b"glTF"
 GLB_VERSION = 2
@@ -250,17 +250,10 @@ def _iterate_depth_first(entries: Sequence[Mapping[str, Any]], roots: list[int])
 
 
 def _choose_names(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    names: dict[str, None] = {}
-    for index, entry in enumerate(entries):
-        given = entry.get("name")
-        name = given if isinstance(given, str) and given.strip() else f"node {index}"
-        name = name.encode("utf-8", "replace").decode()  # no halves of surrogate pairs, which no file can have
-        if name in names:
-            name = f"{name}#{index}"
-        while name in names:
-            name += "#"
-        names[name] = None
-    return tuple(names)
+    given = [(entry.get("name"), f"node {index}") for index, entry in enumerate(entries)]
+    names = (name if isinstance(name, str) and name.strip() else number for name, number in given)
+    # no halves of surrogate pairs, which no file can have
+    return make_names_unique(tuple(name.encode("utf-8", "replace").decode() for name in names))
 
 
 def compute_bone_transforms(nodes: GltfNodes, bones: Sequence[int]) -> BoneTransforms:
@@ -412,29 +405,39 @@ PYRAMID_FACES = np.array([[0, k, k % 4 + 1] for k in (1, 2, 3, 4)] + [[5, k % 4 
 MIN_SKIN_BONE_M = 1e-6  # a shorter bone has no pyramid
 
 
-def add_test_skin(
-    buffer: GltfBuffer,
-    parents: Int[np.ndarray, " J"],
-    positions: Float[np.ndarray, "J 3"],
-    rotations: Float[np.ndarray, "J 3 3"],
-    tails: Float[np.ndarray, "J 3"],
-) -> None:
-    """Add mesh 0 and skin 0 to a document whose first J nodes are the bones.
+def build_skinned_document(skeleton: Skeleton, shown_parents: Int[np.ndarray, " J"]) -> GltfBuffer:
+    """Return a document with the joints as its first nodes, in metres, and a mesh that shows them, with a skin.
 
     Args:
-        parents: (J,) index of each bone's parent, -1 for roots.
-        positions: (J, 3) m: heads in the world, in the rest pose.
-        rotations: (J, 3, 3): axes of the bones to the world's, in the rest pose.
-        tails: (J, 3) m: tails in the world of the bones that show no child; NaN for the others.
+        skeleton: The joints.
+        shown_parents: From which joint a bone is shown to each, -1 for none.
     """
+    quaternions = Rotation.from_matrix(skeleton.rest_rotations).as_quat()
+    is_turned = (skeleton.rest_rotations != np.eye(3)).any((1, 2))
+    nodes: list[dict[str, Any]] = [
+        {"name": name, "translation": offset.tolist()} | ({"rotation": quaternion.tolist()} if turned else {})
+        for name, offset, quaternion, turned in zip(skeleton.names, skeleton.offsets, quaternions, is_turned, strict=True)
+    ]
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(joint)
+    roots = np.flatnonzero(skeleton.parents < 0).tolist()
+    nodes.append({"name": "Bones", "mesh": 0, "skin": 0})
+    scene_nodes = [*roots, len(nodes) - 1]
+    if len(roots) > 1:  # the joints of a skin need a common ancestor
+        nodes.append({"name": "Armature", "children": roots})
+        scene_nodes = [len(nodes) - 1, len(nodes) - 2]
+    buffer = GltfBuffer({"asset": GLTF_ASSET, "scene": 0, "scenes": [{"nodes": scene_nodes}], "nodes": nodes})
+    positions, rotations = skeleton.compute_rest_pose()
     inverse = np.tile(np.eye(4), (len(positions), 1, 1))
     inverse[:, :3, :3] = rotations.swapaxes(-1, -2)
     inverse[:, :3, 3] = -np.einsum("jba,jb->ja", rotations, positions)
     matrices = buffer.add_array(inverse.swapaxes(-1, -2), "MAT4")  # stored by columns
     buffer.document["skins"] = [{"inverseBindMatrices": matrices, "joints": list(range(len(positions)))}]
-    buffer.document["meshes"] = [
-        {"name": "Bones", "primitives": [{"attributes": _add_pyramids(buffer, parents, positions, tails)}]}
-    ]
+    tails = np.where(skeleton.is_leaf[:, None], skeleton.compute_rest_ends(), np.nan)
+    primitive = {"attributes": _add_pyramids(buffer, shown_parents, positions, tails)}
+    buffer.document["meshes"] = [{"name": "Bones", "primitives": [primitive]}]
+    return buffer
 
 
 def _add_pyramids(
@@ -469,22 +472,7 @@ def _build_pyramid(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"])
 
 def write_gltf(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> None:
     """Write a motion at `rate` frames per second. Raises WriteError if `target` is not writable."""
-    count, positions = len(skeleton.names), skeleton.rest_positions
-    nodes: list[dict[str, Any]] = [
-        {"name": name, "translation": offset.tolist()} for name, offset in zip(skeleton.names, skeleton.offsets, strict=True)
-    ]
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            nodes[parent].setdefault("children", []).append(joint)
-    document: dict[str, Any] = {
-        "asset": GLTF_ASSET,
-        "scene": 0,
-        "scenes": [{"nodes": [0, count]}],
-        "nodes": [*nodes, {"name": "Bones", "mesh": 0, "skin": 0}],
-    }
-    buffer = GltfBuffer(document)
-    add_test_skin(buffer, skeleton.parents, positions, np.tile(np.eye(3), (count, 1, 1)), positions + skeleton.ends)
-    nodes_of_joints = dict(enumerate(range(count)))
+    buffer, nodes_of_joints = build_skinned_document(skeleton, skeleton.parents), dict(enumerate(range(len(skeleton.names))))
     add_animation(buffer, target.stem, motion.local_rotations, {0: motion.root_position}, nodes_of_joints, rate)
     with replace_atomically(Path(target)) as part:
-        part.write_bytes(build_glb(GlbContent(document, buffer.finish())))
+        part.write_bytes(build_glb(GlbContent(buffer.document, buffer.finish())))

@@ -261,3 +261,14 @@ def load_shape_components(path: Path, joint_names: tuple[str, ...]) -> Float[np.
         except (AttributeError, TypeError, ValueError) as error:
             raise SceneError(f"{path}: components.{p} must give joints of the skeleton three lengths each ({error}).") from error
     return components
+
+
+def make_names_unique(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names with a number behind each that was used before."""
+    used: dict[str, None] = {}
+    for index, name in enumerate(names):
+        unique = name
+        while unique in used:
+            unique = f"{unique}#{index}"
+        used[unique] = None
+    return tuple(used)
