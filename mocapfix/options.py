@@ -422,13 +422,7 @@ def build_clean_options(**values: object) -> CleanOptions:
 
 
 def check_take_options(take: "Take", options: CleanOptions, noun: str = "marker") -> None:
-    """Raise TakeError if `keep`, `frames` or `trim` name what the take does not have.
-
-    Args:
-        take: the take.
-        options: the options to check.
-        noun: "marker", or "joint" for an animation.
-    """
+    """Raise TakeError if `keep`, `frames` or `trim` name what the take does not have; of an animation the noun is "joint"."""
     known = set(take.labels) | set(take.bare_labels)
     if unknown := [label for label in options.fill.keep if label not in known]:
         known_labels = format_name_list(take.labels)

@@ -134,9 +134,7 @@ def lock_feet(
     """Hold standing feet at one place each, by the rotations of the animation's legs and the position of its root.
 
     Args:
-        repaired: The animation.
-        alignment: The 31-joint skeleton in it.
-        motion: That of this skeleton.
+        alignment: The 31-joint skeleton in the animation, which has the motion.
         feet: How they stand and slide.
         options: `keep` and `frames` limit what is changed.
         reviewed: Changes of an earlier cleaning that were declined: these contacts are not held, or the root does not move.

@@ -137,11 +137,7 @@ class SkeletonAlignment:
 def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) -> SkeletonAlignment | None:
     """Align the 31-joint skeleton with an animation. Returns None if the figure is never upright, not even in its rest pose.
 
-    The joints coincide with the file's as far as these are at a constant distance from each other.
-
-    Args:
-        animation: The animation.
-        file_joints: As in `JointMapping`, with the required joints.
+    The joints coincide with the file's, given as in `JointMapping`, as far as these are at a constant distance from each other.
     """
     step = max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)
     sampled = animation.replace_values(animation.values[::step])

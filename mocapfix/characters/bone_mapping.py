@@ -180,7 +180,6 @@ def map_joints(names: Sequence[str], parents: Int[np.ndarray, " J"], convention:
     Hips, thorax, both legs and both arms are required.
 
     Args:
-        names: The names of the joints.
         parents: The index of each joint's parent, -1 for roots.
         convention: Name of a shipped naming convention, or a YAML file.
 
@@ -229,7 +228,6 @@ def map_joints_by_shape(
     """Map the joints of a tree whose names are not all known: by the shape of the skeleton, and by the names that agree with it.
 
     Args:
-        names: The names of the joints.
         parents: The index of each joint's parent, -1 for roots.
         poses: Positions in metres, Y up. The pose is used in which the most joints are found: both sides must be alike, and limbs
             that are bent differently are found in part, or not at all. If the feet never show the front, the first pose in which
@@ -303,12 +301,7 @@ Chains: TypeAlias = dict[str, list[int]]
 
 
 def _find_best_table(names: Sequence[str], complete: Callable[[Chains], Chains]) -> tuple[NameTable, Chains] | None:
-    """Return the table by which most bones have a segment, and these; None if no table gives all that a body needs.
-
-    Args:
-        names: Of the bones.
-        complete: Corrects and completes the bones that have names of the table.
-    """
+    """Return the table by which most bones have a segment, and these, corrected and completed; None if none gives a body."""
     spellings = spell_names(names)
     best: tuple[tuple[int, float], NameTable, Chains] | None = None
     for table in _load_segment_tables():
@@ -406,7 +399,6 @@ def find_detached_bones(
     the root, and the limbs of a rig that Rigify generated are below bones that follow controls.
 
     Args:
-        names: Of the bones.
         parents: Index of each bone's parent, -1 for roots.
         positions: In the rest pose, in metres in the world.
         is_skinned: Whether a mesh follows the bone; only such bones are found.

@@ -79,9 +79,7 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     other animations of the file move, such as fingers: Blender and engines leave it where the animation before had it.
 
     Args:
-        target: The file.
         character: The character. The file that it was read from, if that was a glTF, is kept; else it gets a test skin.
-        motion: Its motion.
         take_name: Name of the animation; a number is appended if the file has an animation of that name.
 
     Raises:

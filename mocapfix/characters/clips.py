@@ -49,8 +49,7 @@ def close_loop(
     """Return a motion closed to a loop, and a sentence on its seam.
 
     Args:
-        character: The character.
-        motion: Its motion over T frames, in which the bones above the pelvis keep the rest pose.
+        motion: Of T frames, in which the bones above the pelvis keep the rest pose.
         is_standing: When each foot is in contact, by side.
     """
     if motion.frame_count < MIN_LOOP_FRAMES:

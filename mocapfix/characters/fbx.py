@@ -45,11 +45,6 @@ def _build_command(executable: str) -> list[str]:
 def write_fbx(target: Path, glb_path: Path, rate: float) -> str | None:
     """Write FBX from a GLB: its mesh, all bones and its last animation, a key in every frame.
 
-    Args:
-        target: The file.
-        glb_path: The GLB.
-        rate: Frames per second.
-
     Returns:
         A sentence why no file was written, None if it was: an FBX that is missing is no reason to fail a whole cleaning.
 

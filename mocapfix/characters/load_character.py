@@ -114,13 +114,7 @@ def load_character_preset(name: str) -> Character:
 
 
 def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Character:
-    """Return the bones of a BVH as a character. Its mapping is empty.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        animation: Its content, with the unit and the up axis that `read_bvh` inferred.
-    """
+    """Return the bones of a BVH, with the unit and the up axis that `read_bvh` inferred, as a character without mapping."""
     count, unit_m = len(animation.names), animation.unit_m
     positions = np.where(animation.is_below_body_root[:, None], animation.bone_offsets, animation.offsets) * unit_m
     positions[0] = animation.rotation_y_up_file @ positions[0]

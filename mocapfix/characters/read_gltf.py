@@ -288,7 +288,6 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
     Between spine and head the bones above the arms belong to the neck.
 
     Args:
-        nodes: The nodes of the file.
         bones: The nodes that are bones of the character, parents before children.
         vrm_bones: Humanoid bone to node.
 
@@ -350,7 +349,6 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
 
     Args:
         path: The file, which may refer to files beside it.
-        data: Its bytes.
 
     Raises:
         ReadError: If the file is damaged, has no skeleton, or bones have a scale that bones cannot have. The message names the
@@ -507,14 +505,7 @@ def read_bind_pose(character: Character) -> BonePoses | None:
 def _bind_joints(
     content: GlbContent, nodes: GltfNodes, shown: Float[np.ndarray, "N 4 4"], skin: int
 ) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """Return the transforms of the joints of a skin to the world in the bind pose, nothing if these are not known.
-
-    Args:
-        content: The file.
-        nodes: Its nodes.
-        shown: Their transforms in the file.
-        skin: Index of the skin.
-    """
+    """Return the transforms of the joints of a skin to the world in the bind pose, nothing if these are not known."""
     meshes = [node for node, entry in enumerate(nodes.entries) if "mesh" in entry and entry.get("skin") == skin]
     joints: list[int] = content.document["skins"][skin]["joints"]
     try:

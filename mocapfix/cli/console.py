@@ -106,7 +106,6 @@ def print_failure(error: Exception, name: str) -> None:
     """Print one sentence on an exception, and with --debug its traceback.
 
     Args:
-        error: What was raised.
         name: The file that was worked on, or the command; messages of mocapfix itself name the file.
 
     Raises:

@@ -141,7 +141,6 @@ def detect_sample_faults(
     Samples that a program filled are not judged. A spike within a burst of jitter is part of the burst.
 
     Args:
-        options: The limits of the detectors.
         memory: What earlier rounds on the same positions found. Only the samples that are set aside may differ.
     """
     memory, shape = memory or RoundMemory(), take.visible.shape

@@ -96,7 +96,6 @@ def place_marker(
     """Return a marker on the body.
 
     Args:
-        body: The solved body.
         row: Index of the marker in its extended subject.
         joint_positions: Metres, of the marker's joint.
         joint_rotations: Its axes in the world.

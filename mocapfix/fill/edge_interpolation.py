@@ -183,9 +183,7 @@ def interpolate_in_axes(path: Float[np.ndarray, "T 3"], axes: MovingAxes, gap: G
     Args:
         path: Metres in the world, NaN if not visible.
         axes: The axes in which the path is interpolated.
-        gap: The gap.
         rate: Frame rate in Hz.
-        name: Name of the axes.
     """
     w, gap_s, local = gap.window, gap.window.length / rate, axes.transform_from_world(path)
     shown = local[~np.isnan(local[:, 0])]
@@ -211,11 +209,9 @@ def _interpolate(
 
     Args:
         path: Metres, NaN if unknown.
-        window: The gap.
         rate: Frame rate in Hz.
         line_sd_m: Expected standard deviation of the line per axis, in the middle of the gap.
         saturation_s: Duration above which errors no longer grow with it.
-        name: Name of the axes.
     """
     w = window.keep_known_context(~np.isnan(path[:, 0]))
     if not len(w.context_frames):

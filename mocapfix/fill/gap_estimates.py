@@ -334,7 +334,6 @@ def combine_gap_estimates(
 
     Args:
         estimates: At least one.
-        window: The gap.
         similarity: Of each hidden stretch to the gap, 0 to 1.
     """
     is_estimated = np.stack([~np.isnan(e.position[:, 0]) for e in estimates])

@@ -53,11 +53,9 @@ def fill_gaps(
     markers are not filled.
 
     Args:
-        detected: the take and its faults.
         body: the body that is solved from it, with the motion from which lost markers are filled.
         props: the labels of each prop that the marker set names.
         corrections: those of a reviewer, who may request the fills of samples.
-        options: the options of filling.
     """
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]

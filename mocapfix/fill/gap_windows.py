@@ -242,7 +242,6 @@ def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last:
 
     Args:
         is_usable: Frames in which all markers are visible that the gap hides.
-        first: First frame of the gap.
         last: Last frame of the gap, inclusive.
         rate: Frame rate in Hz.
     """

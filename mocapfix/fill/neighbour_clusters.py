@@ -198,9 +198,7 @@ def estimate_by_regression(
 
     Args:
         markers: Metres, NaN if not known.
-        gap: The gap of the marker.
-        cluster: The markers of the cluster.
-        change_m: Variation of the distance of each of these to the missing one.
+        change_m: Variation of the distance of each marker of the cluster to the missing one.
         rate: Frame rate in Hz.
     """
     w, path = gap.window, markers[:, gap.marker]
@@ -290,7 +288,6 @@ class _Regression:
         x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
 
         Args:
-            rows: Indices of the rows.
             frames_per_independent: Number of training frames of which one is independent of the others.
         """
         usual = np.concatenate([self._compute_leverages(fold, self.training_x[fold]) for fold in self._folds()]).mean()

@@ -88,10 +88,8 @@ class _GroupShape:
         """Return the positions of a member of the group in some frames and their standard deviations per axis; NaN if unknown.
 
         Args:
-            member: Index of the member.
-            frames: The frames.
-            is_used: The other members that are used in each of them.
-            around: For each the first and last frame of the gap, in which no pose is used to interpolate the angle about a line.
+            is_used: The other members that are used in each frame.
+            around: First and last frame of the gap of each frame, in which no pose is used to interpolate the angle about a line.
         """
         position, sd = np.full((len(frames), 3), np.nan), np.full(len(frames), np.nan)
         if np.isnan(self.marker_sd[member]):

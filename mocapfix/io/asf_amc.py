@@ -243,7 +243,6 @@ def read_amc(
     Joints are at the beginning of bones and have their names. Angles are in degrees, whatever the file uses.
 
     Args:
-        path: The AMC or ASF file.
         data: The bytes of the file, if they were read already.
         asf_path: The skeleton of an AMC; by default the one that `find_asf` finds.
         options: What is known about the motion.
@@ -440,11 +439,7 @@ def write_asf_amc(
 ) -> None:
     """Write a skeleton as ASF and its motion as AMC. Both files are replaced, or neither.
 
-    The AMC has the rate in a comment, because the format has no keyword for it.
-
-    Args:
-        rate: Frames per second.
-        first_frame: Number of the first frame.
+    The AMC has the rate in hertz in a comment, because the format has no keyword for it.
 
     Raises:
         WriteError: If joints on one bone do not begin at the same position, the motion is incomplete, or a file is not writable.

@@ -167,7 +167,6 @@ def _choose(
     the data; those that are followed by other bytes.
 
     Args:
-        data: Its bytes.
         declared: What the file declares if all is right, with the number of frames that it can have, 0 for none.
         sources: What each place says.
 

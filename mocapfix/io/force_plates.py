@@ -24,12 +24,7 @@ class ForcePlate:
 
 
 def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
-    """Return the force plates in the bytes of a C3D file, none where they are described incompletely.
-
-    Args:
-        data: The bytes.
-        frame_rate: Frames per second of the take, whatever POINT:RATE says.
-    """
+    """Return the force plates in the bytes of a C3D file, none where they are described incompletely; the rate is the take's."""
     if b"FORCE_PLATFORM" not in data[: layout.data_start_byte]:
         return []
     try:

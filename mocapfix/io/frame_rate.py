@@ -121,7 +121,6 @@ def find_frames(
 
     Args:
         build_row_error: Builds an error from the index of a row and a sentence.
-        row_count: Number of rows.
         stated_rate: The rate as the header gives it, "" if it does not.
         times: The time column, None if there is none.
         frame_numbers: The column of frame numbers, None if there is none.
@@ -222,9 +221,6 @@ def infer_rate(frame_time_text: str, unit_s: float = 1.0) -> tuple[float, tuple[
 
     A frame time of .0083 is that of any rate from 119.8 to 121.2 Hz. It is taken as 120 Hz, the common rate whose frame time
     rounds, or is cut off, to these decimals.
-
-    Args:
-        frame_time_text: The frame time.
     """
     seconds = float(frame_time_text) * unit_s
     rate = 1 / seconds

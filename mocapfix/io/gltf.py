@@ -409,7 +409,6 @@ def build_skinned_document(skeleton: Skeleton, shown_parents: Int[np.ndarray, " 
     """Return a document with the joints as its first nodes, in metres, and a mesh that shows them, with a skin.
 
     Args:
-        skeleton: The joints.
         shown_parents: From which joint a bone is shown to each, -1 for none.
     """
     quaternions = Rotation.from_matrix(skeleton.rest_rotations).as_quat()

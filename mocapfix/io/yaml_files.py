@@ -72,7 +72,6 @@ def find_by_name(
 
     Args:
         name_or_path: Name of a shipped item, or path of a YAML file.
-        shipped: The shipped items by name.
         item_kind: What an item is, for the error message.
         read: Reads an item from a file.
 

@@ -308,7 +308,6 @@ def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[n
     A small rotation about an axis moves a point by the angle times the point's distance from the axis.
 
     Args:
-        animation: The animation.
         points: As from `build_joint_take` or `build_tip_take`.
         variance: Per axis, of the joints' rotations (rad^2) and of the root's position (m^2), as the last of N = J + 1 tracks.
     """

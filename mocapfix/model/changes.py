@@ -246,12 +246,7 @@ class UnfilledRun:
 
 
 def find_unfilled_runs(take: Take, reasons: Shaped[np.ndarray, "T M"]) -> tuple[UnfilledRun, ...]:
-    """Find the runs of missing samples with the same reason, ordered by marker and first frame.
-
-    Args:
-        take: The cleaned take.
-        reasons: The reason of each sample, "" without one.
-    """
+    """Find the runs of missing samples with the same reason, "" without one, ordered by marker and first frame."""
     unfilled: list[UnfilledRun] = []
     for m in range(len(take.labels)):
         for reason, group in groupby(np.flatnonzero(~take.visible[:, m]), key=lambda t, m=m: reasons[t, m]):

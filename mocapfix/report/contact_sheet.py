@@ -80,7 +80,6 @@ def draw_contact_sheet(
     """Draw the sheet of a take as PNG.
 
     Args:
-        performer: The solved body.
         character: A character that it moves; None for the body alone.
         glb: The written file of the character, whose last animation is drawn.
         turns: Whether the character turns with the body; otherwise it is seen from its own front.

@@ -179,8 +179,6 @@ def select_consistent_markers(
     Args:
         markers: Measured positions in metres, NaN where missing.
         inlier_mask: The samples that are not taken for faults.
-        columns: Indices of the k markers.
-        frames: Indices of the N frames.
         body_distance_m: Distances of the markers from the solved body in metres, NaN where missing.
     """
     low_m, high_m = compute_distance_ranges(markers, inlier_mask, subject, columns)
