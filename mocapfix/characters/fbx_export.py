@@ -44,6 +44,8 @@ def export_fbx(source: str, target: str, rate: float, name: str) -> str:
         bake_anim_force_startend_keying=True,
         bake_anim_step=1.0,
         bake_anim_simplify_factor=0.0,
+        path_mode="COPY",
+        embed_textures=True,
     )
     open_empty_scene(bpy, rate)
     bpy.ops.import_scene.fbx(filepath=target)

@@ -3,6 +3,7 @@
 `make blender` installs Blender's Python module in .blender; without it these tests are skipped.
 """
 
+import base64
 import json
 import os
 import subprocess
@@ -38,14 +39,23 @@ FRAMES = (0, 7, 24)
 MAX_HEAD_ERROR_M = 1e-4
 
 
+TEXTURE = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGNgYPgPAAEDAQAIicLsAAAAAElFTkSuQmCC"
+)  # 1 x 1
+
+
 def build_glb_that_moves_a_finger() -> bytes:
-    """Return the GLB with an animation that moves the index finger, which the written motion leaves alone."""
+    """Return the GLB with a texture and an animation that moves the index finger, which the written motion leaves alone."""
     content = parse_glb(Path("user.glb"), build_mixamo_glb())
     buffer = GltfBuffer(content.document, content.binary)
     node = node_of(FIGURE.names.index("LeftHandIndex1"))
     places = np.array(content.document["nodes"][node]["translation"]) + [[2.0, 0.0, 0.0], [5.0, 1.0, 0.0]]
     add_animation(buffer, "wave", np.tile(np.eye(3), (2, 1, 1, 1)), {node: places}, {}, 1.0)
-    return build_glb(GlbContent(content.document, buffer.finish()))
+    document, uri = content.document, f"data:image/png;base64,{base64.b64encode(TEXTURE).decode()}"
+    document |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
+    document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+    document["meshes"][0]["primitives"][0]["material"] = 0
+    return build_glb(GlbContent(document, buffer.finish()))
 
 
 USER_FILES = {
@@ -168,3 +178,7 @@ def test_fbx_has_the_armature_the_mesh_and_the_take_alone(opened, name):
     assert each["objects"] == ["ARMATURE", "MESH"]
     assert each["meshes"] == 1
     assert each["action"].endswith("|take")
+
+
+def test_fbx_has_the_textures(written, opened):
+    assert TEXTURE in (written["user-fingers"].folder / "user-fingers.fbx").read_bytes()
