@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_closing, binary_opening
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, MAX_LEVEL_DEVIATION_M, Floor, GaitEvent
@@ -23,7 +23,7 @@ from mocapfix.contacts.find_contacts import compute_speed
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, smooth_path
 
 HEEL_PER_FOOT = -0.35  # the heel, as a share of the length from the ankle to the toe base; negative is behind the ankle
 MAX_HEEL_MARKER_M = 0.02  # the foremost place along the foot, before the ankle, of a marker that stands for the heel
@@ -226,11 +226,12 @@ def find_low_frames(points: FootPoints, floor: Floor, rate: float, limit_m_s: fl
 
 
 def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, "T 3"]:
-    """Return the acceleration in m/s^2 of a path in metres, filtered without delay."""
-    from scipy.signal import butter, sosfiltfilt  # slow to import
+    """Return the acceleration in m/s^2 of a path in metres, smoothed without delay.
 
-    sections = butter(2, min(LOWPASS_HZ, MAX_LOWPASS_SHARE * rate) / (rate / 2), output="sos")
-    smooth = sosfiltfilt(sections, path, axis=0)
+    The frequency response is that of a Butterworth filter of second order, forwards and backwards: half at the cutoff frequency.
+    """
+    cutoff = 2 * np.sin(np.pi * min(LOWPASS_HZ / rate, MAX_LOWPASS_SHARE))
+    smooth = smooth_path(path, np.ones(len(path)), np.full(len(path), rate**3 * cutoff**4), rate)
     return np.gradient(np.gradient(smooth, 1 / rate, axis=0), 1 / rate, axis=0)
 
 
@@ -239,8 +240,6 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
 
     Without an impact, or where the laboratory has smoothed it away, it is where the point stops sliding. NaN if it does neither.
     """
-    from scipy.signal import find_peaks  # slow to import
-
     (path, speed, acceleration, swing_m_s), (first, last) = motion, contact
     start = max(1, first - round(STRIKE_WINDOW_S[0] * rate))
     stop = min(len(path) - 2, first + round(STRIKE_WINDOW_S[1] * rate))
@@ -248,7 +247,7 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
     is_low = path[:, 1] < float(np.median(heights[: max(1, len(heights) // 3)])) + MAX_STRIKE_HEIGHT_M
     is_down = is_low & (speed < max(MAX_STRIKE_SPEED_M_S, MAX_STRIKE_SPEED_SHARE * swing_m_s))
     signal = acceleration[:, 1]
-    peaks = start + find_peaks(signal[start : stop + 1])[0]
+    peaks = start + find_peaks(signal[start : stop + 1])
     peaks = peaks[is_down[peaks] & (signal[peaks] >= MIN_STRIKE_ACCELERATION_M_S2)]
     if len(peaks):
         return find_rise(signal, int(peaks[signal[peaks].argmax()])) / rate
@@ -262,12 +261,15 @@ def find_strike(motion: PointMotion, contact: tuple[int, int], rate: float) -> f
 
 def find_off(toe_acceleration: Float[np.ndarray, "T 3"], last: int, rate: float) -> float:
     """Return the time in seconds at which the toes' acceleration reaches most of its peak, about the end of a contact."""
-    from scipy.signal import find_peaks  # slow to import
-
     size = np.linalg.norm(toe_acceleration, axis=1)
     start = max(1, last - round(OFF_WINDOW_S[0] * rate))
-    peaks = start + find_peaks(size[start : last + 1 + round(OFF_WINDOW_S[1] * rate)])[0]
+    peaks = start + find_peaks(size[start : last + 1 + round(OFF_WINDOW_S[1] * rate)])
     return find_rise(size, int(peaks[size[peaks].argmax()])) / rate if len(peaks) else last / rate
+
+
+def find_peaks(signal: Float[np.ndarray, " T"]) -> Int[np.ndarray, " N"]:
+    """Return the frames at which a signal is greater than before and after (`scipy.signal`, which does it, is slow to import)."""
+    return 1 + np.flatnonzero((signal[1:-1] > signal[:-2]) & (signal[1:-1] > signal[2:]))
 
 
 def find_rise(signal: Float[np.ndarray, " T"], peak: int) -> float:
