@@ -33,7 +33,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba
+from llvmlite.binding import parse_bitcode
 from numba import njit, types
+from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
 
 from mocapfix.model.system import get_system
@@ -110,6 +114,49 @@ if CACHE_FOLDER:
     config.CACHE_DIR = str(CACHE_FOLDER)
 
 
+class KernelCache(FunctionCache):
+    """Numba's cache of a kernel, which loads it without what only compiling needs (of Numba's 0.3 s for the first one, 0.2 s)."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the cached kernel for these types, None if there is none; see `numba.core.caching.Cache`."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
+class CachedLibrary(JITCodeLibrary):
+    """The code of a kernel. The form for the linker, which is cached too, is parsed when another kernel is linked with it."""
+
+    _unparsed: bytes | None = None  # bitcode of a library from the cache; None once it is parsed
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
+        name, kind, data = state
+        if kind != "object":
+            return super()._unserialize(codegen, state)
+        library = codegen.create_library(name)
+        object_code, library._unparsed = data
+        library.enable_object_caching()
+        library._set_compiled_object(object_code)
+        library._finalize_final_module()
+        return library
+
+    def _get_module_for_linking(self) -> Any:
+        if self._unparsed is not None:
+            self._shared_module, self._unparsed = parse_bitcode(self._unparsed), None
+            self._codegen._engine._load_defined_symbols(self._shared_module)
+        return super()._get_module_for_linking()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function of this library; see `numba.core.codegen.JITCodeLibrary`."""
+        if self._unparsed is not None:
+            return self._codegen._engine.get_function_address(name)
+        return super().get_pointer_to_function(name)
+
+
+JITCPUCodegen._library_class = CachedLibrary
+
+
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function that Python or several kernels call, as `numba.njit` does, and cache it. A decorator.
 
@@ -120,7 +167,10 @@ def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -
     if function is None:
         return partial(compile_kernel, **options)
     jit: Any = njit  # without its types, which do not have all options
-    return jit(cache=CACHE_FOLDER is not None, no_cfunc_wrapper=True, **options)(function)  # nothing needs kernels' addresses
+    kernel = jit(no_cfunc_wrapper=True, **options)(function)  # nothing needs kernels' addresses
+    if CACHE_FOLDER:
+        kernel._cache = KernelCache(function)
+    return kernel
 
 
 def compile_inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -59,6 +59,13 @@ from mocapfix.kernels.outer import add_twice
 from mocapfix.stats.pairs import Pair
 print(add_twice(Pair(1.0, 2.0)), sum(add_twice.stats.cache_hits.values()))
 """
+LATER_KERNEL_CODE = """
+from numba import njit
+from mocapfix.kernels.outer import add_twice
+from mocapfix.stats.pairs import Pair
+add_four_times = njit(lambda pair: add_twice(pair) + add_twice(pair))
+print(add_twice(Pair(1.0, 2.0)), add_four_times(Pair(1.0, 2.0)), sum(add_twice.stats.cache_hits.values()))
+"""
 DEMO_CODE = """
 import sys
 from pathlib import Path
@@ -93,11 +100,11 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def start_run(package: Path, **environment: str) -> "subprocess.Popen[str]":
-    """Start a process that calls the outer kernel."""
+def start_run(package: Path, code: str = RUN_CODE, **environment: str) -> "subprocess.Popen[str]":
+    """Start a process that calls the outer kernel, or runs other code."""
     cleared = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     return subprocess.Popen(
-        [sys.executable, "-c", RUN_CODE],
+        [sys.executable, "-c", code],
         env={**cleared, "PYTHONPATH": str(package.parent), **environment},
         cwd=package.parent,
         stdout=subprocess.PIPE,
@@ -133,6 +140,12 @@ def test_a_changed_callee_or_named_tuple_is_compiled_again_with_its_callers_and_
     assert run(package) == (2.0, 0)
     folders += list_cache_folders(package)
     assert len(set(folders)) == len(folders) == 3
+
+
+def test_a_kernel_from_the_cache_is_linked_with_one_that_is_compiled_later(package: Path) -> None:
+    assert run(package) == (6.0, 0)
+    output, errors = start_run(package, LATER_KERNEL_CODE).communicate()
+    assert output.split() == ["6.0", "12.0", "1"], errors
 
 
 def test_a_missing_source_is_an_error(package: Path) -> None:
