@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
@@ -369,6 +368,8 @@ def _interpolate_tokens(
     frames: Int[np.ndarray, " n"],
 ) -> PredictedGap:
     """Return the motion in all frames of a gap, given the moments at its edges and inside it."""
+    from scipy.interpolate import CubicSpline  # slow to import
+
     used = slice(INNER_TOKENS.start - 1, INNER_TOKENS.stop + 1)
     knots, known = token_frames[used], quaternions[used].astype(float)
     products = (known[1:] * known[:-1]).sum(axis=-1, keepdims=True)
