@@ -250,6 +250,7 @@ def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last:
     steps = find_adjacent_samples(is_usable[last + 1 : last + 1 + reach])
     lead, tail = (-int(before[0]) if len(before) else 0), (int(steps[-1]) + 1 if len(steps) else 0)
     hidden_length, starts = find_stretches(is_usable, length, lead, tail)
+    starts = starts[sample_evenly(len(starts), MAX_HIDDEN_STRETCHES)] if len(starts) else starts
     count = min(length, MAX_GAP_POINTS)
     return GapWindow(
         first, length, before, length + steps, space_points(length, count),
@@ -280,7 +281,7 @@ def find_stretches(is_usable: Bool[np.ndarray, " T"], length: int, lead: int, ta
         starts = np.arange(0, len(is_usable) - span + 1, step)
         starts = starts[missing_before[starts + span] == missing_before[starts]] + lead
         if length == 1 or len(starts) * step >= max(MIN_STRETCH_STARTS, MIN_STARTS_PER_LENGTH * length):
-            return length, starts[sample_evenly(len(starts), MAX_HIDDEN_STRETCHES)] if len(starts) else starts
+            return length, starts
         length = max(1, int(length * SHORTER_STRETCH_RATIO))
 
 

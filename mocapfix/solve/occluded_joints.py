@@ -106,6 +106,15 @@ class KnownMotion(NamedTuple):
         """The frames in which enough is observed to infer the rest."""
         return self.is_unobserved[:, self.joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
 
+    def find_observed_joints(self, first: int, last: int) -> Int[np.ndarray, " O"]:
+        """Return the joints that are observed throughout the frames first..last."""
+        return self.joints[~self.is_unobserved[first : last + 1, self.joints].any(axis=0)]
+
+    def find_training_frames(self, first: int, last: int, occluded: Int[np.ndarray, " L"]) -> Int[np.ndarray, " N"]:
+        """Return the frames from which joints that are occluded in the frames first..last are inferred."""
+        used = np.r_[self.find_observed_joints(first, last), occluded]
+        return select_training_frames(self.has_body & ~self.is_unobserved[:, used].any(axis=1), first, last, self.rate)
+
 
 class InferredJoints(NamedTuple):
     """The rotations of L occluded joints in a gap of n frames, and their variance in rad^2 per axis."""
@@ -120,7 +129,8 @@ def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | N
 
     def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
         (first, last), occluded = gap
-        if estimates := infer_gap_joints(given, first, last, occluded, ESTIMATED_ROTATION_KERNEL, conditioner):
+        training = given.find_training_frames(first, last, occluded)
+        if estimates := infer_gap_joints(given, first, last, occluded, training, ESTIMATED_ROTATION_KERNEL, conditioner, {}):
             motion.local_rotations[first : last + 1, occluded], motion.variance[first : last + 1, occluded] = estimates[-1]
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
@@ -133,19 +143,28 @@ def infer_gap_joints(
     first: int,
     last: int,
     occluded: Int[np.ndarray, " L"],
+    training: Int[np.ndarray, " N"],
     kernel: StateCovariance,
     conditioner: PriorConditioner | None,
+    pose_predictions: dict[int, np.ndarray],
 ) -> list[InferredJoints]:
     """Infer joints that are occluded in the frames first..last.
+
+    Args:
+        motion: The motion, in which the joints are unobserved there.
+        first: First frame of the gap.
+        last: Last frame of the gap.
+        occluded: The joints.
+        training: The frames from which they are inferred.
+        kernel: Covariance of the rotations.
+        conditioner: The trained models, None: they are not used.
+        pose_predictions: What the pose model predicts of these joints, by training frame; what is lacking is added.
 
     Returns what follows from the take, then, with a conditioner, the estimate that uses the trained models as well; nothing if
     too few frames show the joints.
     """
     solved, is_unobserved, rate = motion.local_rotations, motion.is_unobserved, motion.rate
-    observed = motion.joints[~is_unobserved[first : last + 1, motion.joints].any(axis=0)]
-    has_body = motion.has_body
-    is_known = has_body & ~is_unobserved[:, np.r_[observed, occluded]].any(axis=1)
-    training = select_training_frames(is_known, first, last, rate)
+    observed = motion.find_observed_joints(first, last)
     if len(training) < MIN_TRAINING_FRAMES:
         return []
     # quaternions times 2 as rows of 4 L numbers, in radians, and their excess variance
@@ -169,14 +188,18 @@ def infer_gap_joints(
     gap_rotations = from_take.rotations
     if gap_variance.max() > MIN_QUERY_SD_RAD**2:
         queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
-        reference = np.concatenate([rotations, predicted[queried]])
-        drift = conditioner.predict_rotations(solved, observed, occluded, np.r_[training, frames[queried]], reference)
-        drift_process = fit_gaussian_process(drift[: len(training)], *data)
-        sampled = drift[len(training) :] - drift_process.predict(gap_states[queried], frames[queried] / rate)[0]
+        is_new = np.array([frame not in pose_predictions for frame in training.tolist()])
+        reference, asked = np.concatenate([rotations[is_new], predicted[queried]]), np.r_[training[is_new], frames[queried]]
+        rows = conditioner.predict_rotations(solved, observed, occluded, asked, reference)
+        pose_predictions.update(zip(training[is_new].tolist(), rows, strict=False))
+        drift = np.stack([pose_predictions[frame] for frame in training.tolist()])
+        sampled = (
+            rows[is_new.sum() :] - fit_gaussian_process(drift, *data).predict(gap_states[queried], frames[queried] / rate)[0]
+        )
         innovation = np.stack([np.interp(frames, frames[queried], values) for values in sampled.T], axis=1)
         gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
         gap_rotations = _convert_rows(predicted + np.repeat(gain, 4, axis=1) * innovation)
-    context = GapContext(motion.root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
+    context = GapContext(motion.root_position, solved, motion.has_body[:, None] & ~is_unobserved, first, last, rate)
     cropped = context.crop()
     estimated = cropped.local_rotations.copy()
     estimated[cropped.frames][:, occluded] = gap_rotations

@@ -37,8 +37,9 @@ def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: s
     `order` of intrinsic rotations such as "ZYX".
     """
     q, zeros, units = 2 * quaternions, np.zeros_like(quaternions), np.eye(4)
-    in_parent, in_joint = multiply_quaternions(units[None], q[:, None]), multiply_quaternions(q[:, None], units[None])
-    models = [OffsetModel(zeros, np.swapaxes(each, 1, 2), 3) for each in (in_parent, in_joint)]
+    products = multiply_quaternions(units[:, None], units)
+    in_parent, in_joint = (np.swapaxes(np.tensordot(q, products, (1, axis)), 1, 2) for axis in (1, 0))
+    models = [OffsetModel(zeros, basis, 3) for basis in (in_parent, in_joint)]
     if len(order) == 3:
         rotations = Rotation.from_quat(quaternions)
         with catch_warnings(action="ignore"):  # in gimbal lock, where any outer angle is right

@@ -41,7 +41,7 @@ def places(root: np.ndarray, local: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("kind", list(ANIMATION_FAULT_INJECTORS))
 def test_injected_faults_are_repaired_and_the_rest_is_unchanged(kind):
     truth = composed()
-    damaged, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(1))
+    damaged, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(2))
     faults = [fault for each in put for fault in build_expected_faults(each, len(SKELETON.names))]
     repaired = repair.repair_animation(
         SKELETON.parents, damaged.root_position, damaged.local_rotations, ["ZYX"] * 31, faults, RATE
@@ -147,24 +147,54 @@ def test_prediction_that_fails_elsewhere_in_the_take_is_not_used():
     np.testing.assert_array_equal(misled.local_rotations, plain.local_rotations)
 
 
-def test_take_too_short_to_try_methods_keeps_the_method_of_the_fault():
+def build_estimates(span: FrameSpan, offsets_m: tuple[float, ...], sd_m: float) -> list[SpanEstimate]:
+    """Return an interpolation and another estimate of a position: these values, and their standard deviation per axis."""
+    shape = len(span.frames), 1, 3
+    variance = np.full(shape[:2], sd_m**2)
+    methods = RepairMethod.GAP_INTERPOLATED, RepairMethod.OFFSET_REMOVED
+    return [SpanEstimate(method, np.full(shape, each), variance) for method, each in zip(methods, offsets_m, strict=True)]
+
+
+@pytest.mark.parametrize(("sd_m", "method"), [(0.01, RepairMethod.OFFSET_REMOVED), (0.03, RepairMethod.GAP_INTERPOLATED)])
+def test_take_too_short_to_try_methods_is_repaired_by_a_method_that_clearly_differs_from_the_interpolation(sd_m, method):
     def estimate(span: FrameSpan) -> list[SpanEstimate]:
-        values = np.zeros((1, 1, 3)), np.zeros((1, 1))
-        return [SpanEstimate(RepairMethod(method), *values) for method in (4, 1)]
+        return build_estimates(span, (0.0, 0.02), sd_m)
 
     chosen = repair.choose_estimate(estimate, np.zeros((5, 1, 3)), np.array([-1]), np.ones(5, bool), FrameSpan(2, 2, RATE))
     assert chosen is not None
-    assert chosen.method == RepairMethod.OFFSET_REMOVED
+    assert chosen.method == method
+
+
+def test_estimate_whose_difference_from_the_interpolation_may_be_its_own_error_is_not_tried():
+    tried = []
+
+    def estimate(span: FrameSpan) -> list[SpanEstimate]:
+        tried.append(span)
+        return build_estimates(span, (0.02, 0.01), 0.02)
+
+    chosen = repair.choose_estimate(estimate, np.zeros((99, 1, 3)), np.array([-1]), np.ones(99, bool), FrameSpan(40, 44, RATE))
+    assert chosen is not None
+    assert chosen.method == RepairMethod.GAP_INTERPOLATED
+    assert len(tried) == 1
+
+
+def test_repair_of_a_joint_at_rest_is_tried_where_the_joint_rests():
+    t = np.arange(600) / RATE
+    track = np.where((t % 10 < 5)[:, None, None], 0.3 * np.sin(9 * t)[:, None, None], 0.0) * np.ones(3)
+    span = FrameSpan(225, 235, RATE)
+    stretches = repair.find_similar_stretches(track, ~np.isin(np.arange(600), span.frames), span)
+    assert len(stretches) == repair.MAX_TRIALS
+    for stretch, weight in stretches:
+        assert weight == 1.0
+        assert (track[stretch.frames] == 0).all()
+        assert not np.isin(stretch.frames, span.frames).any()
+    assert len({frame for stretch, _ in stretches for frame in stretch.frames}) == repair.MAX_TRIALS * 11
 
 
 @pytest.mark.parametrize(("error_m", "method"), [(0.01, 1), (0.05, 4)])
 def test_method_with_the_smaller_error_in_sound_stretches_is_chosen(error_m: float, method: int):
     def estimate(span: FrameSpan) -> list[SpanEstimate]:
-        def build(kind: int, offset_m: float) -> SpanEstimate:
-            values = np.full((len(span.frames), 1, 3), offset_m)
-            return SpanEstimate(RepairMethod(kind), values, np.zeros(values.shape[:2]))
-
-        return [build(4, 0.02), build(1, -error_m)]
+        return build_estimates(span, (0.02, -error_m), 0.0)
 
     track = np.zeros((100, 1, 3))
     chosen = repair.choose_estimate(estimate, track, np.array([-1]), np.ones(100, bool), FrameSpan(40, 44, RATE))
