@@ -299,8 +299,10 @@ def _infer_lost_joints(
                     for frames, is_near in ((near, True), (own_training, False))
                 )
                 training = np.union1d(near, far)
-            data = lost, training, RECORDED_ROTATION_KERNEL, conditioner, pose_predictions
-            inferred = infer_gap_joints(motion, at.first, at.last, *data)
+            inferred = infer_gap_joints(
+                motion, at.first, at.last, lost,
+                training=training, kernel=RECORDED_ROTATION_KERNEL, conditioner=conditioner, pose_predictions=pose_predictions,
+            )  # fmt: skip
             interpolated = _interpolate_tracks(given.local_rotations[:, lost], ~hidden[:, lost], at) if inferred else []
             return [*interpolated, *(SpanEstimate(RepairMethod.JOINT_INFERRED, *each) for each in inferred)]
 

@@ -129,8 +129,12 @@ def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | N
 
     def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
         (first, last), occluded = gap
-        training = given.find_training_frames(first, last, occluded)
-        if estimates := infer_gap_joints(given, first, last, occluded, training, ESTIMATED_ROTATION_KERNEL, conditioner, {}):
+        estimates = infer_gap_joints(
+            given, first, last, occluded,
+            training=given.find_training_frames(first, last, occluded), kernel=ESTIMATED_ROTATION_KERNEL,
+            conditioner=conditioner, pose_predictions={},
+        )  # fmt: skip
+        if estimates:
             motion.local_rotations[first : last + 1, occluded], motion.variance[first : last + 1, occluded] = estimates[-1]
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
@@ -143,6 +147,7 @@ def infer_gap_joints(
     first: int,
     last: int,
     occluded: Int[np.ndarray, " L"],
+    *,
     training: Int[np.ndarray, " N"],
     kernel: StateCovariance,
     conditioner: PriorConditioner | None,
