@@ -88,7 +88,7 @@ MAX_TRIALS = 4  # sound stretches in which the damage of a fault is repeated
 MIN_TRIALS = 3  # sound stretches without which the predicted error decides alone
 TRIAL_MARGIN_S = 0.1  # sound time on either side of a stretch
 NEGLIGIBLE_DIFFERENCE = 2e-4  # radians or metres; at the end of a limb of 0.5 m a tenth of a millimetre
-"""A difference from the interpolation that matters to nobody, and what is added to errors before they are compared."""
+"""A difference from the interpolation that counts as none; it is added to errors before they are compared."""
 MIN_DIFFERENCE_RATIO = 0.7
 """Predicted errors by which an estimate has to differ from the interpolation. Of 360 joints and limbs lost in fifteen motions
 108 differed by less, and half of their estimates were worse than interpolated; of 69 that differed by up to twice as much 7 %,

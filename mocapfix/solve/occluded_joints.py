@@ -194,8 +194,8 @@ def infer_gap_joints(
     if gap_variance.max() > MIN_QUERY_SD_RAD**2:
         queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
         is_new = np.array([frame not in pose_predictions for frame in training.tolist()])
-        reference, asked = np.concatenate([rotations[is_new], predicted[queried]]), np.r_[training[is_new], frames[queried]]
-        rows = conditioner.predict_rotations(solved, observed, occluded, asked, reference)
+        reference, evaluated = np.concatenate([rotations[is_new], predicted[queried]]), np.r_[training[is_new], frames[queried]]
+        rows = conditioner.predict_rotations(solved, observed, occluded, evaluated, reference)
         pose_predictions.update(zip(training[is_new].tolist(), rows, strict=False))
         drift = np.stack([pose_predictions[frame] for frame in training.tolist()])
         sampled = (

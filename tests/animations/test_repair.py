@@ -165,7 +165,7 @@ def test_take_too_short_to_try_methods_is_repaired_by_a_method_that_clearly_diff
     assert chosen.method == method
 
 
-def test_estimate_whose_difference_from_the_interpolation_may_be_its_own_error_is_not_tried():
+def test_estimate_that_differs_from_the_interpolation_by_less_than_its_error_is_not_tried():
     tried = []
 
     def estimate(span: FrameSpan) -> list[SpanEstimate]:
