@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
@@ -131,7 +131,38 @@ SETTLING_S = 0.06  # before and after a contact in which a foot comes to the flo
 LIFT_S = 0.04  # standard deviation of the time over which changes of a foot's height are smoothed
 SETTLING_ROUNDS = 3  # the bend of the toe depends on the height of the foot, and that on the toe
 MAX_TOE_BEND_RAD = np.deg2rad(70.0)
+LEVEL_SHARE = 0.7  # of a foot's inclination that is taken away while heel and ball stand: in part they do before it lies flat
 TOE_TIP_SHARE = 0.3  # of a toe's length, from which its points are ahead of the ball
+
+
+def rest_feet(
+    target: BodyFrame, kept: KeptPositions, motion: SegmentMotion, contacts: BodyContacts | None
+) -> tuple[KeptPositions, SegmentMotion]:
+    """Return the targets and the segments with feet turned, about their balls, to lie flat while heel and ball are in contact.
+
+    The ankle of a target that is higher above the ball than the source's would slide more where the foot tilts. Arguments as for
+    `settle_soles`.
+    """
+    if contacts is None:
+        return kept, motion
+    ankles, rotations = dict(kept.ankles), dict(motion.rotation)
+    for side in SIDES:
+        foot, columns = rotations[f"{side}_foot"], [contacts.joints.index(joint) for joint in FOOT_JOINTS[side]]
+        share = LEVEL_SHARE * spread_contact(contacts.is_contact[:, columns].min(axis=1), contacts.rate)[:, None]
+        upward = foot[:, 1]  # in the foot's axes
+        turned = foot @ compute_shortest_rotations(upward * (1.0 - share * [1.0, 0.0, 1.0]), upward)
+        ankles[side] = ankles[side] + (foot - turned) @ target.compute_ball(side)
+        rotations[f"{side}_toe"] = turned @ np.swapaxes(foot, 1, 2) @ rotations[f"{side}_toe"]
+        rotations[f"{side}_foot"] = turned
+    return replace(kept, ankles=ankles), replace(motion, rotation=rotations)
+
+
+def spread_contact(is_contact: Bool[np.ndarray, " T"], rate: float) -> Float[np.ndarray, " T"]:
+    """Return a share that is 1 in contacts, and begins before them and ends after them, smoothly."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d  # slow to import
+
+    reach = SETTLING_S * rate
+    return gaussian_filter1d(maximum_filter1d(is_contact * 1.0, 2 * round(reach) + 1), reach)
 
 
 def settle_soles(
@@ -142,7 +173,7 @@ def settle_soles(
     The soles are those of the target's mesh; without one nothing changes. The contacts are those of the feet at the rate of the
     motion, the segments those of the source, whose feet are level when they lie flat.
     """
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d  # slow to import
+    from scipy.ndimage import gaussian_filter1d  # slow to import
 
     if contacts is None:
         return kept, motion
@@ -154,8 +185,7 @@ def settle_soles(
             continue
         place = motion.carry(foot, source.compute_ball(side))
         level = scale * (place[:, 1] - contacts.floor.compute_height_above(place) - contacts.floor.height_m)
-        reach = SETTLING_S * contacts.rate
-        contact = gaussian_filter1d(maximum_filter1d(contacts.find_foot_contact(side) * 1.0, 2 * round(reach) + 1), reach)
+        contact = spread_contact(contacts.find_foot_contact(side), contacts.rate)
         upward, free = motion.rotation[foot][:, 1], kept.ankles[side][:, 1] - level
         height = free
         for _ in range(SETTLING_ROUNDS if len(toe_sole) else 1):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import SIDES, CharacterMotion, compute_character_poses
-from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
+from mocapfix.characters.kept_positions import LEVEL_SHARE, KeptPositions, level_feet, measure_flat_feet, rest_feet
 from mocapfix.characters.load_character import load_character_preset
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import Floor, build_no_contacts
@@ -56,6 +56,23 @@ def test_level_feet_have_no_inclination_where_they_lie_flat(standing):
     level = level_feet(segments, measure_flat_feet(frame, segments, contacts))
     for side in SIDES:
         np.testing.assert_allclose(level.rotation[f"{side}_foot"][:, 1], np.tile([0, 1, 0], (FRAMES, 1)), atol=1e-9)
+
+
+def test_feet_that_roll_in_contacts_roll_less_about_their_balls(standing):
+    character, motion, contacts = standing
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    rolled = Rotation.from_euler("z", 4.0, degrees=True).as_matrix()
+    segments = replace(segments, rotation={**segments.rotation, "left_foot": np.tile(rolled, (FRAMES, 1, 1))})
+    kept = KeptPositions(np.zeros((FRAMES, 3)), {side: segments.position[f"{side}_foot"] for side in SIDES})
+    rested, turned = rest_feet(frame, kept, segments, contacts)
+    roll = Rotation.from_matrix(turned.rotation["left_foot"]).as_euler("zxy", degrees=True)
+    np.testing.assert_allclose(roll, np.tile([(1 - LEVEL_SHARE) * 4.0, 0.0, 0.0], (FRAMES, 1)), atol=0.01)
+    ball = frame.compute_ball("left")
+    before, after = kept.ankles["left"] + rolled @ ball, rested.ankles["left"] + turned.rotation["left_foot"] @ ball
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    free = replace(contacts, is_contact=np.zeros_like(contacts.is_contact))
+    np.testing.assert_allclose(rest_feet(frame, kept, segments, free)[1].rotation["left_foot"], segments.rotation["left_foot"])
 
 
 def test_soles_of_a_character_lie_on_the_floor(standing):
