@@ -81,7 +81,7 @@ def draw_contact_sheet(
 
     Args:
         character: A character that it moves; None for the body alone.
-        glb: The written file of the character, whose last animation is drawn.
+        glb: The written file of the character, whose first animation is drawn.
         turns: Whether the character turns with the body; otherwise it is seen from its own front.
     """
     skeleton, take = performer.skeleton, performer.take
@@ -99,7 +99,8 @@ def draw_contact_sheet(
     tips = poses[:, leaves] + np.einsum("tjab,jb->tja", rotations[:, leaves], skeleton.ends[leaves])
     bones = [(parent, joint) for joint, parent in enumerate([*skeleton.parents, *leaves]) if parent >= 0]
     views = build_views(poses[:, left] - poses[:, right])
-    title, reason, scale, characters, colours = "The solved body (blue) and its markers (orange)", "", 1.0, [], np.empty((0, 3))
+    legend = "blue: solved body, orange: markers" if markers.size else "blue: solved body"
+    title, reason, scale, characters, colours = f"The body ({legend})", "", 1.0, [], np.empty((0, 3))
     if character and glb:
         characters, colours = _show_character(
             character, glb, views[1:] if turns else views[:0], (frames / performer.rate).tolist()
@@ -107,7 +108,7 @@ def draw_contact_sheet(
         leg_m = np.linalg.norm(skeleton.offsets[list_path(ankle, left, skeleton.parents)], axis=1).sum()  # apart in the rest pose
         height_m = np.nanmax(np.concatenate([poses[0], tips[0]])[:, 1]) - poses[0, left, 1] + leg_m + poses[0, ankle, 1]
         scale = float(characters[0].points[:, 1].max() / height_m) or 1.0
-        title = f"{character.name}, beside the performer scaled by {scale:.2f} (blue: solved body, orange: markers)"
+        title = f"{character.name}, beside the performer scaled by {scale:.2f} ({legend})"
         reason = character.mapping.reason
     bodies = [
         SheetFigure(np.empty((0, 3, 3)), np.concatenate([pose, tip])[np.array(bones)], dots).view(pose[hips], axes, scale)
@@ -126,6 +127,8 @@ def _show_character(
     bones = [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
     rest_bones = dict(zip(bones, build_bone_matrices(character), strict=True))
     rest = move_nodes(nodes, compute_node_matrices(content, nodes)[0], rest_bones)
+    if character.source is not None and character.source.kind == "bvh":  # in its rest pose the hips may be at height 0
+        rest[:, 1, 3] -= rest[bones, 1, 3].min()
     matrices = np.concatenate([rest[None], compute_node_matrices(content, nodes, animation, times_s)])
     pelvis, left, right = (bones[character.mapping.bones[name][0]] for name in ("pelvis", "left_thigh", "right_thigh"))
     mesh, has_own_mesh = read_gltf_mesh(content, nodes), character.source is not None and character.source.kind == "gltf"

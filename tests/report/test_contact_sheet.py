@@ -9,6 +9,7 @@ from PIL import Image
 
 from mocapfix.characters.character_files import CharacterFiles
 from mocapfix.characters.load_character import load_character
+from mocapfix.io.bvh import write_bvh
 from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
 from mocapfix.options import OutputOptions
 from mocapfix.output_formats import build_exported_motion
@@ -125,3 +126,15 @@ def test_the_mesh_of_a_character_of_ones_own_is_drawn(cleaned, tmp_path):
         cells = picture.crop((0, 80, picture.width, picture.height // 2))
         assert count_pixels(cells, INK) < 1500  # the labels
         assert count_pixels(cells, (160, 160, 160)) > 100
+
+
+def test_a_bvh_with_hips_at_height_0_is_drawn_standing(cleaned, tmp_path):
+    result, glb = cleaned.result, tmp_path / "walk.hero.glb"
+    exported = build_exported_motion(OutputOptions(), result.subject, result.motion.select_frames(np.arange(20)), 120.0)
+    assert exported is not None
+    write_bvh(tmp_path / "hero.bvh", exported.subject.skeleton, exported.motion, 120.0)
+    hero = load_character(tmp_path / "hero.bvh")
+    assert hero.skeleton.rest_positions[:, 1].min() < -0.8
+    CharacterFiles(hero, OutputOptions()).write(glb, *exported.parts)
+    with Image.open(BytesIO(draw_contact_sheet(Performer(*exported.parts, 0.0, 0.0, result.take), hero, glb))) as picture:
+        assert count_pixels(picture, BODY) == pytest.approx(count_pixels(picture, INK), rel=0.4)
