@@ -28,7 +28,7 @@ from mocapfix.characters.character import (
     compute_character_poses,
     convert_motion,
 )
-from mocapfix.characters.limb_fit import FAR_DISTANCE, LEG_PARTS
+from mocapfix.characters.limb_fit import LEG_PARTS, TOUCH_DISTANCE
 from mocapfix.characters.load_character import compute_skin_vertices, load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, Floor
@@ -54,7 +54,7 @@ LANDMARK_CHAINS = "hips thigh shin foot ball", "hips shoulders upper_arm forearm
 MIN_PEAK_M_S2 = 20.0  # largest acceleration of the performer's landmark that is told from noise
 HALF_THICKNESS_M = {"palm": 0.03, "forearm": 0.04, "shin": 0.05, "thigh": 0.09, "head": 0.1}
 """Height of a landmark above the floor on which a person of average size rests it."""
-TOUCHING_DISTANCE_M = {LEG_PARTS[0]: 0.115, LEG_PARTS[1]: 0.115, ("pelvis", "shoulders"): 0.14}
+TOUCHING_DISTANCE_M = {LEG_PARTS[0]: 0.115, LEG_PARTS[1]: 0.115, ("hips", "shoulders"): 0.14}
 """Distance of a palm from the axis of a thigh or the trunk below which they penetrate, of a person of average size."""
 
 
@@ -200,7 +200,7 @@ def measure_motion(each: BenchMotion, performer: Landmarks, figure: Landmarks) -
                 quantities["in_body_mm"][f"{side}_palm in {part[0]}"] = 1e3 * np.maximum(least - distances[1][part], 0.0)
             shoulder, hand = f"{side}_upper_arm", f"{side}_hand"
             off = places[hand] - places[shoulder] - arm * (wanted[hand] - wanted[shoulder])
-            is_free = np.min(list(distances[0].values()), axis=0) > FAR_DISTANCE * performer.trunk_m
+            is_free = np.min(list(distances[0].values()), axis=0) > TOUCH_DISTANCE * performer.trunk_m
             quantities["free_hand_mm"][side] = np.where(is_free, 1e3 * np.linalg.norm(off, axis=1), np.nan)
     return quantities
 
