@@ -224,8 +224,9 @@ MIN_SLIDE_STEPS = 2  # steps that show a slide
 MAX_SHARE_ERROR = 0.1  # difference of a step's share from that of the steps about it
 SLIDE_STEPS = 5  # consecutive steps whose median share is that of the middle one
 STANDING_PERCENTILE = 25  # of the shares of a step, at which its toes stand: before and after it they roll forward
-MIN_SLIDE_SHARE, MIN_SLIDE_M_S = 0.03, 0.03
-"""Share of the hips' speed, and speed, below which feet do not slide: -0.02 to 0.02 in walks, 0.04 at 3 % too much path."""
+FITTING_SHARES, MIN_SLIDE_M_S = (-0.06, 0.03), 0.03
+"""Shares of the hips' speed between which, and speed below which, feet do not slide: -0.04 to 0.02 in walks, 0.04 and 0.05 where
+the path is 3 % too long, -0.10 where it is 10 % too short."""
 
 
 class Slide(NamedTuple):
@@ -265,8 +266,9 @@ def estimate_slide(
     steps = sorted((sum(run) / 2, foot, slice(run[0], run[1] + 1)) for foot, run in supports)
     step_shares = np.array([np.percentile(shares[span, foot], STANDING_PERCENTILE) for _, foot, span in steps])
     speeds = [share * speed[span].mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
-    is_fast = len(steps) > 0 and abs(np.median(step_shares)) > MIN_SLIDE_SHARE and abs(np.median(speeds)) > MIN_SLIDE_M_S
-    if not steps or not (is_given or (is_fast and len(steps) >= MIN_SLIDE_STEPS)):
+    is_sliding = len(steps) >= MIN_SLIDE_STEPS and abs(np.median(speeds)) > MIN_SLIDE_M_S
+    is_sliding = is_sliding and not FITTING_SHARES[0] <= np.median(step_shares) <= FITTING_SHARES[1]
+    if not steps or not (is_given or is_sliding):
         return no_slide
     usual = median_filter(step_shares, SLIDE_STEPS, mode="nearest")
     for (_, foot, span), step_share, usual_share in zip(steps, step_shares, usual, strict=True):
