@@ -225,7 +225,6 @@ def _remove_offset(
     n, is_sound, span = fault.marker, ~is_faulty[:, fault.marker], FrameSpan(fault.first, fault.last, rate)
     is_position = fault.kind == "spike"
     track = (repair.root_position if is_position else repair.local_rotations[:, n])[:, None].copy()
-
     if is_position:
         values, variance = methods.remove_position_offset(track[:, 0], is_sound, span)
     else:
@@ -291,14 +290,9 @@ def _infer_lost_joints(
         def estimate(at: FrameSpan) -> list[SpanEstimate]:
             hidden = is_unobserved.copy()
             hidden[at.frames] |= is_hidden if at != span else False
-            motion, training = given._replace(is_unobserved=hidden), own_training
-            if at != span:  # farther away the frames of the fault's own estimate, for which the pose model is evaluated once
-                near = motion.find_training_frames(at.first, at.last, lost)
-                near, far = (
-                    frames[((frames >= at.first - margin) & (frames <= at.last + margin)) == is_near]
-                    for frames, is_near in ((near, True), (own_training, False))
-                )
-                training = np.union1d(near, far)
+            motion, around = given._replace(is_unobserved=hidden), np.arange(at.first - margin, at.last + margin + 1)
+            near = np.intersect1d(motion.find_training_frames(at.first, at.last, lost), around)
+            training = np.union1d(near, np.setdiff1d(own_training, around))  # the pose model is evaluated once for far frames
             inferred = infer_gap_joints(
                 motion, at.first, at.last, lost,
                 training=training, kernel=RECORDED_ROTATION_KERNEL, conditioner=conditioner, pose_predictions=pose_predictions,

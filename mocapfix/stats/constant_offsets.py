@@ -44,12 +44,9 @@ def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: s
         rotations = Rotation.from_quat(quaternions)
         with catch_warnings(action="ignore"):  # in gimbal lock, where any outer angle is right
             outer = Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
-        inner = (outer.inv() * rotations).as_quat()
-        outer_quaternions = outer.as_quat()
-        middle_axis = units[None, "XYZ".index(order[1])]
-        derivative = multiply_quaternions(multiply_quaternions(outer_quaternions, middle_axis), inner)
-        derivative *= np.sign((multiply_quaternions(outer_quaternions, inner) * q).sum(1))[:, None]
-        models.append(OffsetModel(zeros, np.stack([q, 2 * derivative], axis=2), 1))
+        axis = outer.apply(np.eye(3)["XYZ".index(order[1])])
+        derivative = multiply_quaternions(np.pad(axis, ((0, 0), (0, 1))), q)
+        models.append(OffsetModel(zeros, np.stack([q, derivative], axis=2), 1))
     return tuple(models)
 
 
