@@ -178,10 +178,14 @@ def build_body_frame(character: Character) -> BodyFrame:
 
 def compute_facing(character: Character) -> Float[np.ndarray, "3 3"]:
     """Return the rotation about Y from axes that face +Z to the rest pose: its columns are the figure's left, up and front."""
-    position, bones = character.skeleton.rest_positions, character.mapping.bones
-    thighs, arms = (position[bones[f"left_{each}"][0]] - position[bones[f"right_{each}"][0]] for each in ("thigh", "upper_arm"))
-    leftward = thighs + arms
-    return Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
+    return compute_facings(character.skeleton.rest_positions[None], character.mapping.bones)[0]
+
+
+def compute_facings(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the same rotations of poses in which the bones are at these positions."""
+    left, right = (positions[:, [bones[f"{side}_{each}"][0] for each in ("thigh", "upper_arm")]].sum(1) for side in SIDES)
+    leftward = left - right
+    return Rotation.from_euler("y", np.arctan2(-leftward[:, 2], leftward[:, 0])).as_matrix()
 
 
 def _compute_segment_turns(

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.body_frames import compute_facings
 from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, reparent_bones
 from mocapfix.characters.kept_positions import MAX_SLOPE_DIFFERENCE_RAD, measure_slope
 from mocapfix.characters.read_gltf import BonePoses, iterate_animations, read_bind_pose
@@ -50,7 +51,7 @@ class PoseAngles(NamedTuple):
 def measure_poses(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> PoseAngles:
     """Measure how far poses are from a T- or A-pose, from the positions of the bones in the world, Y up."""
     heads = {segment: positions[:, chain[0]] for segment, chain in bones.items() if chain}
-    facing, thighs, arms = _compute_facings(positions, bones), heads["left_thigh"], heads["left_upper_arm"]
+    facing, thighs, arms = compute_facings(positions, bones), heads["left_thigh"], heads["left_upper_arm"]
     trunk = arms + heads["right_upper_arm"] - thighs - heads["right_thigh"]
     vectors = {
         (side, segment): np.einsum("tba,tb->ta", facing, heads[f"{side}_{end}"] - heads[f"{side}_{segment}"])
@@ -72,13 +73,6 @@ def measure_poses(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tup
     ]
     cost = np.sum(tilts + asymmetries, axis=0) + ARM_COST * np.sum(bends, axis=0)
     return PoseAngles(np.max(tilts, axis=0), np.max(asymmetries, axis=0), np.max(bends, axis=0), cost)
-
-
-def _compute_facings(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, "T 3 3"]:
-    """Return the rotations about Y from axes that face +Z to the figure in each pose, as `compute_facing` of the rest pose."""
-    left, right = (positions[:, [bones[f"{side}_{each}"][0] for each in ("thigh", "upper_arm")]].sum(1) for side in SIDES)
-    leftward = left - right
-    return Rotation.from_rotvec(np.arctan2(-leftward[:, 2], leftward[:, 0])[:, None] * UP).as_matrix()
 
 
 def _measure_angles_deg(one: Float[np.ndarray, "T 3"], other: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, " T"]:
@@ -209,7 +203,7 @@ def _straighten(posed: Character, world: BonePoses, is_standing: Bool[np.ndarray
     bones, skeleton = posed.mapping.bones, posed.skeleton
     place, axes = skeleton.compute_rest_pose()
     standing = BonePoses(world.offsets[is_standing], world.rotations[is_standing])
-    facing = _compute_facings(place[None], bones)[0] @ _compute_facings(standing.offsets, bones).swapaxes(1, 2)
+    facing = compute_facings(place[None], bones)[0] @ compute_facings(standing.offsets, bones).swapaxes(1, 2)
     straight, lowest = axes.copy(), dict[int, float]()
     for segment in TRUNK_SEGMENTS:
         for bone in bones.get(segment, ()):
