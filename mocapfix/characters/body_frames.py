@@ -185,7 +185,7 @@ def compute_facings(positions: Float[np.ndarray, "T J 3"], bones: Mapping[str, t
     """Return the same rotations of poses in which the bones are at these positions."""
     left, right = (positions[:, [bones[f"{side}_{each}"][0] for each in ("thigh", "upper_arm")]].sum(1) for side in SIDES)
     leftward = left - right
-    return Rotation.from_euler("y", np.arctan2(-leftward[:, 2], leftward[:, 0])).as_matrix()
+    return Rotation.from_euler("y", np.arctan2(-leftward[:, 2], leftward[:, 0])[:, None]).as_matrix()
 
 
 def _compute_segment_turns(

@@ -296,8 +296,7 @@ def find_segments_by_name(names: Sequence[str], parents: Int[np.ndarray, " J"]) 
     return best and BoneMapping({segment: tuple(chain) for segment, chain in best[1].items()}, reason=f"{best[0].title} names")
 
 
-Chains: TypeAlias = dict[str, list[int]]
-"""segment to its bones"""
+Chains: TypeAlias = dict[str, list[int]]  # segment to its bones
 
 
 def _find_best_table(names: Sequence[str], complete: Callable[[Chains], Chains]) -> tuple[NameTable, Chains] | None:

@@ -54,8 +54,7 @@ from mocapfix.io.gltf import (
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, extract_rotations, move_nodes, read_array
 from mocapfix.model.skeleton import Skeleton, decompose_transforms
 
-ALIGNMENT_BYTES = 16
-"""of a buffer that is appended to another: enough for every component and for compressed data"""
+ALIGNMENT_BYTES = 16  # of a buffer that is appended to another: enough for every component and for compressed data
 EXTENDED_LISTS = ("accessors", "bufferViews", "buffers", "animations", "nodes", "meshes", "skins", "scenes")
 """lists of the document in which every entry must be an object"""
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -330,11 +329,9 @@ def _choose_segment(upper_segment: str, bone: int, arm_carriers: set[int]) -> st
     return "neck" if upper_segment == "spine" and arm_carriers and bone not in arm_carriers else upper_segment
 
 
-MIN_BODY_NODES = 12
-"""of a file without skin: fewer nodes form no body"""
+MIN_BODY_NODES = 12  # of a file without skin: fewer nodes form no body
 MAX_BONES = 5_000
-GLTF_SCALE_M = 1.0
-"""length of a unit of glTF in metres"""
+GLTF_SCALE_M = 1.0  # length of a unit of glTF in metres
 
 
 def is_gltf(head: bytes) -> bool:

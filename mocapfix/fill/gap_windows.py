@@ -224,8 +224,7 @@ class Gap(NamedTuple):
     speed_m_s: float
 
 
-Estimator = Callable[[Gap], list[GapEstimate]]
-"""Returns estimates of the marker of a gap, none where it has no estimate."""
+Estimator = Callable[[Gap], list[GapEstimate]]  # returns estimates of the marker of a gap, none where it has no estimate
 
 MAX_HIDDEN_STRETCHES = 12  # stretches that are hidden for one gap
 MIN_STRETCH_STARTS = 2  # first frames that must be possible for stretches of a length

@@ -202,7 +202,7 @@ def _draw_cells(
     pen.text((MARGIN_PX, MARGIN_PX / 2), title[0], INK, ImageFont.load_default(TITLE_PX))
     pen.text((MARGIN_PX, MARGIN_PX + TITLE_PX), title[1], INK, ImageFont.load_default(LABEL_PX))
     encoded = BytesIO()
-    sheet.quantize(MAX_COLOURS).save(encoded, "PNG", optimize=True)
+    sheet.quantize(MAX_COLOURS, Image.Quantize.FASTOCTREE).save(encoded, "PNG", optimize=True)
     return encoded.getvalue()
 
 
