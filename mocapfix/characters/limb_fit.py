@@ -111,10 +111,10 @@ CLEARANCE_SHARE, RISE_SHARE = 0.04, 0.3
 """Standard deviations of the height of a foot that swings, downwards and upwards, as shares of its height above the floor."""
 CONTACT_SPEED_SD = 0.0006  # of the speed of a displacement while the foot stands
 LEG_ACCELERATION_SD = 1.7  # of the acceleration of a displacement
-COURSE_SHARE = 0.5
-"""Share of the way from where a foot is placed by its ball to where it would be by its ankle, and of that from where the trunk is
-placed by the hips to where it would be by the shoulders, with which feet and pelvis accelerate. Feet and trunks of other lengths
-swing ankles and shoulders less so."""
+TRUNK_COURSE_SHARE, FOOT_COURSE_SHARE = 0.5, 0.8
+"""Share of the way from where the trunk is placed by the hips to where it would be by the shoulders, with which the pelvis
+accelerates, and of that from where an ankle is placed to where the directions of its leg's bones bring it, as a foot does.
+Trunks, legs and feet of other lengths swing less so."""
 LOWEST_PERCENTILE = 2.0  # of a foot's heights: the floor
 STANDING_HEIGHT, STANDING_SPEED = 0.03, 0.2
 """Height above the floor, in lengths of the leg, and speed, in these a second, up to which a foot stands without contacts."""
@@ -143,7 +143,7 @@ def fit_legs(
         np.mean([each[f"{side}_upper_arm"] - each[f"{side}_thigh"] for side in SIDES], axis=0)
         for each in (motion.position, start)
     ]
-    course[:, :3] = COURSE_SHARE * (scale * trunks[0] - trunks[1])
+    course[:, :3] = TRUNK_COURSE_SHARE * (scale * trunks[0] - trunks[1])
     limbs: list[tuple[Points, Points, Float[np.ndarray, " T"]]] = []
     for k, side in enumerate(SIDES, 1):
         ankle, ball = motion.position[f"{side}_foot"], motion.carry(f"{side}_foot", source.compute_ball(side))
@@ -158,9 +158,10 @@ def fit_legs(
             place_sd[direction, :, 3 * k + 1] = np.where(is_standing, FLOOR_SD, swing_sd)
         own = slice(3 * k, 3 * k + 3)
         speed_weight[:-1, own] = (is_standing[1:] & is_standing[:-1])[:, None] * (CONTACT_SPEED_SD * target.leg_length_m) ** -2
-        course[:, own] = COURSE_SHARE * (scale * ankle - kept.ankles[side])
         hip = motion.rotation["pelvis"] @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh"))
-        limbs.append((kept.ankles[side] - kept.pelvis - hip, *compute_wanted_limb(target, motion, side, LEG, 0.0)))
+        leg, (wanted, sd_m) = kept.ankles[side] - kept.pelvis - hip, compute_wanted_limb(target, motion, side, LEG, 0.0)
+        course[:, own] = FOOT_COURSE_SHARE * (wanted - leg)
+        limbs.append((leg, wanted, sd_m))
     displacement = np.zeros((count, 9))
     for _ in range(FIT_ROUNDS):
         information = (target.leg_length_m * np.where(displacement > 0, place_sd[1], place_sd[0])) ** -2
