@@ -149,24 +149,16 @@ def _compute_node_curves(
     tree = read_gltf_nodes(Path(character.source.path), content.document)
     place = {node: bone for bone, node in enumerate(nodes.tolist())}
     ordered = [node for node in tree.ordered if node in place]
-    bones = [place[node] for node in ordered]
-    parents, at_rest = np.full(len(nodes), -1), compute_bone_transforms(tree, ordered)
-    parents[bones] = [place.get(int(tree.parents[node]), -1) for node in ordered]
-    rest_position, rest_rotation = np.empty((len(nodes), 3)), np.empty((len(nodes), 3, 3))
-    rest_position[bones], rest_rotation[bones] = at_rest.positions, at_rest.rotations
-    rotations, positions = motion.local_rotations, {pelvis: motion.pelvis_position, **motion.positions}
-    if len(moved := np.flatnonzero(parents != character.skeleton.parents)):
-        local_positions, local_rotations = decompose_transforms(*compute_character_poses(character, motion), parents)
-        rotations = rotations.copy()
-        rotations[:, moved] = local_rotations[:, moved]
-        positions |= {bone: local_positions[:, bone] for bone in moved.tolist()}
-    is_kept = np.abs(rest_position - character.skeleton.offsets).max(1) < MIN_MOVED_OFFSET_M
-    for bone in set(np.flatnonzero(~is_kept).tolist()).difference(positions):
-        positions[bone] = np.tile(character.skeleton.offsets[bone], (motion.frame_count, 1))
-    difference = np.abs(rotations - rest_rotation).max(axis=(0, 2, 3), initial=0.0)
+    at_rest, order = compute_bone_transforms(tree, ordered), np.argsort([place[node] for node in ordered])
+    parents = np.array([place.get(int(tree.parents[node]), -1) for node in nodes])
+    local_positions, rotations = decompose_transforms(*compute_character_poses(character, motion), parents)
+    is_moved = np.abs(at_rest.positions[order] - character.skeleton.offsets).max(1) >= MIN_MOVED_OFFSET_M
+    is_moved |= parents != character.skeleton.parents
+    moved = {pelvis, *motion.positions, *np.flatnonzero(is_moved).tolist()}
+    difference = np.abs(rotations - at_rest.rotations[order]).max(axis=(0, 2, 3), initial=0.0)
     scales = np.where(parents < 0, character.root_scale, character.scales[parents])
     turning = sorted({*turning, *np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()})
-    return NodeCurves(rotations, turning, {bone: each / scales[bone] for bone, each in sorted(positions.items())})
+    return NodeCurves(rotations, turning, {bone: local_positions[:, bone] / scales[bone] for bone in sorted(moved)})
 
 
 def _replace_matrix(node: dict[str, Any]) -> None:
