@@ -22,6 +22,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, list_path
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.stats.sequences import select_farthest_rows
 
 COLUMNS, ROWS = 4, 2
 TAKE_LENGTH_M = 0.5  # the whole take counts as so much difference between two poses, so that the frames are spread over it
@@ -158,13 +159,8 @@ def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:
     """
     joints = poses.reshape(len(poses), -1) / np.sqrt(poses.shape[1])
     features = np.concatenate([joints, np.linspace(0.0, TAKE_LENGTH_M, len(poses))[:, None]], axis=1)
-    chosen = [int(poses[:, 0, 1].argmin())]
-    distances, apart = np.full(len(poses), np.inf), len(poses) // (4 * COLUMNS * ROWS)
-    while len(chosen) < min(COLUMNS * ROWS - 1, len(poses)):
-        distances = np.minimum(distances, np.linalg.norm(features - features[chosen[-1]], axis=1))
-        distances[max(chosen[-1] - apart + 1, 0) : chosen[-1] + apart] = 0.0
-        chosen.append(int(distances.argmax()))
-    return np.array(sorted(set(chosen)))
+    first, apart = int(poses[:, 0, 1].argmin()), max(len(poses) // (4 * COLUMNS * ROWS), 1)
+    return np.unique(select_farthest_rows(features, min(COLUMNS * ROWS - 1, len(poses)), first, apart))
 
 
 def build_views(left: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:

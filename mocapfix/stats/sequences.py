@@ -51,18 +51,20 @@ def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: i
     return np.sort(np.r_[near, spaced])
 
 
-def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int, first: int | None = None) -> list[int]:
+def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int, first: int | None = None, apart: int = 1) -> list[int]:
     """Return the indices of rows that differ most: a first one, then each that is farthest from those before it.
 
     Args:
         count: At least one is returned, and at most N are different.
         first: The first one, by default the one nearest to the mean.
+        apart: Least difference of two indices, as far as possible.
     """
     chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin()) if first is None else first]
     nearest = np.full(len(values), np.inf)
     while len(chosen) < count:
         nearest = np.minimum(nearest, np.linalg.norm(values - values[chosen[-1]], axis=1))
-        nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
+        # never selected again, even if all other distances are 0
+        nearest[max(chosen[-1] - apart + 1, 0) : chosen[-1] + apart] = -1.0
         chosen.append(int(nearest.argmax()))
     return chosen
 
