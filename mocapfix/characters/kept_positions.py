@@ -106,6 +106,7 @@ class KeptPositions:
 
     pelvis: Points  # the head of the pelvis bone
     ankles: dict[str, Points]  # by side
+    clearances_m: dict[str, Float[np.ndarray, " T"]]  # by side: of the sole of the mesh above the floor; none without a mesh
 
 
 def compute_kept_positions(
@@ -124,7 +125,7 @@ def compute_kept_positions(
         ball = motion.carry(f"{side}_foot", source.compute_ball(side))
         kept = scale_positions(ball, scale, floor_height_m + flat.ball_height_m, target.ball_height_m)
         ankles[side] = kept - motion.rotation[f"{side}_foot"] @ flat.inclination.T @ target.compute_ball(side)
-    return KeptPositions(hips - motion.rotation["pelvis"] @ target.hip_centre, ankles)
+    return KeptPositions(hips - motion.rotation["pelvis"] @ target.hip_centre, ankles, {})
 
 
 SETTLING_S = 0.06  # before and after a contact in which a foot comes to the floor or leaves it, and its standard deviation
@@ -177,7 +178,8 @@ def settle_soles(
 
     if contacts is None:
         return kept, motion
-    ankles, rotations, scale = dict(kept.ankles), dict(motion.rotation), target.leg_length_m / source.leg_length_m
+    ankles, rotations, clearances_m = dict(kept.ankles), dict(motion.rotation), dict[str, Float[np.ndarray, " T"]]()
+    scale = target.leg_length_m / source.leg_length_m
     for side in SIDES:
         foot, toe = f"{side}_foot", f"{side}_toe"
         sole, toe_sole, ball = target.compute_sole(foot), target.compute_sole(toe), target.compute_ball(side)
@@ -187,15 +189,16 @@ def settle_soles(
         level = scale * (place[:, 1] - contacts.floor.compute_height_above(place) - contacts.floor.height_m)
         contact = spread_contact(contacts.find_foot_contact(side), contacts.rate)
         upward, free = motion.rotation[foot][:, 1], kept.ankles[side][:, 1] - level
-        height = free
+        height, lowest = free, free
         for _ in range(SETTLING_ROUNDS if len(toe_sole) else 1):
             rotations[toe] = bend_toe(motion.rotation[toe], toe_sole, height + upward @ ball)
             lowest = (upward @ sole.T).min(1)
             if len(toe_sole):
                 lowest = np.minimum(lowest, upward @ ball + (rotations[toe][:, 1] @ toe_sole.T).min(1))
             height = free + np.maximum(-free - lowest, 0.0) - contact * np.maximum(free + lowest, 0.0)
-        ankles[side] = ankles[side] + gaussian_filter1d(height - free, LIFT_S * contacts.rate)[:, None] * UPWARD
-    return replace(kept, ankles=ankles), replace(motion, rotation=rotations)
+        lift = gaussian_filter1d(height - free, LIFT_S * contacts.rate)
+        ankles[side], clearances_m[side] = ankles[side] + lift[:, None] * UPWARD, free + lift + lowest
+    return KeptPositions(kept.pelvis, ankles, clearances_m), replace(motion, rotation=rotations)
 
 
 def bend_toe(rotation: Rotations, sole: Float[np.ndarray, "P 3"], height: Float[np.ndarray, " T"]) -> Rotations:

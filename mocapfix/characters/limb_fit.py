@@ -139,6 +139,7 @@ def fit_legs(
     leg_m, scale, count = source.leg_length_m, target.leg_length_m / source.leg_length_m, len(kept.pelvis)
     speed_weight, course, place_sd = np.zeros((count, 9)), np.zeros((count, 9)), np.full((2, count, 9), FOOT_PLACE_SD)
     place_sd[:, :, :3] = PELVIS_PLACE_SD
+    lowest, is_sunk = np.full((count, 9), -np.inf), np.zeros((count, 9), bool)
     trunks = [
         np.mean([each[f"{side}_upper_arm"] - each[f"{side}_thigh"] for side in SIDES], axis=0)
         for each in (motion.position, start)
@@ -156,6 +157,7 @@ def fit_legs(
         for direction, share in enumerate((CLEARANCE_SHARE, RISE_SHARE)):
             swing_sd = np.clip(share * height / leg_m, FLOOR_SD, FOOT_PLACE_SD)
             place_sd[direction, :, 3 * k + 1] = np.where(is_standing, FLOOR_SD, swing_sd)
+        lowest[:, 3 * k + 1] = -kept.clearances_m.get(side, np.inf)
         own = slice(3 * k, 3 * k + 3)
         speed_weight[:-1, own] = (is_standing[1:] & is_standing[:-1])[:, None] * (CONTACT_SPEED_SD * target.leg_length_m) ** -2
         hip = motion.rotation["pelvis"] @ target.compute_vector("pelvis", target.find_head(f"{side}_thigh"))
@@ -164,13 +166,15 @@ def fit_legs(
         limbs.append((leg, wanted, sd_m))
     displacement = np.zeros((count, 9))
     for _ in range(FIT_ROUNDS):
-        information = (target.leg_length_m * np.where(displacement > 0, place_sd[1], place_sd[0])) ** -2
-        problem = DisplacementProblem(information[:, :, None] * np.eye(9), np.zeros((count, 9)))
+        is_sunk |= displacement < lowest
+        sd = np.where(is_sunk, FLOOR_SD, np.where(displacement > 0, place_sd[1], place_sd[0]))
+        information = (target.leg_length_m * sd) ** -2
+        problem = DisplacementProblem(information[:, :, None] * np.eye(9), information * np.where(is_sunk, lowest, 0.0))
         for k, (leg, wanted, sd_m) in enumerate(limbs, 1):
             problem.add_limb({k: 1, 0: -1}, leg, displacement[:, 3 * k : 3 * k + 3] - displacement[:, :3], wanted, sd_m)
         displacement = problem.solve(speed_weight, course, LEG_ACCELERATION_SD * target.leg_length_m, rate)
     ankles = {side: kept.ankles[side] + displacement[:, 3 * k : 3 * k + 3] for k, side in enumerate(SIDES, 1)}
-    return KeptPositions(kept.pelvis + displacement[:, :3], ankles)
+    return replace(kept, pelvis=kept.pelvis + displacement[:, :3], ankles=ankles)
 
 
 HAND_PLACE_SHARE = 0.5

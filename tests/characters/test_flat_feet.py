@@ -64,7 +64,7 @@ def test_feet_that_roll_in_contacts_roll_less_about_their_balls(standing):
     segments = compute_segment_motion(frame, motion)
     rolled = Rotation.from_euler("z", 4.0, degrees=True).as_matrix()
     segments = replace(segments, rotation={**segments.rotation, "left_foot": np.tile(rolled, (FRAMES, 1, 1))})
-    kept = KeptPositions(np.zeros((FRAMES, 3)), {side: segments.position[f"{side}_foot"] for side in SIDES})
+    kept = KeptPositions(np.zeros((FRAMES, 3)), {side: segments.position[f"{side}_foot"] for side in SIDES}, {})
     rested, turned = rest_feet(frame, kept, segments, contacts)
     roll = Rotation.from_matrix(turned.rotation["left_foot"]).as_euler("zxy", degrees=True)
     np.testing.assert_allclose(roll, np.tile([(1 - LEVEL_SHARE) * 4.0, 0.0, 0.0], (FRAMES, 1)), atol=0.01)

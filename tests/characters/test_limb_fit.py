@@ -201,6 +201,23 @@ def test_a_foot_in_contact_keeps_its_displacement():
     assert np.abs(displacement[40:80, 1]).max() < 0.002
 
 
+def test_a_sole_that_would_be_in_the_floor_is_lifted_above_it():
+    character, motion = load_walk()
+    frames = build_body_frame(character), build_body_frame(scale_limbs(character, legs=1.3))
+    segments = compute_segment_motion(frames[0], motion)
+    kept = compute_kept_positions(*frames, segments, measure_flat_feet(frames[0], segments, None))
+    highest = 60 + int(np.argmax(kept.ankles["left"][60:120, 1]))
+    clearance = 0.02 - 0.04 * np.exp(-(((np.arange(motion.frame_count) - highest) / 8.0) ** 2))  # 20 mm in the floor there
+    free, held = (
+        fit_legs(frames, segments, replace(kept, clearances_m=each), segments.position, None, RATE).ankles["left"]
+        for each in ({}, {"left": clearance})
+    )
+    height = kept.ankles["left"][:, 1]
+    assert (free[:, 1] - height + clearance).min() < -0.01
+    assert (held[:, 1] - height + clearance).min() > -0.004
+    assert np.abs(held - free)[180:].max() < 1e-3
+
+
 def build_floor(character, motion, clearance_m: float) -> Floor:
     """Return a floor so far below the lowest place of the left palm."""
     source = build_body_frame(character)
