@@ -85,7 +85,7 @@ def repair_animation(
 
 
 MAX_TRIALS = 4  # sound stretches in which the damage of a fault is repeated
-MIN_TRIALS = 3  # sound stretches without which the predicted error decides alone
+MIN_TRIALS = 3  # sound stretches without which no other method is chosen
 TRIAL_MARGIN_S = 0.1  # sound time on either side of a stretch
 NEGLIGIBLE_DIFFERENCE = 2e-4  # radians or metres; at the end of a limb of 0.5 m a tenth of a millimetre
 """A difference from the interpolation that counts as none; it is added to errors before they are compared."""
@@ -130,7 +130,7 @@ def choose_estimate(
             errors.append([_compare(each.values, track[stretch.frames], parents) for each in tried])
             weights.append(weight)
     if len(errors) < MIN_TRIALS:
-        return estimates[-1 if is_different(estimates[-1], estimates[0].values, parents, CLEAR_DIFFERENCE_RATIO) else 0]
+        return estimates[-1]
     error_log = np.log(np.array(errors) + NEGLIGIBLE_DIFFERENCE)
     ratio_log = error_log - error_log[:, :1]
     mean = np.average(ratio_log, axis=0, weights=weights)

@@ -156,7 +156,7 @@ def build_estimates(span: FrameSpan, offsets_m: tuple[float, ...], sd_m: float) 
 
 
 @pytest.mark.parametrize(("sd_m", "method"), [(0.01, RepairMethod.OFFSET_REMOVED), (0.03, RepairMethod.GAP_INTERPOLATED)])
-def test_take_too_short_to_try_methods_is_repaired_by_a_method_that_clearly_differs_from_the_interpolation(sd_m, method):
+def test_take_too_short_to_try_methods_is_repaired_by_a_method_that_differs_from_the_interpolation_by_its_error(sd_m, method):
     def estimate(span: FrameSpan) -> list[SpanEstimate]:
         return build_estimates(span, (0.0, 0.02), sd_m)
 
