@@ -124,9 +124,9 @@ class BodyFrame:
             return tail
         return leg_length_m * np.array([0.0, DEFAULT_BALL_HEIGHT - DEFAULT_ANKLE_HEIGHT, DEFAULT_FOOT_LENGTH])
 
-    def compute_sole(self, segment: str) -> Float[np.ndarray, "P 3"]:
-        """Return the points of the sole of a foot or toe from its beginning, in its axes, in metres; none without a mesh."""
-        points = self.character.soles.get(segment, np.zeros((0, 3)))
+    def compute_hull(self, segment: str) -> Float[np.ndarray, "P 3"]:
+        """Return `Character.hulls` of a segment from its beginning, in its axes, in metres; none without a mesh."""
+        points = self.character.hulls.get(segment, np.zeros((0, 3)))
         return np.array([self.compute_vector(segment, point) for point in points]).reshape(-1, 3)
 
     def compute_palm(self, side: str) -> Float[np.ndarray, " 3"]:

@@ -182,7 +182,7 @@ def settle_soles(
     scale = target.leg_length_m / source.leg_length_m
     for side in SIDES:
         foot, toe = f"{side}_foot", f"{side}_toe"
-        sole, toe_sole, ball = target.compute_sole(foot), target.compute_sole(toe), target.compute_ball(side)
+        sole, toe_sole, ball = target.compute_hull(foot), target.compute_hull(toe), target.compute_ball(side)
         if not len(sole):
             continue
         place = motion.carry(foot, source.compute_ball(side))

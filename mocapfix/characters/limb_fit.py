@@ -281,8 +281,9 @@ def compute_pushes(
 ) -> dict[str, Points]:
     """Return by segment how far the targets of pelvis and hands must move to keep parts out of the floor and palms off the body.
 
-    A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests. Elbows, knees, hips and the
-    head move with the pelvis. The direction in which a palm is pushed is smooth too: it turns fast where a hand passes a part.
+    A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests; the mesh of a hand is above the
+    floor. Elbows, knees, hips and the head move with the pelvis. The direction in which a palm is pushed is smooth too: it turns
+    fast where a hand passes a part.
 
     Args:
         frames: Source and target.
@@ -303,6 +304,8 @@ def compute_pushes(
             continue
         least = np.minimum(ground.compute_height_above(bodies[0][name]), resting * source.leg_length_m)
         height = ground.compute_height_above(bodies[1][name] / scale + [0.0, ground.height_m, 0.0])
+        if len(mesh := target.compute_hull(name)):  # it is as deep as it is when the hand is turned as the source's
+            least = np.minimum(least, 0.0) - (motion.rotation[name][:, 1] @ mesh.T).min(axis=1) / scale
         moved = f"{side}_hand" if part in ("hand", "palm") else "pelvis"
         rises[moved] = np.maximum(rises.get(moved, 0.0), scale * (least - height))
     pushes = {name: spread_push(rise, rate)[:, None] * UPWARD for name, rise in rises.items()}

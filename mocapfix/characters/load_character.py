@@ -306,25 +306,30 @@ def stand_on_soles(character: Character) -> Character | None:
     lowered = np.array([0.0, -float(np.mean(heights)), 0.0])
     offsets[pelvis] += lowered if above < 0 else world[above].T @ lowered
     standing = replace(character, skeleton=replace(skeleton, offsets=offsets, rest_rotations=rotations), has_feet_flat=True)
-    return replace(standing, soles=find_soles(standing))
+    return replace(standing, hulls=find_hulls(standing))
 
 
-def find_soles(character: Character) -> dict[str, Float[np.ndarray, "P 3"]]:
-    """Return by segment the vertices of feet and toes that touch the floor first when the foot is inclined in any direction."""
+def find_hulls(character: Character) -> dict[str, Float[np.ndarray, "P 3"]]:
+    """Return by segment the vertices of feet, toes and hands that touch the floor first when these are inclined in any direction.
+
+    What a hand holds is fixed to a bone, beside the skin of the hand, and does not count.
+    """
     vertices, bones, parents = compute_skin_vertices(character), character.mapping.bones, character.skeleton.parents
-    directions = -Rotation.from_euler("xz", SOLE_INCLINATIONS_DEG, degrees=True).as_matrix()[:, 1] @ compute_facing(character).T
-    carriers = {chain[0]: segment for segment, chain in bones.items() if segment.endswith(("foot", "toe"))}
+    directions = -Rotation.from_euler("xz", INCLINATIONS_DEG, degrees=True).as_matrix()[:, 1] @ compute_facing(character).T
+    carriers = {chain[0]: segment for segment, chain in bones.items() if segment.endswith(("foot", "toe", "hand"))}
     is_end = np.isin(np.arange(len(parents)), list(carriers))
     carrier = np.array([bone if is_end[bone] else find_ancestor(bone, parents, is_end) for bone in range(len(parents))])
-    soles: dict[str, Float[np.ndarray, "P 3"]] = {}
+    hulls: dict[str, Float[np.ndarray, "P 3"]] = {}
     for bone, segment in carriers.items():
-        points = vertices.positions[carrier[vertices.bones] == bone]
+        is_own = carrier[vertices.bones] == bone
+        is_skin = is_own & vertices.is_weighted
+        points = vertices.positions[is_skin if segment.endswith("hand") and is_skin.any() else is_own]
         if len(points):
-            soles[segment] = points[np.unique((points @ directions.T).argmax(0))]
-    return soles
+            hulls[segment] = points[np.unique((points @ directions.T).argmax(0))]
+    return hulls
 
 
-SOLE_INCLINATIONS_DEG = np.array([[pitch, roll] for pitch in range(-80, 81, 10) for roll in range(-40, 41, 10)], float)
+INCLINATIONS_DEG = np.array([[pitch, roll] for pitch in range(-180, 180, 10) for roll in range(-80, 81, 10)], float)
 
 
 def _level_sole(points: Float[np.ndarray, "V 3"], along: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:

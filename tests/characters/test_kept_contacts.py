@@ -92,7 +92,7 @@ def test_soles_of_the_mesh_stand_on_the_floor_and_never_pass_it(contacts, has_to
     for toe, place in tips.items():
         carrier = toe if has_toes else toe.replace("toe", "foot")
         soles[carrier] = np.concatenate([soles.get(carrier, np.zeros((0, 3))), place + widths])
-    target = replace(target, soles=soles)
+    target = replace(target, hulls=soles)
     positions, rotations = compute_character_poses(target, retarget_motion(character, motion, target, contacts=contacts))
     _, axes = target.skeleton.compute_rest_pose()
     feet = resample_foot_contacts(contacts, motion.frame_count, motion.rate)

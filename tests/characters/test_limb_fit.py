@@ -249,6 +249,21 @@ def test_a_hand_below_the_floor_is_pushed_up_to_where_it_rests():
     assert np.abs(nothing["left_hand"][lowest, 1]) < 0.05
 
 
+def test_the_mesh_of_a_hand_is_pushed_out_of_the_floor():
+    """A vertex at the end of the fingers is 200 mm from the wrist, which comes within 100 mm of the floor."""
+    character, motion = load_walk()
+    wrist = character.skeleton.rest_positions[character.mapping.bones["left_hand"][0]]
+    source = build_body_frame(character)
+    target = build_body_frame(replace(character, hulls={"left_hand": wrist + [[0.2, 0.0, 0.0]]}))
+    segments = compute_segment_motion(source, motion)
+    lowest_m = float(segments.position["left_hand"][:, 1].min()) - 0.1
+    solved = {name: place - [0.0, lowest_m, 0.0] for name, place in segments.position.items()}  # with the floor at height 0
+    push = compute_pushes((source, target), segments, solved, Floor(0.0, 0.0, (lowest_m,)), motion.rate)["left_hand"]
+    vertex = solved["left_hand"] + push + segments.rotation["left_hand"] @ target.compute_hull("left_hand")[0]
+    assert (vertex - push)[:, 1].min() < -0.03
+    assert vertex[:, 1].min() > -1e-6
+
+
 def test_a_push_begins_and_ends_smoothly_and_covers_what_is_needed():
     push = np.zeros(240)
     push[120:130] = 0.2
