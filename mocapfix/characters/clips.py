@@ -70,11 +70,7 @@ MAX_DIFFERENCE_RATIO = 0.7  # of a whole stride's ends to those of another clip:
 
 
 def name_whole_stride(character: Character, motion: CharacterMotion, frames: slice) -> str:
-    """Return a sentence on the frame near the last of a clip that is more like its first, "" if none is.
-
-    Args:
-        motion: The whole motion, of which `frames` are the clip.
-    """
+    """Return a sentence on the frame near the last of some frames of a motion that is more like the first, "" if none is."""
     first, stop, _ = frames.indices(motion.frame_count)
     bones = {bone for chain in character.mapping.bones.values() for bone in chain} - {character.mapping.bones["pelvis"][0]}
     poses = motion.local_rotations[:, sorted(bones)]
@@ -88,7 +84,9 @@ def name_whole_stride(character: Character, motion: CharacterMotion, frames: sli
     if difference[stop - 1 + shift] >= MAX_DIFFERENCE_RATIO * difference[stop - 1]:
         return ""
     when = f"{abs(shift) / motion.rate:.2f} s ({abs(shift)} frames) {'later' if shift > 0 else 'earlier'}"
-    return f"The loop is no whole stride: one ends {when}; move the end of --trim there."
+    return (
+        f"The last frame is less like the first than the one {when}, where a whole stride may end; move the end of --trim there."
+    )
 
 
 def _measure_step(path: FloorPath) -> CycleStep:
