@@ -127,7 +127,7 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     return SolveTree(solved, bones, free, standard, frame.leg_length_m)
 
 
-ANKLE_SD, WRIST_SD, PELVIS_SD = 0.0004, 0.005, 0.007
+ANKLE_SD, WRIST_SD, PELVIS_SD = 0.0004, 0.005, 0.005
 """Standard deviations of positions about their targets, in lengths of the leg."""
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
