@@ -106,7 +106,7 @@ def compute_wanted_limb(
 
 
 PELVIS_PLACE_SD, FOOT_PLACE_SD = 0.1, 0.3  # standard deviations of pelvis and feet about their scaled places
-FLOOR_SD = 0.0006  # of the height of a foot that stands
+FLOOR_SD, SUNK_SD = 0.0006, 0.002  # of the height of a foot that stands, and of one whose sole would swing through the floor
 CLEARANCE_SHARE, RISE_SHARE = 0.04, 0.3
 """Standard deviations of the height of a foot that swings, downwards and upwards, as shares of its height above the floor."""
 CONTACT_SPEED_SD = 0.0006  # of the speed of a displacement while the foot stands
@@ -167,7 +167,7 @@ def fit_legs(
     displacement = np.zeros((count, 9))
     for _ in range(FIT_ROUNDS):
         is_sunk |= displacement < lowest
-        sd = np.where(is_sunk, FLOOR_SD, np.where(displacement > 0, place_sd[1], place_sd[0]))
+        sd = np.where(is_sunk, SUNK_SD, np.where(displacement > 0, place_sd[1], place_sd[0]))
         information = (target.leg_length_m * sd) ** -2
         problem = DisplacementProblem(information[:, :, None] * np.eye(9), information * np.where(is_sunk, lowest, 0.0))
         for k, (leg, wanted, sd_m) in enumerate(limbs, 1):
