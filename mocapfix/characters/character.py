@@ -77,7 +77,7 @@ class Character:
     rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))  # to axes with Y up
     has_feet_flat: bool = True  # whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical
     source: "CharacterSource | None" = None  # the file it was read from, None for a preset
-    # of feet, toes and hands P points of the mesh of which one touches the floor first, in the world in the rest pose, in m
+    # of feet, toes, hands and head P points of the mesh of which one touches the floor first, in the rest pose in the world, m
     hulls: Mapping[str, Float[np.ndarray, "P 3"]] = field(default_factory=dict)
 
     @property

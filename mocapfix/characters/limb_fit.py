@@ -273,17 +273,19 @@ RESTING_HEIGHTS = {"palm": 0.035, "hand": 0.035, "forearm": 0.045, "shin": 0.055
 """Heights above the floor, in lengths of the leg, of a palm, and of where segments begin, of a person who rests them there."""
 RESTING_DISTANCES = {LEG_PARTS[0]: 0.25, LEG_PARTS[1]: 0.25, ("hips", "shoulders"): 0.31}
 """Distances of a palm from the axes of thighs and trunk, in lengths of the trunk, of a person whose hand rests there."""
-PUSH_S = 0.1  # time before and after a push for which its largest value is held, and in which it ends
+FREE_HEIGHT = 0.3  # height of a wrist or ankle, in lengths of the leg, from which it moves with a body that is lifted
+PUSH_ACCELERATION = 12.0  # of a push, in lengths of the leg per square second
+PUSH_S = 0.1  # time before and after a frame over which directions of pushes are averaged
 
 
 def compute_pushes(
     frames: tuple[BodyFrame, BodyFrame], motion: SegmentMotion, solved: Mapping[str, Points], floor: Floor, rate: float
 ) -> dict[str, Points]:
-    """Return by segment how far the targets of pelvis and hands must move to keep parts out of the floor and palms off the body.
+    """Return by segment how far pelvis, hands and feet must move to keep parts out of the floor and palms off the body.
 
-    A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests; the mesh of a hand is above the
-    floor. Elbows, knees, hips and the head move with the pelvis. The direction in which a palm is pushed is smooth too: it turns
-    fast where a hand passes a part.
+    A part may be as low, and a palm as near, as that of the source, scaled, or as where it rests; meshes of hands and head are
+    above the floor. All but hands move with the pelvis, as far as feet on the floor let it; free hands and feet move along. The
+    direction in which a palm is pushed is smooth too: it turns fast where a hand passes a part.
 
     Args:
         frames: Source and target.
@@ -308,7 +310,21 @@ def compute_pushes(
             least = np.minimum(least, 0.0) - (motion.rotation[name][:, 1] @ mesh.T).min(axis=1) / scale
         moved = f"{side}_hand" if part in ("hand", "palm") else "pelvis"
         rises[moved] = np.maximum(rises.get(moved, 0.0), scale * (least - height))
-    pushes = {name: spread_push(rise, rate)[:, None] * UPWARD for name, rise in rises.items()}
+    leg_m, limbs = target.leg_length_m, dict[str, tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]()
+    for side, limb in product(SIDES, (LEG, ARM)):
+        start, *_, end = names = [f"{side}_{segment}" for segment in limb]
+        if end in solved:  # how much of a lift it shares, and how far its limb begins below where it would be straight
+            resting_m = target.ankle_height_m if limb is LEG else RESTING_HEIGHTS["hand"] * leg_m
+            height = np.clip((solved[end][:, 1] - resting_m) / (FREE_HEIGHT * leg_m), 0.0, 1.0)
+            across, up, along = (solved[end] - solved[start]).T
+            straight = np.sqrt(np.maximum(target.compute_way(names) ** 2 - across**2 - along**2, 0.0))
+            limbs[end] = height * height * (3.0 - 2.0 * height), np.maximum(up + straight, 0.0)
+    held = [limbs[f"{side}_foot"][1] / np.maximum(1.0 - limbs[f"{side}_foot"][0], MIN_LENGTH_M) for side in SIDES]
+    lift = spread_push(np.min([rises.pop("pelvis"), *held], axis=0), rate, leg_m)
+    for end, (share, reserve) in limbs.items():
+        rises[end] = np.maximum(rises.get(end, 0.0), lift * share + np.maximum(lift * (1.0 - share) - reserve, 0.0))
+    pushes = {name: spread_push(rise, rate, leg_m)[:, None] * UPWARD for name, rise in rises.items()}
+    pushes["pelvis"] = lift[:, None] * UPWARD
     for side, (ends, resting) in product(SIDES, RESTING_DISTANCES.items()):
         if all(f"{side}_palm" in body for body in bodies):
             vectors = [find_nearest_points(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
@@ -316,7 +332,7 @@ def compute_pushes(
             missing = trunk_scale * np.minimum(distance, resting * source.trunk_length_m) - reached
             outward = smooth_values(vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None], rate)
             outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_LENGTH_M)
-            push = spread_push(np.maximum(missing, 0.0), rate)[:, None] * outward
+            push = spread_push(missing, rate, leg_m)[:, None] * outward
             pushes[f"{side}_hand"] = pushes.get(f"{side}_hand", 0.0) + push
     return pushes
 
@@ -332,11 +348,19 @@ def _add_points(frame: BodyFrame, motion: SegmentMotion, position: Mapping[str, 
     return points
 
 
-def spread_push(push: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarray, " T"]:
-    """Return what is nowhere less than a push, and begins before it and ends after it, smoothly."""
-    from scipy.ndimage import maximum_filter1d  # slow to import
+def spread_push(push: Float[np.ndarray, " T"], rate: float, length_m: float) -> Float[np.ndarray, " T"]:
+    """Return what is nowhere less than a push in metres, and begins and ends smoothly.
 
-    return smooth_values(maximum_filter1d(push, 2 * round(PUSH_S * rate) + 1, mode="nearest"), rate)
+    The joint in the middle of a straight limb moves aside as the root of what the limb becomes shorter. So the root of the push
+    is spread: dilated by a parabola and closed by it (Serra 1982), its acceleration is nowhere larger than PUSH_ACCELERATION.
+    """
+    from scipy.ndimage import grey_dilation, grey_erosion  # slow to import
+
+    root = np.sqrt(np.maximum(push, 0.0) / length_m)
+    reach = int(np.ceil(2.0 * np.sqrt(root.max(initial=0.0) / PUSH_ACCELERATION) * rate)) + 1
+    fall = -0.5 * PUSH_ACCELERATION * (np.arange(-reach, reach + 1) / rate) ** 2
+    dilated = np.maximum(grey_dilation(root, structure=fall / 2, mode="nearest"), 0.0)
+    return length_m * np.maximum(grey_erosion(dilated, structure=fall, mode="nearest"), 0.0) ** 2
 
 
 def smooth_values(values: Float[np.ndarray, "T ..."], rate: float) -> Float[np.ndarray, "T ..."]:

@@ -310,13 +310,13 @@ def stand_on_soles(character: Character) -> Character | None:
 
 
 def find_hulls(character: Character) -> dict[str, Float[np.ndarray, "P 3"]]:
-    """Return by segment the vertices of feet, toes and hands that touch the floor first when these are inclined in any direction.
+    """Return by segment the vertices of feet, toes, hands and head that touch the floor first, inclined in any direction.
 
     What a hand holds is fixed to a bone, beside the skin of the hand, and does not count.
     """
     vertices, bones, parents = compute_skin_vertices(character), character.mapping.bones, character.skeleton.parents
     directions = -Rotation.from_euler("xz", INCLINATIONS_DEG, degrees=True).as_matrix()[:, 1] @ compute_facing(character).T
-    carriers = {chain[0]: segment for segment, chain in bones.items() if segment.endswith(("foot", "toe", "hand"))}
+    carriers = {chain[0]: segment for segment, chain in bones.items() if segment.endswith(("foot", "toe", "hand", "head"))}
     is_end = np.isin(np.arange(len(parents)), list(carriers))
     carrier = np.array([bone if is_end[bone] else find_ancestor(bone, parents, is_end) for bone in range(len(parents))])
     hulls: dict[str, Float[np.ndarray, "P 3"]] = {}

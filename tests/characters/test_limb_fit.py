@@ -11,6 +11,7 @@ from mocapfix.characters.character import CharacterMotion, compute_character_pos
 from mocapfix.characters.kept_positions import compute_kept_positions, measure_flat_feet
 from mocapfix.characters.limb_fit import (
     NEAR_DISTANCE,
+    PUSH_ACCELERATION,
     TOUCH_DISTANCE,
     DisplacementProblem,
     compute_nearness,
@@ -230,7 +231,7 @@ def test_nothing_is_pushed_that_is_where_the_source_is():
     source = build_body_frame(character)
     segments = compute_segment_motion(source, motion)
     pushes = compute_pushes((source, source), segments, segments.position, Floor(0.0, 0.0, (0.0,)), motion.rate)
-    assert set(pushes) == {"pelvis", "left_hand", "right_hand"}
+    assert set(pushes) == {"pelvis", "left_hand", "right_hand", "left_foot", "right_foot"}
     assert max(np.abs(push).max() for push in pushes.values()) < 1e-9
 
 
@@ -265,13 +266,26 @@ def test_the_mesh_of_a_hand_is_pushed_out_of_the_floor():
 
 
 def test_a_push_begins_and_ends_smoothly_and_covers_what_is_needed():
-    push = np.zeros(240)
-    push[120:130] = 0.2
-    spread = spread_push(push, 120.0)
+    push = np.zeros(480)
+    push[240:250] = 0.2
+    spread = spread_push(push, 120.0, 0.9)
     assert (spread >= push - 1e-12).all()
     assert spread.max() == pytest.approx(0.2)
-    assert spread[:90].max() == spread[160:].max() == 0.0
-    assert np.abs(np.diff(spread, 2)).max() * 120.0**2 < 40.0
+    assert spread[:150].max() == spread[340:].max() == 0.0
+    assert np.abs(np.diff(np.sqrt(spread / 0.9), 2)).max() * 120.0**2 < 1.01 * PUSH_ACCELERATION
+
+
+@pytest.mark.parametrize(("height_m", "lift_m"), [(1.0, 0.3), (0.0, 0.02)])
+def test_a_head_in_the_floor_lifts_the_body_as_far_as_feet_on_the_floor_let_it(height_m, lift_m):
+    character, motion = load_walk()
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    solved = {name: place + [0.0, height_m, 0.0] for name, place in segments.position.items()}
+    solved["head"][60, 1] = 0.11 * frame.leg_length_m - 0.3
+    pushes = compute_pushes((frame, frame), segments, solved, Floor(0.0, 0.0, (0.0,)), motion.rate)
+    assert pushes["pelvis"][60, 1] == pytest.approx(lift_m, abs=0.02)
+    for end in ("left_hand", "right_hand", "left_foot", "right_foot") if height_m else ():
+        assert pushes[end][60, 1] == pytest.approx(lift_m, abs=0.02)
 
 
 def test_a_palm_that_passes_a_thigh_is_pushed_off_it_without_a_jump():
