@@ -215,7 +215,7 @@ def test_a_sole_that_would_be_in_the_floor_is_lifted_above_it():
     )
     height = kept.ankles["left"][:, 1]
     assert (free[:, 1] - height + clearance).min() < -0.01
-    assert (held[:, 1] - height + clearance).min() > -0.004
+    assert (held[:, 1] - height + clearance).min() > -0.005
     assert np.abs(held - free)[180:].max() < 1e-3
 
 
