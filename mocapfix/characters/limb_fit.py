@@ -167,7 +167,8 @@ def fit_legs(
     displacement = np.zeros((count, 9))
     for _ in range(FIT_ROUNDS):
         is_sunk |= displacement < lowest
-        sd = np.where(is_sunk, SUNK_SD, np.where(displacement > 0, place_sd[1], place_sd[0]))
+        sunk_sd = np.where(place_sd[0] > FLOOR_SD, SUNK_SD, FLOOR_SD)
+        sd = np.where(is_sunk, sunk_sd, np.where(displacement > 0, place_sd[1], place_sd[0]))
         information = (target.leg_length_m * sd) ** -2
         problem = DisplacementProblem(information[:, :, None] * np.eye(9), information * np.where(is_sunk, lowest, 0.0))
         for k, (leg, wanted, sd_m) in enumerate(limbs, 1):
