@@ -39,7 +39,7 @@ from mocapfix.solve.measured_segments import (
     measure_residual_growth,
     smooth_share,
 )
-from mocapfix.solve.minimise import minimise
+from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.stats.sequences import find_runs
 
@@ -159,13 +159,15 @@ def displace_feet(
     points = build_foot_targets(feet, target)
     if markers is not None:
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
-    step = solve_legs(skeleton, moving, points)[0] - moving.root_position
+    free = solve_legs(skeleton, moving, points, (moving.root_position, moving.local_rotations))
+    step = free[0] - moving.root_position
     ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
     step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
     moving = replace(moving, root_position=moving.root_position + step)
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[frames] = moving.root_position
-    local_rotations[frames, 1:] = solve_legs(skeleton, moving, points, root_share=FIXED_ROOT_SHARE)[1][:, 1:]
+    fixed = solve_legs(skeleton, moving, points, (moving.root_position, free[1]), root_share=FIXED_ROOT_SHARE)
+    local_rotations[frames, 1:] = fixed[1][:, 1:]
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
 
 
@@ -189,16 +191,18 @@ def add_leg_markers(
     return PointTerm(joints, offsets, np.ascontiguousarray(measured), np.ascontiguousarray(weights))
 
 
-def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, *, root_share: float = 1.0) -> Poses:
-    """Return poses whose legs place joints and markers where these shall be."""
-    frame_count, joint_count = motion.local_rotations.shape[:2]
-    is_free = np.isin(np.arange(joint_count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
-    weight = np.full((frame_count, joint_count), LEG_ROTATION_SD_RAD**-2)
+def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, start: Poses, *, root_share: float = 1.0) -> Poses:
+    """Return poses near those of a motion whose legs place joints and markers where these shall be."""
+    frame_count, count = motion.frame_count, int(points.joints.max()) + 1  # joints after the legs' only follow the root
+    is_free = np.isin(np.arange(count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
+    weight = np.full((frame_count, count), LEG_ROTATION_SD_RAD**-2)
     weight[:, 0] = (root_share * ROOT_ROTATION_SD_RAD) ** -2
     root_weight = np.full(frame_count, (root_share * ROOT_SD_M) ** -2)
-    tracking = TrackingTerm(motion.local_rotations, weight, motion.root_position, root_weight)
-    tree = KinematicTree(skeleton.parents, skeleton.offsets, is_free)
-    return minimise(tree, (points, tracking), (motion.root_position, motion.local_rotations)).poses
+    tracking = TrackingTerm(np.ascontiguousarray(motion.local_rotations[:, :count]), weight, motion.root_position, root_weight)
+    tree = KinematicTree(skeleton.parents[:count], skeleton.offsets[:count], is_free)
+    settings = SolverSettings(damping_ratio=SolverSettings.damping_ratio * root_share**2)  # it is relative to the root's weight
+    legs = minimise(tree, (points, tracking), (start[0], start[1][:, :count]), settings)
+    return legs.root_position, np.concatenate([legs.local_rotations, motion.local_rotations[:, count:]], axis=1)
 
 
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))

@@ -105,7 +105,7 @@ def test_legs_reach_targets_exactly():
     frames = TAKE.motion.select_frames(np.arange(0, 100, 10))
     before = TAKE.joint_positions[::10][:10]
     target = before[:, FEET] + [0.004, 0.0, -0.003]
-    root, local = solve_legs(SKELETON, frames, build_foot_targets(FEET, target))
+    root, local = solve_legs(SKELETON, frames, build_foot_targets(FEET, target), (frames.root_position, frames.local_rotations))
     after = kinematics.compute_joint_and_marker_positions(
         TAKE.subject, replace(frames, root_position=root, local_rotations=local)
     )[0]
