@@ -273,11 +273,12 @@ class _Surroundings:
         A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
         """
         w = gap.window
-        beside = np.concatenate([[w.first - 1], w.gap_frames, [w.first + w.length]])
-        path = self.take.markers[np.clip(beside, 0, len(self.take.markers) - 1), gap.marker].copy()
-        path[1:-1] = estimate.position
-        speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) * self.take.rate
-        return not np.isnan(estimate.position).all() and not (np.nan_to_num(speed) > self.max_speed_m_s).any()
+        first, last = max(w.first - 1, 0), min(w.first + w.length, len(self.take.markers) - 1)
+        path = self.take.markers[first : last + 1, gap.marker].copy()
+        path[w.first - first : w.first - first + w.length] = estimate.position
+        step = np.diff(path, axis=0) * self.take.rate
+        is_fast = np.einsum("ta,ta->t", step, step) > self.max_speed_m_s**2
+        return not is_fast.any() and not np.isnan(estimate.position).all()
 
 
 def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, " M"]:
@@ -346,8 +347,9 @@ def combine_gap_estimates(
     count = np.maximum(window.count_independent_stretches() * known_share - FIRST_STRETCH_DISCOUNT, 0.0)
     count *= window.hidden_length / window.length * np.array([e.evidence for e in estimates])
     correlation = build_expected_correlation([e.axes for e in estimates])
-    shrunk = shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
-    weights, variance = (np.array(values) for values in zip(*(compute_weights(each) for each in shrunk), strict=True))
+    weights, variance = compute_weights(
+        shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
+    )
     frames = np.arange(window.length)
     by_frame = np.stack([np.interp(frames, window.points, column) for column in weights.T])
     position = np.einsum("en,ena->na", by_frame, np.stack([e.position for e in estimates]))
@@ -393,13 +395,11 @@ def compute_error_covariances(
 
     Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
     """
-    estimates, _, points, _ = error.shape
-    is_known = ~np.isnan(error[..., 0])
-    moment, count = np.zeros((2, points, estimates, estimates))
-    for s in range(points):
-        known = is_known[:, :, s] * np.sqrt(similarity)
-        flat = (np.nan_to_num(error[:, :, s]) * np.sqrt(similarity)[:, None]).reshape(estimates, -1)
-        moment[s], count[s] = flat @ flat.T / 3, known @ known.T
+    estimates, stretches, points, _ = error.shape
+    weight = np.sqrt(similarity)[:, None, None] * ~np.isnan(error[..., :1])
+    flat = np.moveaxis(np.nan_to_num(error) * weight, 2, 0).reshape(points, estimates, 3 * stretches)
+    known = np.moveaxis(weight[..., 0], 2, 0)
+    moment, count = flat @ flat.swapaxes(1, 2) / 3, known @ known.swapaxes(1, 2)
     moment, count = moment + moment[::-1], count + count[::-1]
     if points > 2:
         moment[1:-1], count[1:-1] = (x[1:-1] + 0.5 * (x[:-2] + x[2:]) for x in (moment, count))
@@ -428,22 +428,25 @@ def shrink_covariances(
     return correlation * sd[:, :, None] * sd[:, None]
 
 
-def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndarray, " E"], float]:
-    """Return weights that are not negative, sum to one and give a small expected error, and the variance of that error.
+def compute_weights(covariance: Float[np.ndarray, "S E E"]) -> tuple[Float[np.ndarray, "S E"], Float[np.ndarray, " S"]]:
+    """Return weights that are not negative, sum to one and give small expected errors, and the variances of these errors.
 
     Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
     need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
     """
-    active = np.arange(len(covariance))
+    identity = np.eye(covariance.shape[1])
+    own, rows = np.diagonal(covariance, axis1=1, axis2=2), np.arange(len(covariance))
+    active = np.ones(own.shape, bool)
     while True:
-        solved = np.linalg.solve(covariance[np.ix_(active, active)], np.ones(len(active)))
-        if (solved > 0).all():
+        chosen = np.where(active[:, :, None] & active[:, None], covariance, identity)
+        solved = np.linalg.solve(chosen, 1.0 * active[..., None])[..., 0]
+        kept = active & (solved > 0)
+        if (kept == active).all():
             break
-        kept = active[solved > 0]
-        active = kept if len(kept) else active[[np.argmin(np.diag(covariance)[active])]]
-    weights = np.zeros(len(covariance))
-    weights[active] = solved / solved.sum()
-    variance, best = float(weights @ covariance @ weights), int(np.argmin(np.diag(covariance)))
-    if variance <= covariance[best, best]:
-        return weights, variance
-    return np.eye(len(covariance))[best], float(covariance[best, best])
+        steadiest = np.where(active, own, np.inf).argmin(1)
+        kept[rows, steadiest] |= ~kept.any(1)
+        active = kept
+    weights = solved / solved.sum(1, keepdims=True)
+    variance, best = np.einsum("se,sef,sf->s", weights, covariance, weights), own.argmin(1)
+    is_worse = variance > own[rows, best]
+    return np.where(is_worse[:, None], identity[best], weights), np.where(is_worse, own[rows, best], variance)

@@ -124,7 +124,7 @@ def build_cluster_axes(
 
     The variation `change_m` of its distances weights each marker.
     """
-    selected = markers[np.ix_(frames, cluster)]
+    selected = markers[frames[:, None], cluster]
     is_visible = ~np.isnan(selected[..., 0]).any(1)
     if not is_visible.any():
         return None
@@ -212,18 +212,18 @@ def estimate_by_regression(
     row[frames] = np.arange(len(frames))
     if len(training) < MIN_CLUSTER_FRAMES or (row[np.r_[w.gap_frames, w.context_frames]] < 0).any():
         return []
-    aligned = align_cluster(markers[np.ix_(frames, cluster)], compute_marker_weights(change_m))
+    aligned = align_cluster(markers[frames[:, None], cluster], compute_marker_weights(change_m))
     local = transform_to_body_axes(path[frames][:, None], aligned.centre, aligned.rotation)[:, 0]
     regression = _Regression(aligned.markers.reshape(len(frames), -1), local, row[training])
     residual = np.full((len(markers), 3), np.nan)
-    predicted = regression.predict(np.zeros(0, int), np.arange(len(frames)))
+    predicted = regression.mean + regression.x @ regression.coefficients
     residual[frames] = local - predicted
     gap_map, hidden_map = _build_residual_maps(residual, w, rate)
     rows, context = row[w.gap_frames], w.context_frames
     position = predicted[rows] + gap_map @ residual[context]
     position = np.einsum("tab,tb->ta", aligned.rotation[rows], position) + aligned.centre[rows]
     independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
-    inflation = regression.measure_inflation(rows[w.points], len(training) / independent_count)
+    learned_sd, inflation = regression.cross_validate(rows[w.points], len(training) / independent_count)
     error = np.full((*w.hidden_frames.shape, 3), np.nan)
     for group in np.array_split(np.arange(len(w.starts)), HIDDEN_FOLDS):
         hidden = row[np.concatenate([w.hidden_context_frames[group], w.hidden_frames[group]], axis=1)]
@@ -232,13 +232,13 @@ def estimate_by_regression(
         held_out = np.flatnonzero(is_out.any(0))
         if not len(complete) or len(held_out) > MAX_HIDDEN_SHARE * len(training):
             continue
-        misfit = local[hidden] - regression.predict(held_out, hidden)
+        misfit = local[hidden] - regression.predict_without(held_out, hidden)
         split = len(context)
         local_error = (hidden_map @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
         error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[hidden[:, split:]], local_error)
     novelty = np.sqrt(min(1 + 2 * w.length / (~np.isnan(path[:, 0])).sum(), MAX_NOVELTY))
     decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
-    learned_sd = regression.cross_validate() * inflation * novelty * gap.activity**ACTIVITY_POWER
+    learned_sd = learned_sd * inflation * novelty * gap.activity**ACTIVITY_POWER
     expected_sd = np.sqrt(learned_sd**2 * decay + SAMPLE_NOISE_M**2)
     return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
 
@@ -271,43 +271,39 @@ class _Regression:
         self.x = deformation - deformation[training].mean(0)
         self.training_x, self.training_y = self.x[training], position[training] - self.mean
         self.square, self.moment = self.training_x.T @ self.training_x, self.training_x.T @ self.training_y
+        self.inverse, self.coefficients = self._learn_without(np.zeros(0, int))
 
-    def predict(self, held_out: Int[np.ndarray, " H"], rows: Int[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 3"]:
+    def predict_without(self, held_out: Int[np.ndarray, " H"], rows: Int[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 3"]:
         """Return the positions in some rows, learned without the training frames with the given indices."""
-        return self.mean + self.x[rows] @ self._solve_without(held_out)
+        return self.mean + self.x[rows] @ self._learn_without(held_out)[1]
 
-    def cross_validate(self) -> float:
-        """Return the root mean square error in metres per axis of stretches of the take that are predicted from the others."""
-        errors = [self.training_y[fold] - self.training_x[fold] @ self._solve_without(fold) for fold in self._folds()]
-        return float(np.sqrt((np.concatenate(errors) ** 2).mean()))
+    def cross_validate(self, rows: Int[np.ndarray, " N"], frames_per_independent: float) -> tuple[float, Float[np.ndarray, " N"]]:
+        """Return the root mean square error in metres per axis of stretches of the take that are predicted from the others.
 
-    def measure_inflation(self, rows: Int[np.ndarray, " N"], frames_per_independent: float) -> Float[np.ndarray, " N"]:
-        """Return the error in some rows relative to that of `cross_validate`, at least one.
-
-        It grows where the deformation differs more from what was learned: the variance of the coefficients,
-        x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
+        And the error in some rows relative to it, at least one. It grows where the deformation differs more from what was
+        learned: the variance of the coefficients, x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
 
         Args:
             frames_per_independent: Number of training frames of which one is independent of the others.
         """
-        usual = np.concatenate([self._compute_leverages(fold, self.training_x[fold]) for fold in self._folds()]).mean()
-        leverage = self._compute_leverages(np.zeros(0, int), self.x[rows])
+        square, usual, count = 0.0, 0.0, len(self.training_x)
+        for fold in np.array_split(np.arange(count), HIDDEN_FOLDS):
+            inverse, coefficients = self._learn_without(fold)
+            x = self.training_x[fold]
+            square += ((self.training_y[fold] - x @ coefficients) ** 2).sum() / (3 * count)
+            usual += np.vdot(x @ inverse, x) / count
+        x = self.x[rows]
+        leverage = np.einsum("nf,nf->n", x @ self.inverse, x)
         ratio = (1 + frames_per_independent * leverage) / (1 + frames_per_independent * usual)
-        return np.sqrt(np.maximum(ratio, 1.0))
+        return float(np.sqrt(square)), np.sqrt(np.maximum(ratio, 1.0))
 
-    def _folds(self) -> list[np.ndarray]:
-        return np.array_split(np.arange(len(self.training_x)), HIDDEN_FOLDS)
-
-    def _compute_leverages(self, held_out: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.einsum("nf,fn->n", x, np.linalg.solve(self._compute_curvature(held_out), x.T))
-
-    def _compute_curvature(self, held_out: np.ndarray) -> np.ndarray:
-        a = self.training_x[held_out]
-        return self.square - a.T @ a + max(len(self.training_x) - len(a), 1) * SHAPE_RIDGE_M**2 * np.eye(self.x.shape[1])
-
-    def _solve_without(self, held_out: np.ndarray) -> np.ndarray:
-        moment = self.moment - self.training_x[held_out].T @ self.training_y[held_out]
-        return np.linalg.solve(self._compute_curvature(held_out), moment)
+    def _learn_without(self, held_out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the inverse (F, F) of the curvature of the coefficients, and these (F, 3)."""
+        x, count = self.training_x[held_out], len(self.training_x)
+        curvature = self.square - x.T @ x
+        curvature.flat[:: len(curvature) + 1] += max(count - len(x), 1) * SHAPE_RIDGE_M**2
+        inverse = np.linalg.inv(curvature)
+        return inverse, inverse @ (self.moment - x.T @ self.training_y[held_out])
 
 
 MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
-from mocapfix.kernels.rigid_registration import compute_nearest_rotation, solve_wahba
+from mocapfix.kernels.rigid_registration import fit_rotation
 from mocapfix.kernels.small_matrices import (
     clear_array,
     copy_array,
@@ -97,10 +97,7 @@ def fit_segment_pose(row, pose, work):
         pose[WORLD_CENTROID_INDEX + a], pose[BODY_CENTROID_INDEX + a] = row[1 + a] * scale, row[4 + a] * scale
         for b in range(3):
             cross[a, b] = row[7 + 3 * a + b] - pose[WORLD_CENTROID_INDEX + a] * row[4 + b]
-    is_solved, rotation = solve_wahba(load_single_matrix(cross))
-    if not is_solved:
-        compute_nearest_rotation(cross, work.symmetric, work.vectors, work.rotation)
-        rotation = load_single_matrix(work.rotation)
+    rotation = fit_rotation(cross, work.symmetric, work.vectors, work.rotation)
     fit = multiply_matrices(transpose_matrix(rotation), load_single_matrix(cross))  # symmetric up to rounding
     trace = fit[0] + fit[4] + fit[8]
     xy, xz, yz = -0.5 * (fit[1] + fit[3]), -0.5 * (fit[2] + fit[6]), -0.5 * (fit[5] + fit[7])

@@ -17,20 +17,8 @@ from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import FramePose, compute_forward_kinematics
 from mocapfix.kernels.hybrik import compute_swing
 from mocapfix.kernels.lie import compute_exponential, orthonormalise_rotation
-from mocapfix.kernels.rigid_registration import (
-    accumulate_cross_covariance,
-    compute_nearest_rotation,
-    compute_weighted_means,
-    solve_wahba,
-)
-from mocapfix.kernels.small_matrices import (
-    load_matrix,
-    load_single_matrix,
-    multiply_matrices,
-    multiply_vector,
-    store_matrix,
-    transpose_matrix,
-)
+from mocapfix.kernels.rigid_registration import accumulate_cross_covariance, compute_weighted_means, fit_rotation
+from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
 
 FEATURES_PER_JOINT = 17  # see `_write_features`
 START_ROTATION_WEIGHT = 1.0  # 1/rad^2: weight of the start rotation beside measured joints in a registration
@@ -137,10 +125,7 @@ def transfer_pose_frames(tree, start_root, start_local, target, sd, scale, out, 
                     for a in range(3):
                         for b in range(3):
                             cross[a, b] += START_ROTATION_WEIGHT * inherited[j, a, b]
-                    is_wide, rotation = solve_wahba(load_single_matrix(cross))
-                    if not is_wide:  # of a single bone
-                        compute_nearest_rotation(cross, symmetric, vectors, fitted)
-                        rotation = load_single_matrix(fitted)
+                    rotation = fit_rotation(cross, symmetric, vectors, fitted)
                     out.authority[t, j] *= min(1.0, CORRECTION_SD_COUNT / math.sqrt(information))
                 if j == 0:
                     x, y, z = multiply_vector(rotation, mean_model[0], mean_model[1], mean_model[2])

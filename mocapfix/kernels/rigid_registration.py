@@ -10,7 +10,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
-from mocapfix.kernels.small_matrices import multiply_matrices, store_matrix, transpose_matrix
+from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, store_matrix, transpose_matrix
 
 MAX_JACOBI_SWEEPS = 10  # Jacobi's method converges quadratically, in four or five
 MAX_OFF_DIAGONAL_RATIO_SQUARED = 1e-32  # of an off-diagonal entry to the diagonal, squared: below it the entry is rounding error
@@ -139,6 +139,16 @@ def solve_wahba(b):
     ))  # fmt: skip
 
 
+@compile_inner_kernel
+def fit_rotation(cross, m, vectors, out):
+    """Return the rotation, as nine numbers, that maximises trace(R' cross); `m`, `vectors` (4, 4) and `out` are overwritten."""
+    is_wide, rotation = solve_wahba(load_single_matrix(cross))
+    if not is_wide:
+        compute_nearest_rotation(cross, m, vectors, out)
+        rotation = load_single_matrix(out)
+    return rotation
+
+
 @compile_kernel
 def compute_cross_covariance_frames(points, model, weight, cross, mean_points, mean_model):
     """Write cross-covariances (T, 3, 3) and weighted means (T, 3) of points (T, K, 3) and a model (K, 3)."""
@@ -152,7 +162,7 @@ def fit_rotation_frames(cross, rotation):
     """Write the nearest rotations (T, 3, 3) of cross-covariances (T, 3, 3)."""
     m, vectors = np.empty((4, 4)), np.empty((4, 4))
     for t in range(len(cross)):
-        compute_nearest_rotation(cross[t], m, vectors, rotation[t])
+        store_matrix(fit_rotation(cross[t], m, vectors, rotation[t]), rotation, t)
 
 
 @compile_kernel

@@ -23,7 +23,7 @@ MAX_TRAINING_FRAMES = 200
 
 def sample_evenly(count: int, max_count: int) -> Int[np.ndarray, " N"]:
     """Return at most `max_count` of the indices 0..count - 1, rising and evenly spaced; all of them if there are no more."""
-    return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(int))
+    return np.arange(count) if count <= max_count else np.linspace(0, count - 1, max_count).astype(int)
 
 
 def group_gaps(missing: Bool[np.ndarray, "T J"]) -> dict[tuple[int, int], Int[np.ndarray, " lost"]]:

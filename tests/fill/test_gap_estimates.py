@@ -289,7 +289,7 @@ def test_dissimilar_stretches_do_not_count():
 def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
     root = np.random.default_rng(seed).normal(size=(size, size + 2))
     covariance = root @ root.T + 1e-6 * np.eye(size)
-    weights, variance = compute_weights(covariance)
+    weights, variance = compute_weights(covariance[None])
     assert (weights >= 0).all()
     np.testing.assert_allclose(weights.sum(), 1)
     assert variance <= np.diag(covariance).min() * (1 + 1e-9)
@@ -298,14 +298,16 @@ def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
 def test_best_estimate_is_kept_where_measured_correlations_contradict_each_other():
     sd = np.array([1.0, 2.0, 3.0])
     correlation = np.array([[1.0, 0.0, 0.8], [0.0, 1.0, 0.9], [0.8, 0.9, 1.0]])  # not positive definite
-    weights, variance = compute_weights(correlation * sd[:, None] * sd)
-    np.testing.assert_array_equal(weights, [1, 0, 0])
-    assert variance == 1.0
+    covariance = correlation * sd[:, None] * sd
+    weights, variance = compute_weights(np.stack([covariance, np.diag(sd**2)]))
+    np.testing.assert_array_equal(weights[0], [1, 0, 0])
+    assert variance[0] == 1.0
+    np.testing.assert_allclose(weights[1], [36 / 49, 9 / 49, 4 / 49])
 
 
 def test_two_independent_estimates_are_weighted_by_precision():
-    weights, variance = compute_weights(np.diag([1.0, 4.0]))
-    np.testing.assert_allclose(weights, [0.8, 0.2])
+    weights, variance = compute_weights(np.diag([1.0, 4.0])[None])
+    np.testing.assert_allclose(weights, [[0.8, 0.2]])
     np.testing.assert_allclose(variance, 0.8)
 
 
