@@ -3,7 +3,7 @@
     segments = compute_segment_motion(...)      the source's body segments
     rotation = spread_rotations(...)            the same segments of the target, its spine and neck bent alike
     kept     = compute_kept_positions(...)      targets of pelvis and feet, scaled by the legs
-    kept     = rest_feet(...)                   feet laid flatter in contacts
+    kept     = rest_feet(...)                   feet that tilt less in contacts
     ankles   = hold_kept_feet(...)              the same of feet in contact, if these are locked
     kept     = fit_legs(...)                    pelvis and feet displaced over the whole motion, so that knees bend alike
     hands    = fit_arms(...)                    targets of the hands, likewise
@@ -329,8 +329,9 @@ def compute_segment_targets(
     flat_feet = kept_positions.measure_flat_feet(source_frame, segments, feet_contacts)
     kept = kept_positions.compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
     segments = kept_positions.level_feet(segments, flat_feet)
-    kept, segments = kept_positions.rest_feet(target_frame, kept, segments, feet_contacts)
-    kept, segments = kept_positions.settle_soles(source_frame, target_frame, kept, segments, feet_contacts)
+    if feet_contacts is not None:
+        kept, segments = kept_positions.rest_feet(target_frame, kept, segments, feet_contacts)
+        kept, segments = kept_positions.settle_soles(source_frame, target_frame, kept, segments, feet_contacts)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     local = compute_local_rotations(rotation, tree.skeleton.parents)
     start = name_positions(tree, compute_tree_poses(tree.kernel_tree, kept.pelvis, local)[0])

@@ -58,21 +58,37 @@ def test_level_feet_have_no_inclination_where_they_lie_flat(standing):
         np.testing.assert_allclose(level.rotation[f"{side}_foot"][:, 1], np.tile([0, 1, 0], (FRAMES, 1)), atol=1e-9)
 
 
-def test_feet_that_roll_in_contacts_roll_less_about_their_balls(standing):
+@pytest.mark.parametrize("pitch_deg", [0.0, 25.0])
+def test_feet_that_roll_in_contacts_roll_less_about_their_balls_and_stay_on_their_toes(standing, pitch_deg):
     character, motion, contacts = standing
     frame = build_body_frame(character)
     segments = compute_segment_motion(frame, motion)
-    rolled = Rotation.from_euler("z", 4.0, degrees=True).as_matrix()
-    segments = replace(segments, rotation={**segments.rotation, "left_foot": np.tile(rolled, (FRAMES, 1, 1))})
+    angles = np.stack([4.0 * (-1.0) ** np.arange(FRAMES), np.full(FRAMES, pitch_deg)], axis=1)
+    rolled = Rotation.from_euler("zx", angles, degrees=True).as_matrix()
+    segments = replace(segments, rotation={**segments.rotation, "left_foot": rolled})
     kept = KeptPositions(np.zeros((FRAMES, 3)), {side: segments.position[f"{side}_foot"] for side in SIDES}, {})
     rested, turned = rest_feet(frame, kept, segments, contacts)
-    roll = Rotation.from_matrix(turned.rotation["left_foot"]).as_euler("zxy", degrees=True)
-    np.testing.assert_allclose(roll, np.tile([(1 - LEVEL_SHARE) * 4.0, 0.0, 0.0], (FRAMES, 1)), atol=0.01)
+    roll_deg, pitches_deg, _ = Rotation.from_matrix(turned.rotation["left_foot"]).as_euler("zxy", degrees=True).T
+    np.testing.assert_allclose(roll_deg, (1 - LEVEL_SHARE) * angles[:, 0], atol=0.1)
+    np.testing.assert_allclose(pitches_deg, pitch_deg, atol=0.1)
     ball = frame.compute_ball("left")
     before, after = kept.ankles["left"] + rolled @ ball, rested.ankles["left"] + turned.rotation["left_foot"] @ ball
     np.testing.assert_allclose(after, before, atol=1e-12)
     free = replace(contacts, is_contact=np.zeros_like(contacts.is_contact))
     np.testing.assert_allclose(rest_feet(frame, kept, segments, free)[1].rotation["left_foot"], segments.rotation["left_foot"])
+
+
+def test_feet_that_are_usually_a_little_inclined_in_contacts_lie_flatter(standing):
+    character, motion, contacts = standing
+    frame = build_body_frame(character)
+    segments = level_feet(
+        compute_segment_motion(frame, motion), measure_flat_feet(frame, compute_segment_motion(frame, motion), contacts)
+    )
+    pitched = segments.rotation["left_foot"] @ Rotation.from_euler("x", 2.0, degrees=True).as_matrix()
+    segments = replace(segments, rotation={**segments.rotation, "left_foot": pitched})
+    kept = KeptPositions(np.zeros((FRAMES, 3)), {side: segments.position[f"{side}_foot"] for side in SIDES}, {})
+    turned = rest_feet(frame, kept, segments, contacts)[1]
+    assert np.degrees(np.arccos(turned.rotation["left_foot"][:, 1, 1])).max() < 2.0 * (1.1 - LEVEL_SHARE)
 
 
 def test_soles_of_a_character_lie_on_the_floor(standing):
