@@ -12,7 +12,7 @@ Such samples are no evidence for the solve. Whether they are as good as this pro
 """
 
 from collections.abc import Iterator
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,27 +25,31 @@ from mocapfix.stats.sequences import compute_float_resolution, estimate_resoluti
 
 
 def compute_polynomial_misfits(
-    path: Float[np.ndarray, "T 3"], degree: int, length: int, starts: Int[np.ndarray, " S"]
-) -> Float[np.ndarray, " S"]:
+    paths: Float[np.ndarray, "T *M 3"], degree: int, length: int, starts: Int[np.ndarray, " S"]
+) -> Float[np.ndarray, " S *M"]:
     """Compute by how much the best polynomial misses any of the `length` samples from each start on.
 
     Args:
-        path: World positions in metres, NaN where missing, which makes the misfit NaN.
+        paths: World positions in metres, NaN where missing, which makes the misfit NaN.
         length: Number of samples of a stretch.
         starts: Index of the first sample of each stretch.
 
     Returns:
         The largest absolute residual of a coordinate in metres.
     """
-    residual = sliding_window_view(path, length, axis=0)[starts] @ _build_residual_projection(degree, length)
-    return np.abs(residual).max((1, 2))
+    return _measure_misfits(sliding_window_view(paths, length, axis=0)[starts], degree)
+
+
+def _measure_misfits(stretches: np.ndarray, degree: int) -> np.ndarray:
+    """Measure the misfits (...) of stretches (..., 3, length), as `compute_polynomial_misfits`."""
+    basis = _build_polynomial_basis(degree, stretches.shape[-1])
+    return np.abs(stretches - stretches @ basis @ basis.T).max((-2, -1))
 
 
 @lru_cache(maxsize=64)
-def _build_residual_projection(degree: int, length: int) -> Float[np.ndarray, "length length"]:
-    """Build the matrix that removes the best polynomial of a degree from `length` samples."""
-    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
-    return np.eye(length) - basis @ basis.T
+def _build_polynomial_basis(degree: int, length: int) -> Float[np.ndarray, "length terms"]:
+    """Build orthonormal columns that span the polynomials of a degree over `length` samples."""
+    return np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
 
 
 def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
@@ -76,11 +80,7 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
     is_exact = np.zeros(start_count, bool)
     is_exact[candidates] = compute_polynomial_misfits(path, degree, length, candidates) <= resolution
     stretches = ((first, last + length - 1) for first, last in find_runs(is_exact))
-    return [
-        (a, b)
-        for a, b in stretches
-        if compute_polynomial_misfits(path[a : b + 1], degree, b - a + 1, np.zeros(1, int))[0] <= resolution
-    ]
+    return [(a, b) for a, b in stretches if _measure_misfits(path[a : b + 1].T, degree) <= resolution]
 
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
@@ -127,23 +127,31 @@ def detect_polynomial_fills(take: Take, memory: RoundMemory | None = None) -> li
     """
     resolution = estimate_resolution(take.markers)
     faults: list[Fault] = []
-    memory, visible = memory or RoundMemory(), take.visible
     for degree in POLYNOMIAL_NAMES:
         min_length = max(degree + 1 + MIN_EXTRA_SAMPLES, round(MIN_STRETCH_S * take.rate))
-        length = _choose_stretch_length(take, degree, resolution, min_length, memory)
+        length = _choose_stretch_length(take, degree, resolution, min_length)
         if length:
-            for m in range(len(take.labels)):
-                faults += memory.recall(
-                    ("fills", m, degree, length, resolution),
-                    visible[:, m],
-                    lambda m=m, degree=degree, length=length: list(_detect_marker_fills(take, m, degree, length, resolution)),
-                )
+            stretches = _find_exact_stretches(take, degree, length, resolution, memory or RoundMemory())
+            faults += _select_fills(take, degree, stretches, resolution)
     return _remove_overlapping_fills(faults)
 
 
-def _detect_marker_fills(take: Take, marker: int, degree: int, length: int, resolution: float) -> Iterator[Fault]:
-    path = take.markers[:, marker]
-    for first, last in find_exact_stretches(path, degree, length, resolution):
+def _find_exact_stretches(
+    take: Take, degree: int, length: int, resolution: float, memory: RoundMemory
+) -> list[tuple[int, int, int]]:
+    """Find the marker, the first and the last frame of each stretch, as `find_exact_stretches`."""
+    found = memory.recall(
+        ("stretches", degree, length, resolution),
+        take.visible,
+        lambda m: find_exact_stretches(take.markers[:, m], degree, length, resolution),
+        can_appear=False,
+    )
+    return [(m, first, last) for m, stretches in enumerate(found) for first, last in stretches]
+
+
+def _select_fills(take: Take, degree: int, stretches: list[tuple[int, int, int]], resolution: float) -> Iterator[Fault]:
+    for marker, first, last in stretches:
+        path = take.markers[:, marker]
         if np.ptp(path[first : last + 1], axis=0).max() <= MIN_TRAVEL_RESOLUTIONS * resolution:
             continue
         misfit_m = _estimate_nearby_misfit(path, degree, first, last, round(COMPARISON_WINDOW_S * take.rate))
@@ -157,26 +165,16 @@ def _detect_marker_fills(take: Take, marker: int, degree: int, length: int, reso
             yield Fault("straight", marker, first, last, misfit_m, reason, 1 - resolution / misfit_m)
 
 
-def _choose_stretch_length(take: Take, degree: int, resolution: float, length: int, memory: RoundMemory) -> int:
+def _choose_stretch_length(take: Take, degree: int, resolution: float, length: int) -> int:
     """Choose the number of samples at which measured stretches differ from exact ones, 0 if the largest factor is too short."""
-    visible = take.visible
     for longer in (factor * length for factor in STRETCH_LENGTH_FACTORS if take.frame_count >= factor * length):
-        small: list[float] = []
-        for m in range(len(take.labels)):
-            key, measure = ("misfit", m, degree, longer), partial(_measure_small_misfit, take.markers[:, m], degree, longer)
-            small.append(memory.recall(key, visible[:, m], measure))
-        known = [misfit_m for misfit_m in small if not np.isnan(misfit_m)]
-        if known and np.median(known) > MIN_MEASURED_MISFIT_RESOLUTIONS * resolution:
+        starts = sample_evenly(take.frame_count - longer + 1, MAX_SAMPLED_STRETCHES)
+        misfit_m = np.sort(compute_polynomial_misfits(take.markers, degree, longer, starts), axis=0)  # NaN sorts last
+        known = [each[:count] for each, count in zip(misfit_m.T, (~np.isnan(misfit_m)).sum(0), strict=True) if count]
+        small_m = [np.interp(SMALL_MISFIT_QUANTILE * (len(each) - 1), np.arange(len(each)), each) for each in known]
+        if small_m and np.median(small_m) > MIN_MEASURED_MISFIT_RESOLUTIONS * resolution:
             return longer
     return 0
-
-
-def _measure_small_misfit(path: np.ndarray, degree: int, length: int) -> float:
-    """Measure the misfit in metres that few stretches of a path (T, 3) fall below, NaN if none is complete."""
-    starts = sample_evenly(len(path) - length + 1, MAX_SAMPLED_STRETCHES)
-    misfit_m = compute_polynomial_misfits(path, degree, length, starts)
-    misfit_m = misfit_m[~np.isnan(misfit_m)]
-    return float(np.quantile(misfit_m, SMALL_MISFIT_QUANTILE)) if len(misfit_m) else np.nan
 
 
 def _estimate_nearby_misfit(path: np.ndarray, degree: int, first: int, last: int, window: int) -> float:
@@ -220,12 +218,7 @@ def detect_frozen(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
     """
     resolution = compute_float_resolution(take.markers)
     length = max(MIN_FROZEN_SAMPLES, round(MIN_STRETCH_S * take.rate))
-    memory, visible = memory or RoundMemory(), take.visible
-    stretches: list[tuple[int, int, int]] = []
-    for m in range(len(take.labels)):
-        key, path = ("frozen", m, length, resolution), take.markers[:, m]
-        found = memory.recall(key, visible[:, m], lambda path=path: find_exact_stretches(path, 0, length, resolution))
-        stretches += [(m, first, last) for first, last in found]
+    stretches = _find_exact_stretches(take, 0, length, resolution, memory or RoundMemory())
     if not stretches:
         return []
     min_travel_m = max(MIN_NEIGHBOUR_TRAVEL_M, MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS * estimate_resolution(take.markers))

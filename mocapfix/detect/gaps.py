@@ -9,34 +9,36 @@ same bone is visible.
 
 import numpy as np
 
+from mocapfix.detect.noise import RoundMemory
 from mocapfix.model.faults import Fault, FaultKind
 from mocapfix.model.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.sequences import compute_known_medians, find_runs
 
 MAX_FLICKER_DURATION_S = 0.02  # longest flicker. A gap of one frame is always one.
 MIN_LOST_SEGMENT_DURATION_S = 0.1  # shorter losses of a body part are interpolated from the paths of its markers
 MIN_MARKERS_PER_BODY_PART = 2  # a body part with a single marker is described by that marker's gap
 
 
-def detect_gaps(take: Take) -> list[Fault]:
+def detect_gaps(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
     """Detect gaps, flickers, leading and trailing gaps, and markers that are absent throughout.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the distance in metres between the samples before
         and after the gap, NaN at the ends of the take.
     """
-    is_missing = ~take.visible
-    return [fault for m in range(len(take.labels)) for fault in _build_gap_faults(take, m, find_runs(is_missing[:, m]))]
+    found = (memory or RoundMemory()).recall("gaps", take.visible, lambda m: _build_gap_faults(take, m))
+    return [fault for faults in found for fault in faults]
 
 
-def _build_gap_faults(take: Take, marker: int, gaps: list[tuple[int, int]]) -> list[Fault]:
+def _build_gap_faults(take: Take, marker: int) -> list[Fault]:
+    gaps = find_runs(~take.visible[:, marker])
     kinds: list[FaultKind] = [_classify_gap(take, first, last) for first, last in gaps]
     label, flicker_count = take.bare_labels[marker], kinds.count("flicker")
     faults: list[Fault] = []
-    for kind, (first, last) in zip(kinds, gaps, strict=True):
-        travel_m = _measure_travel(take, [marker], first, last)
+    for kind, (first, last), travel_m in zip(kinds, gaps, _measure_travel(take, [marker], gaps), strict=True):
         reason = f"{label} {_describe_gap(kind, last - first + 1, take.rate, travel_m, flicker_count)}"
         faults.append(Fault(kind, marker, first, last, travel_m, reason))
     return faults
@@ -108,13 +110,13 @@ def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: 
         labels = ", ".join(take.bare_labels[m] for m in markers)
         estimate = "its pose is estimated from its neighbours and the pose prior"
         reason = f"All markers of {name} are missing {time} ({labels}): {estimate}."
-    travel_m = _measure_travel(take, markers, first, last)
+    (travel_m,) = _measure_travel(take, markers, [(first, last)])
     return Fault("segment lost", markers[0], first, last, travel_m, reason, 1.0, tuple(markers[1:]))
 
 
-def _measure_travel(take: Take, markers: list[int], first: int, last: int) -> float:
-    """Measure the median distance in metres between the samples before and after, NaN if no marker has both."""
-    if first == 0 or last == take.frame_count - 1:
-        return float("nan")
-    travel_m = np.linalg.norm(take.markers[last + 1, markers] - take.markers[first - 1, markers], axis=-1)
-    return float(np.nanmedian(travel_m)) if np.isfinite(travel_m).any() else float("nan")
+def _measure_travel(take: Take, markers: list[int], gaps: list[tuple[int, int]]) -> list[float]:
+    """Measure the median distance in metres between the samples before and after each gap, NaN if no marker has both."""
+    first, last = np.array(gaps, int).reshape(-1, 2).T
+    before, after = np.maximum(first - 1, 0), np.minimum(last + 1, take.frame_count - 1)  # at an end of the take: in the gap
+    travel = take.markers[after[:, None], markers] - take.markers[before[:, None], markers]
+    return compute_known_medians(compute_lengths(travel).T).tolist()

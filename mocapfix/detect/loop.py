@@ -157,7 +157,7 @@ def detect_sample_faults(
     noisy = [fault for fault in noise.detect_noise(measured, memory) if not has_jitter[:, fault.marker].any()]
     isolated_spikes = [spike for spike in all_spikes if not has_jitter[spike.frame_slice, spike.marker].all()]
     lost = gaps.detect_lost_segments(take, marker_set) if marker_set else []
-    faults = Faults((*gaps.detect_gaps(take), *virtual, *lost, *noisy, *isolated_spikes, *exact, *bursts))
+    faults = Faults((*gaps.detect_gaps(take, memory), *virtual, *lost, *noisy, *isolated_spikes, *exact, *bursts))
     is_sound = faults.compute_inlier_mask(measured) & ~build_fault_mask(exact, shape)
     return faults.add_faults(ghosts.detect_ghosts(measured.masked(is_sound)))
 

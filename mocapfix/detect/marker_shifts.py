@@ -111,8 +111,9 @@ def compute_residual_rms(path: RegressedPath, ramp: Ramp, block_length: int) -> 
     progress = ramp.compute_progress(len(path.residual))
     residual = path.residual - np.outer(progress - path.basis @ (path.basis.T @ progress), ramp.displacement)
     block_count = max(1, len(residual) // max(block_length, 1))
-    if block_count < len(residual):
-        residual = np.array([block.mean(0) for block in np.array_split(residual, block_count)])
+    length, longer = divmod(len(residual), block_count)
+    starts = np.arange(block_count) * length + np.minimum(np.arange(block_count), longer)
+    residual = np.add.reduceat(residual, starts) / np.diff(starts, append=len(residual))[:, None]
     return float(np.sqrt(np.mean((residual**2).sum(1))))
 
 
@@ -162,11 +163,12 @@ class _MarkerPath(NamedTuple):
 def detect_marker_shifts(residuals: BodyResiduals, subject: Subject, motion: Motion, rate: float) -> list[ShiftEstimate]:
     """Detect markers that seem to move on their segments, ordered by marker; at most one change of each."""
     step = max(1, round(rate / SHIFT_SAMPLE_RATE_HZ))
+    sampled = motion.local_rotations[::step]
+    rotvecs = Rotation.from_matrix(sampled.reshape(-1, 3, 3)).as_rotvec().reshape(sampled.shape[:3])
     rotvecs_by_joint: dict[int, np.ndarray] = {}  # (N, 3 J): of a joint, except the root, and of its children
     for joint in set(subject.joints.tolist()):
         adjacent = [j for j, parent in enumerate(subject.skeleton.parents) if joint in (j, parent) and parent >= 0]
-        rotvecs = [Rotation.from_matrix(motion.local_rotations[::step, j]).as_rotvec() for j in adjacent]
-        rotvecs_by_joint[joint] = np.concatenate(rotvecs, axis=1)
+        rotvecs_by_joint[joint] = rotvecs[:, adjacent].reshape(len(sampled), -1)
     shifts: list[ShiftEstimate] = []
     for k, joint in enumerate(subject.joints):
         shift = _detect_shift(residuals.residual_segment[:, k], rotvecs_by_joint[int(joint)], k, rate, step)

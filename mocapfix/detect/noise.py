@@ -36,22 +36,24 @@ class RoundMemory:
     """Results that were computed from the samples of single markers of one take, each with the samples that were used."""
 
     def __init__(self) -> None:
-        self._results: dict[Hashable, tuple[bytes, object]] = {}
+        self._results: dict[Hashable, tuple[np.ndarray, object]] = {}
 
-    def recall(self, key: Hashable, is_used: Bool[np.ndarray, " T"], compute: Callable[[], Result]) -> Result:
-        """Return the result under `key`. It is computed unless it is known from the same samples.
+    def recall(
+        self, key: Hashable, is_used: Bool[np.ndarray, "T M"], compute: Callable[[int], Result], *, can_appear: bool = True
+    ) -> list[Result]:
+        """Return the result of each marker under `key`. It is computed unless it is known from the same samples.
 
         Args:
-            key: Names the computation, the marker and everything else that the result depends on.
-            compute: Computes the result from these samples. It must not depend on what is not named.
+            key: Names the computation and everything else that the result depends on.
+            compute: Computes the result of a marker from these samples. It must not depend on what is not named.
+            can_appear: Whether fewer samples may give a result where more give none.
         """
-        samples = np.packbits(is_used).tobytes()
-        known = self._results.get(key)
-        if known is not None and known[0] == samples:
-            return known[1]  # pyright: ignore[reportReturnType]  # the key names the computation
-        result = compute()
-        self._results[key] = samples, result
-        return result
+        for marker, samples in enumerate(np.packbits(is_used, axis=0).T):
+            known, result = self._results.get((key, marker), (None, None))
+            is_none_left = known is not None and not (can_appear or result or (samples & ~known).any())
+            if known is None or not (is_none_left or np.array_equal(samples, known)):
+                self._results[key, marker] = samples.copy(), compute(marker)
+        return [self._results[key, marker][1] for marker in range(is_used.shape[1])]  # pyright: ignore[reportReturnType]
 
 
 MIN_SHARED_COSINE = 0.8  # smallest cosine of the angle between two deviations that are alike
@@ -185,9 +187,7 @@ def detect_noise(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
 
 def estimate_noise_levels(take: Take, memory: RoundMemory | None = None) -> Float[np.ndarray, " M"]:
     """Estimate the standard deviation per axis, in metres, of each marker's noise; NaN if the marker is hardly visible."""
-    memory, visible = memory or RoundMemory(), take.visible
-    markers = range(len(take.labels))
-    usual_m = [memory.recall(("usual residual", m), visible[:, m], lambda m=m: _measure_usual_residual(take, m)) for m in markers]
+    usual_m = (memory or RoundMemory()).recall("usual residual", take.visible, lambda m: _measure_usual_residual(take, m))
     return np.array(usual_m) / MEDIAN_NORM_SD
 
 
@@ -205,17 +205,19 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
     The cubic is evaluated with Lagrange weights at the samples' own times. The residual is scaled so that white noise keeps
     its standard deviation. The first and last two samples have their neighbours' residuals.
     """
-    count = len(times_s) - 4
-    lag = [times_s[2 + offset : 2 + offset + count] - times_s[2:-2] for offset in NEIGHBOUR_OFFSETS]
-    steps = np.diff(times_s)
-    if np.ptp(steps) < MAX_STEP_VARIATION * steps[0]:
-        lag = [each[:1] for each in lag]  # the weights are the same for all samples
-    weights = [np.prod([far / (far - near) for far in lag if far is not near], axis=0) for near in lag]
-    residual = points[2:-2].copy()
+    count, steps = len(times_s) - 4, np.diff(times_s)
+    around = np.stack([steps[k : k + count] for k in range(4)])
+    weights = np.tile(np.array(NEIGHBOUR_WEIGHTS)[:, None], count)
+    uneven = np.flatnonzero(np.ptp(around, axis=0) >= MAX_STEP_VARIATION * around[0])
+    lag = [times_s[uneven + 2 + offset] - times_s[uneven + 2] for offset in NEIGHBOUR_OFFSETS]
+    for weight, near in zip(weights, lag, strict=True):
+        weight[uneven] = np.prod([far / (far - near) for far in lag if far is not near], axis=0)
+    path = np.ascontiguousarray(points.T)
+    residual = path[:, 2:-2].copy()
     for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True):
-        residual -= weight[:, None] * points[2 + offset : 2 + offset + count]
-    gain = np.sqrt(1 + sum(weight**2 for weight in weights))
-    return np.pad(np.sqrt((residual**2).sum(1)) / gain, 2, mode="edge")
+        residual -= weight * path[:, 2 + offset : 2 + offset + count]
+    gain = np.sqrt(1 + (weights**2).sum(0))
+    return np.pad(np.sqrt((residual**2).sum(0)) / gain, 2, mode="edge")
 
 
 def detect_jitter(
@@ -234,12 +236,9 @@ def detect_jitter(
     min_noise_m = min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2
     faults: list[Fault] = []
     memory, partners = memory or RoundMemory(), None
-    for m, label in enumerate(take.bare_labels):
-        samples = is_usable[:, m]
-        usual_m, threshold_m, bursts = memory.recall(
-            ("bursts", m, min_noise_m), samples, lambda m=m, samples=samples: _measure_noise(take, m, samples, min_noise_m)
-        )
-        memory.recall(("usual residual", m), samples, lambda usual_m=usual_m: usual_m)  # for `estimate_noise_levels`
+    noise = memory.recall(("bursts", min_noise_m), is_usable, lambda m: _measure_noise(take, m, is_usable[:, m], min_noise_m))
+    memory.recall("usual residual", is_usable, lambda m: noise[m][0])  # for `estimate_noise_levels`
+    for m, (label, (usual_m, threshold_m, bursts)) in enumerate(zip(take.bare_labels, noise, strict=True)):
         for burst in bursts:
             partners = estimate_distances(take.markers).partner if partners is None else partners
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, threshold_m):
@@ -333,14 +332,13 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
     Returns:
         The faults, ordered by marker and first frame. Their severity is the largest distance from the path in metres.
     """
-    faults: list[Fault] = []
-    memory, partners = memory or RoundMemory(), None
-    for m, label in enumerate(take.bare_labels):
-        excursion = memory.recall(
-            ("excursions", m, min_distance_m, max_duration_s),
-            take.visible[:, m],
-            lambda m=m: _find_excursions(take, m, min_distance_m, max_duration_s),
-        )
+    faults, partners = list[Fault](), None
+    excursions = (memory or RoundMemory()).recall(
+        ("excursions", min_distance_m, max_duration_s),
+        take.visible,
+        lambda m: _find_excursions(take, m, min_distance_m, max_duration_s),
+    )
+    for m, (label, excursion) in enumerate(zip(take.bare_labels, excursions, strict=True)):
         if not len(excursion.frames):
             continue
         partners = estimate_distances(take.markers).partner if partners is None else partners
@@ -371,6 +369,8 @@ def _find_excursions(take: Take, marker: int, min_distance_m: float, max_duratio
     if len(frames) >= 3:
         is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))
     omitted = np.flatnonzero(~is_kept)
+    if not len(omitted):
+        return _Excursions(omitted, np.empty((0, 3)), np.empty((0, 0), int), np.empty((0, 0)))
     samples, weight, sd_m = _fit_locally(frames[is_kept] / rate, frames[omitted] / rate)
     deviation = points[omitted] - np.einsum("ns,nsx->nx", weight, points[is_kept][samples])
     is_far = np.linalg.norm(deviation, axis=-1) > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * sd_m)
