@@ -158,7 +158,7 @@ class InitialiseOptions(StageOptions):
         job_key="start", choices=INIT_METHODS, for_markers=True,
     )  # fmt: skip
     is_fast: bool = define_option(
-        False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
+        False, "--fast", "", "preview: first poses and cheap fills, no recording; its error is in the notes", job_key="fast",
         for_markers=True,
     )  # fmt: skip
 

@@ -110,6 +110,7 @@ class OutputFormat:
     companion_suffixes: tuple[str, ...] = ()  # suffixes of files that `write_file` writes beside it
     needs_body: bool = False  # whether the format is written only if the take has a body
     needs_markers: bool = False  # whether the format is written only if the subject has markers
+    is_in_preview: bool = True  # whether a preview has the file
     timer_stage: str = "write"  # stage in which its time is counted
     usage_note: str = ""  # what users of the file must know, as a predicate of the file name
 
@@ -237,8 +238,8 @@ DEFAULT_FORMATS = (
     OutputFormat(
         CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
-    OutputFormat("rrd", _write_recording, timer_stage="show"),
-    OutputFormat("report.html", _write_html_report, timer_stage="show"),
+    OutputFormat("rrd", _write_recording, is_in_preview=False, timer_stage="show"),
+    OutputFormat("report.html", _write_html_report, is_in_preview=False, timer_stage="show"),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {

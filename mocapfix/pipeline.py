@@ -29,7 +29,7 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions, check_take_options
+from mocapfix.options import FEET_OFF, CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
@@ -41,17 +41,8 @@ from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
-from mocapfix.subject.calibration import (
-    Calibrated,
-    calibrate_body,
-    place_moved_markers,
-)
-from mocapfix.subject.library import (
-    NO_BODY_NOTE,
-    SubjectChoice,
-    describe_marker_set_match,
-    withdraw_marker_set,
-)
+from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
+from mocapfix.subject.library import NO_BODY_NOTE, SubjectChoice, describe_marker_set_match, withdraw_marker_set
 from mocapfix.surveys import DEFAULT_OPTIONS, calibrate_takes, identify_subject, limit_blas_threads
 
 
@@ -96,6 +87,8 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
     check_take_options(capture, options)
+    if options.initialise.is_fast:
+        options = options.change(max_rounds=1, feet=FEET_OFF)
     takes, reviews, exchanges = split_corrected_subjects(capture, options)
     results = clean_subjects(takes, reviews, options, load_pose_model, timer)
     result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))

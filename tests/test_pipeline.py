@@ -413,10 +413,10 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     first, second = result.subject_report["notes"][:2]
     assert first.startswith("No marker set fits the labels P1, P2 and 39 more: none of them is in a shipped set")
     assert second == "The take was cleaned without a skeleton: there is no BVH."
-    assert not any("--fast" in note for note in report["notes"])
+    assert not any("Preview" in note for note in report["notes"])
     preview = pipeline.clean(source, known_sets_only=True, is_fast=True)
     assert (
-        "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
+        "Preview without a skeleton: gaps are filled as in a full clean, and faults are detected in one round."
         in preview.subject_report["notes"]
     )
     outputs = result.write(tmp_path / "out")

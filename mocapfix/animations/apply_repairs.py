@@ -64,13 +64,7 @@ def apply_repairs(
     applied = _list_changes(before, after, selected, repair, is_repaired)
     unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
     return RepairedAnimation(
-        repaired,
-        before,
-        after,
-        joint_take,
-        Faults(tuple(faults)),
-        (*applied, *(each.to_change() for each in reviewed)),
-        unfilled,
+        repaired, before, after, joint_take, Faults(tuple(faults)), (*applied, *(each.to_change() for each in reviewed)), unfilled
     )
 
 

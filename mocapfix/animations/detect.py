@@ -345,12 +345,7 @@ def _build_gap_fault(gap: AnimationGap, track_names: Sequence[str], rate: float)
 
 
 def _detect_joint_faults(
-    joint: int,
-    name: str,
-    joint_quaternions: Float[np.ndarray, "T 4"],
-    is_usable: Bool[np.ndarray, " T"],
-    order: str,
-    rate: float,
+    joint: int, name: str, joint_quaternions: Float[np.ndarray, "T 4"], is_usable: Bool[np.ndarray, " T"], order: str, rate: float
 ) -> list[Fault]:
     """Return the pops, flips and jitter bursts of one joint."""
     faults, is_steady = [], is_usable.copy()

@@ -351,10 +351,7 @@ PageWriter = Callable[[Path, Sequence[TakeRecord]], object]
 
 
 def run_session(
-    takes: Sequence[BatchTake],
-    settings: BatchSettings,
-    progress: BatchProgress,
-    write_page: PageWriter | None = None,
+    takes: Sequence[BatchTake], settings: BatchSettings, progress: BatchProgress, write_page: PageWriter | None = None
 ) -> list[TakeRecord]:
     """Clean the takes of a session and return their records, in the order of the takes.
 

@@ -190,8 +190,7 @@ def map_joints(names: Sequence[str], parents: Int[np.ndarray, " J"], convention:
     spellings = spell_names(names)
     matches = [(each, _match_joints(each, spellings, parents)) for each in conventions]
     best, file_joints = max(
-        matches,
-        key=lambda match: (not _find_missing_joints(match[1]), (match[1] >= 0).sum(), match[0].compare_names(spellings)),
+        matches, key=lambda match: (not _find_missing_joints(match[1]), (match[1] >= 0).sum(), match[0].compare_names(spellings))
     )
     count = int((file_joints >= 0).sum())
     if missing := _find_missing_joints(file_joints):

@@ -140,7 +140,7 @@ def clean_takes(
             if folder / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
             with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
-                timer = StageTimer(report_progress=import_while_solving(progress))
+                timer = StageTimer(report_progress=progress if options.initialise.is_fast else import_while_solving(progress))
                 with timer("read"):
                     capture = read_capture(take, options.read)
                 from mocapfix import pipeline  # after a file that cannot be read is refused: this takes longer than reading it

@@ -11,11 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTake, MovingAxes
+from mocapfix.fill.edge_interpolation import fill_with_splines
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkerEstimate, MarkersInTake, MovingAxes
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.solve import kinematics
 from mocapfix.stats.gaussian_process import estimate_roughness, map_residual
+from mocapfix.stats.sequences import find_runs
 
 BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
 MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
@@ -154,3 +156,48 @@ def _average_squares(error: Float[np.ndarray, "K S 3"]) -> Float[np.ndarray, " S
     count = (~np.isnan(error)).sum((0, 2))
     square = np.divide(np.nansum(error**2, axis=(0, 2)), count, out=np.zeros(error.shape[1]), where=count > 0)
     return np.maximum(square, MIN_BODY_FILL_SD_M**2)
+
+
+MAX_PREVIEW_SPLINE_S = 0.5  # duration of the longest gap of a preview that is filled by a spline
+
+
+def estimate_preview(markers: Float[np.ndarray, "T M 3"], rate: float, body: BodyFit) -> MarkerEstimate:
+    """Return the estimates of a preview: a spline, or the place on the body with the residual on a line between the gap's edges.
+
+    The standard deviation of the line is that of lines across visible stretches as long as the gap. Markers off the body, and
+    gaps in which no marker shows the segment, are not estimated.
+
+    Args:
+        markers: Metres, NaN if not visible or an outlier.
+        rate: Frame rate in Hz.
+        body: The body with the poses of a preview.
+    """
+    position, sd = fill_with_splines(markers, rate, MAX_PREVIEW_SPLINE_S)
+    method, is_lost = np.full(sd.shape, FillMethod.SPLINE, np.int8), np.isnan(markers[..., 0])
+    rotations = kinematics.compute_world_poses(body.extended_subject.skeleton, body.motion)[1]
+    for row, m in enumerate(body.marker_columns.tolist()):
+        path, is_unseen = markers[:, m], body.motion.marker_sd[:, row] > body.motion.marker_sd[:, row].min()
+        if m < 0 or is_lost[:, m].all() or not is_lost[:, m].any():
+            continue
+        axes = MovingAxes(rotations[:, body.extended_subject.joints[row]], body.marker_positions[:, row])
+        residual = axes.transform_from_world(path)
+        for first, last in find_runs(is_lost[:, m]):
+            frames, length = np.arange(first, last + 1), last - first + 1
+            edges = [residual[frame] for frame in (first - 1, last + 1) if 0 <= frame < len(path)]
+            if is_unseen[frames].any():
+                continue
+            share = np.linspace(0.0, 1.0, length + 2)[1:-1]
+            growth = 4 * share * (1 - share) if len(edges) > 1 else 1 - share if first == 0 else share
+            line_sd = BODY_ERROR_RATIO * _measure_line_error(residual, length, len(edges)) * np.sqrt(growth)
+            line = axes.transform_to_world(edges[0] + share[:, None] * (edges[-1] - edges[0]), frames)
+            is_better = ~(sd[frames, m] <= line_sd)
+            better = frames[is_better], m
+            position[better], sd[better], method[better] = line[is_better], line_sd[is_better], FillMethod.BODY
+    return MarkerEstimate(position, np.maximum(sd, MIN_BODY_FILL_SD_M), method)
+
+
+def _measure_line_error(residual: Float[np.ndarray, "T 3"], length: int, edge_count: int) -> float:
+    """Return the error per axis in metres in the middle of lines between two edges, or at the end of a stretch with one edge."""
+    lag = -(-length // edge_count)
+    change = residual[lag:] - residual[:-lag]
+    return float(np.sqrt(np.nanmean((change if np.isfinite(change).any() else residual) ** 2) / edge_count))

@@ -86,10 +86,7 @@ def group_gap_patterns(
 
 
 def build_hermite_map(
-    gap_frames: int,
-    before: Int[np.ndarray, " B"],
-    after: Int[np.ndarray, " A"],
-    points: Int[np.ndarray, " P"] | None = None,
+    gap_frames: int, before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], points: Int[np.ndarray, " P"] | None = None
 ) -> Float[np.ndarray, "P BA"]:
     """Return the map from samples before and after a gap, as distances from its edge samples, to those in all of its frames, or
     at `points`, offsets from its first frame.

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from mocapfix.fill.body_fill import BodyPlacement
+from mocapfix.fill.body_fill import BodyPlacement, estimate_preview
 from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
 from mocapfix.fill.gap_windows import (
     MIN_FILL_SD_M,
@@ -85,11 +85,14 @@ def estimate_missing_samples(
     Args:
         markers: Metres, NaN if not visible or an outlier.
         rate: Frame rate in Hz.
-        body: The solved body; None without one.
+        body: The solved body, or that of a preview, in which only gaps off the body and on unseen segments need more than it.
         rigid_groups: Groups of markers that are rigid and not on the body.
         requests: Samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
     """
-    settled = _fill_short_gaps(markers, rate, requests)
+    if body and body.evidence is None and not requests:
+        settled = estimate_preview(markers, rate, body)
+    else:
+        settled = _fill_short_gaps(markers, rate, requests)
     is_settled = ~np.isnan(settled.sd)
     if not (np.isnan(markers[..., 0]) & ~is_settled).any():
         return settled

@@ -14,15 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
-from mocapfix.fill.gap_windows import (
-    FillMethod,
-    Gap,
-    GapEstimate,
-    GapWindow,
-    MarkersInTake,
-    MovingAxes,
-    compute_variation_growth,
-)
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes, compute_variation_growth
 from mocapfix.stats.gaussian_process import GaussianProcess, HeldOutPrediction, StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import sample_evenly, select_training_frames

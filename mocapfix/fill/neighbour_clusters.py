@@ -17,15 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, interpolate_in_axes
-from mocapfix.fill.gap_windows import (
-    MIN_KEPT_FRAME_SHARE,
-    FillMethod,
-    Gap,
-    GapEstimate,
-    GapWindow,
-    MarkersInTake,
-    MovingAxes,
-)
+from mocapfix.fill.gap_windows import MIN_KEPT_FRAME_SHARE, FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, estimate_roughness, map_residual
 from mocapfix.stats.marker_distances import measure_distance_spread

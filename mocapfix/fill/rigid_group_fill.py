@@ -79,11 +79,7 @@ class _GroupShape:
         return np.where(pose_sd <= MAX_POSE_SD_RATIO * np.nanmax(self.marker_sd, initial=0.0), pose_sd, np.inf)
 
     def place(
-        self,
-        member: int,
-        frames: Int[np.ndarray, " N"],
-        is_used: Bool[np.ndarray, "N K"],
-        around: Int[np.ndarray, "2 N"],
+        self, member: int, frames: Int[np.ndarray, " N"], is_used: Bool[np.ndarray, "N K"], around: Int[np.ndarray, "2 N"]
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
         """Return the positions of a member of the group in some frames and their standard deviations per axis; NaN if unknown.
 

@@ -326,12 +326,4 @@ def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[n
 
 
 def _build_point_take(animation: Animation, points: Float[np.ndarray, "T M 3"], labels: tuple[str, ...]) -> Take:
-    return Take(
-        points,
-        labels,
-        animation.rate,
-        animation.first_frame,
-        animation.path,
-        notes=animation.notes,
-        point_kind="joint",
-    )
+    return Take(points, labels, animation.rate, animation.first_frame, animation.path, notes=animation.notes, point_kind="joint")

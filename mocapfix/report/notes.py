@@ -37,7 +37,7 @@ MAX_GROUPS_LENGTH = 110  # characters of a list of rigid groups
 MAX_LISTED_GROUP_LABELS = 2  # labels of each of them
 MAX_LISTED_PART_LABELS = 2  # labels of a part of the body in one sentence
 MAX_STRAY_NOTES = 4  # notes on single markers that are far from the body; more are one sentence
-NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
+NO_PREVIEW_NOTE = "Preview without a skeleton: gaps are filled as in a full clean, and faults are detected in one round."
 
 
 def build_body_notes(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix.fill.body_fill import BODY_ERROR_RATIO, BodyPlacement
+from mocapfix.fill.body_fill import BODY_ERROR_RATIO, BodyPlacement, estimate_preview
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
@@ -25,14 +25,19 @@ def scene():
     return truth.subject, motion, kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1], rotation
 
 
-def fill(scene, markers, marker, first, last, motion=None):
-    """Return the estimate of a marker that is lost over first..last, and its standard deviation at the points of the gap."""
+def build_body(scene, damaged, motion=None):
+    """Return the body of damaged markers (T, K, 3)."""
     subject, known, on_body, _ = scene
-    damaged = markers.copy()
-    damaged[first : last + 1, marker] = np.nan
     joints = kinematics.compute_joint_and_marker_positions(subject, known)[0]
     columns = np.arange(len(subject.labels))
-    body = BodyFit(subject, subject, columns, Take(damaged, subject.labels, RATE), motion or known, joints, on_body, None)
+    return BodyFit(subject, subject, columns, Take(damaged, subject.labels, RATE), motion or known, joints, on_body, None)
+
+
+def fill(scene, markers, marker, first, last, motion=None):
+    """Return the estimate of a marker that is lost over first..last, and its standard deviation at the points of the gap."""
+    damaged = markers.copy()
+    damaged[first : last + 1, marker] = np.nan
+    body = build_body(scene, damaged, motion)
     take = build_take(damaged, rate=RATE, body=body)
     [estimate] = BodyPlacement(take)(build_gap(take, marker, first, last))
     return estimate
@@ -105,3 +110,19 @@ def test_invisible_marker_is_placed_at_its_offset(scene):
 def test_marker_that_is_not_on_the_body_has_no_estimate():
     take = build_take(np.random.default_rng(0).normal(size=(50, 3, 3)))
     assert BodyPlacement(take)(build_gap(take, 0, 10, 20)) == []
+
+
+def test_preview_carries_the_residual_across_a_gap_and_leaves_segments_that_no_marker_shows(scene):
+    subject, motion, on_body, rotation = scene
+    markers, marker_sd = on_body.copy(), motion.marker_sd.copy()
+    marker, unseen = subject.labels.index("LFRM"), subject.labels.index("RKNE")
+    markers[:, marker] += np.einsum("tab,b->ta", rotation[:, subject.joints[marker]], [0.015, -0.01, 0.005])
+    damaged = markers.copy()
+    damaged[100:200, [marker, unseen]] = damaged[:20, marker] = np.nan
+    marker_sd[150, unseen] = 0.05
+    body = build_body(scene, damaged, replace(motion, marker_sd=marker_sd))
+    position, sd, _ = estimate_preview(damaged, RATE, body)
+    is_lost = np.isnan(damaged[..., 0])
+    np.testing.assert_allclose(position[is_lost[:, marker], marker], markers[is_lost[:, marker], marker], atol=1e-9)
+    assert (sd[is_lost[:, marker], marker] > 0).all()
+    assert np.isnan(position[100:200, unseen]).all()

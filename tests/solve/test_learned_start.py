@@ -52,13 +52,17 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     result = pipeline.clean(path, is_fast=True)
     assert result.motion is not None
     assert (result.motion.iterations == 0).all()
-    assert any(note.startswith("Preview: ") and "15 mm" in note for note in result.subject_report["notes"])
+    assert any(note.startswith("Preview: ") and "29 mm" in note for note in result.subject_report["notes"])
     error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
     assert np.nanmean(error) < 0.04
     solve = result.subject_report["solve"]
     assert solve is not None
     assert solve["start"] == "learned"
     assert solve["prior"] is None
+    preview = set(result.write(tmp_path / "out"))
+    assert {"rrd", "report.html"} == set(pipeline.clean(path).write(tmp_path / "out", overwrite=True)) - preview
+    result.write(tmp_path / "out", overwrite=True)
+    assert not (tmp_path / "out" / "take.rrd").exists()
 
 
 def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance):
