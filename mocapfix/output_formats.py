@@ -5,6 +5,8 @@
 
 import json
 from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, Future
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -41,6 +43,7 @@ from mocapfix.subject import library
 if TYPE_CHECKING:
     from mocapfix.report.contact_sheet import ContactSheet, Performer
 
+RECORDING_SUFFIX = "rrd"
 SHEET_SUFFIX = "sheet.png"
 RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
 
@@ -72,6 +75,7 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
+    recording: Future[None] | None = None  # the recording that another process writes; None: this one writes it
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
 
@@ -200,10 +204,18 @@ def _write_npz(target: Path, content: OutputContent) -> None:
     write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts)
 
 
-def _write_recording(target: Path, content: OutputContent) -> None:
+def record_comparison(target: Path, comparison: CleaningComparison) -> None:
+    """Write the recording of a cleaning, as `write_recording` does, which is slow to import."""
     from mocapfix.report.recording import write_recording
 
-    write_recording(target, content.comparison)
+    write_recording(target, comparison)
+
+
+def _write_recording(target: Path, content: OutputContent) -> None:
+    if content.recording is not None:
+        with suppress(BrokenExecutor):
+            return content.recording.result()
+    return record_comparison(target, content.comparison)
 
 
 def _write_html_report(target: Path, content: OutputContent) -> None:
@@ -238,8 +250,8 @@ DEFAULT_FORMATS = (
     OutputFormat(
         CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
-    OutputFormat("rrd", _write_recording, is_in_preview=False, timer_stage="show"),
     OutputFormat("report.html", _write_html_report, is_in_preview=False, timer_stage="show"),
+    OutputFormat(RECORDING_SUFFIX, _write_recording, is_in_preview=False, timer_stage="show"),  # after what is written beside it
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {

@@ -7,6 +7,8 @@ several subjects.
 import json
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, Executor, wait
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,11 +34,13 @@ from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
+    RECORDING_SUFFIX,
     ExportedMotion,
     OutputContent,
     OutputFormat,
     build_exported_motion,
     list_output_formats,
+    record_comparison,
     write_cleaned_copy,
 )
 from mocapfix.report.build_report import build_fill_section
@@ -122,11 +126,19 @@ class CleaningResult:
         overwrite: bool = False,
         report_progress: ProgressCallback | None = None,
         options: OutputOptions = DEFAULT_OUTPUT_OPTIONS,
+        recorder: Executor | None = None,
     ) -> dict[str, Path]:
         """Write all outputs into a folder, which is created if necessary.
 
         The outputs are the cleaned file, BVH, subject, review file, reports and recording, and the formats in `options`. They are
         written to a temporary folder and moved together, so that no output is missing or incomplete.
+
+        Args:
+            folder: Where the outputs go.
+            overwrite: Whether outputs that exist are replaced.
+            report_progress: Called with the name of each stage when it begins.
+            options: Which formats are written, and how.
+            recorder: A process that writes the recording meanwhile; None: it is written in this one.
 
         Returns:
             The paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
@@ -139,7 +151,7 @@ class CleaningResult:
         targets = check_outputs_free(folder, stem, overwrite, self.input_take.path, options, subject_stems)
         make_output_folder(folder)
         with replace_together(targets, folder) as temporary:
-            self._write_files(temporary, folder, options, report_progress)
+            self._write_files(temporary, folder, options, report_progress, recorder)
         paths = [path for result in results for path in result.get_written_paths(folder, options).values()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 
@@ -201,7 +213,12 @@ class CleaningResult:
         return self.input_take.path.stem if self.input_take.path else "take"
 
     def _write_files(
-        self, folder: Path, final_folder: Path, options: OutputOptions, report_progress: ProgressCallback | None
+        self,
+        folder: Path,
+        final_folder: Path,
+        options: OutputOptions,
+        report_progress: ProgressCallback | None,
+        recorder: Executor | None,
     ) -> None:
         """Write the cleaned file of all subjects, then the other files of each, to be moved to the final folder."""
         arguments: list[str] = []
@@ -216,7 +233,7 @@ class CleaningResult:
         for result, timer in zip(results, timers, strict=True):
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
             unstorable = [(frame, index[m]) for frame, m in unstorable_samples if m in index]
-            result._write_subject_files(folder, options, timer, unstorable, arguments)
+            result._write_subject_files(folder, options, timer, unstorable, arguments, recorder)
 
     def _write_subject_files(
         self,
@@ -225,6 +242,7 @@ class CleaningResult:
         timer: StageTimer,
         unstorable_samples: Sequence[tuple[int, int]],
         arguments: list[str],
+        recorder: Executor | None,
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
         with timer("write"):
@@ -241,13 +259,20 @@ class CleaningResult:
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
-        for each in list_output_formats(options):
-            if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
-                target, usage = folder / f"{self.input_take.output_stem}.{each.suffix}", f"{each.suffix} {each.usage_note}"
-                with timer(each.timer_stage):
-                    content.report["notes"].extend(each.write_file(target, content) or ())
-                if usage in content.report["notes"] and not target.exists():
-                    content.report["notes"].remove(usage)
+        if recorder:
+            target = folder / f"{self.input_take.output_stem}.{RECORDING_SUFFIX}"
+            with suppress(BrokenExecutor):
+                content = replace(content, recording=recorder.submit(record_comparison, target, content.comparison))
+        try:
+            for each in list_output_formats(options):
+                if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
+                    target, usage = folder / f"{self.input_take.output_stem}.{each.suffix}", f"{each.suffix} {each.usage_note}"
+                    with timer(each.timer_stage):
+                        content.report["notes"].extend(each.write_file(target, content) or ())
+                    if usage in content.report["notes"] and not target.exists():
+                        content.report["notes"].remove(usage)
+        finally:
+            wait([content.recording] if content.recording else [])  # it writes into the folder
 
     def build_content(self, exported: ExportedMotion | None) -> OutputContent:
         """Return what the files of a take of at most one subject are written from, with the motion as it is written."""

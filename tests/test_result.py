@@ -1,8 +1,12 @@
 """Output files: optional formats beside the default ones, all of them or none."""
 
 import json
+import os
 import re
+import threading
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +42,10 @@ def without_body(cleaned) -> CleaningResult:
 @pytest.fixture(autouse=True)
 def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
-    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
+    monkeypatch.setattr(
+        "mocapfix.report.recording.write_recording",
+        lambda target, comparison: target.write_text(f"rrd by {threading.current_thread().name}", encoding="utf-8"),
+    )
     monkeypatch.setattr(
         "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
     )
@@ -156,6 +163,31 @@ def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):
     with pytest.raises(WriteError, match="MotionBuilder"):
         solved.write(tmp_path, overwrite=True, options=OutputOptions(rigs=("motionbuilder",)))
     assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == {"walk.bvh": "earlier"}
+
+
+def test_the_recording_is_written_by_another_thread_or_process(solved, tmp_path):
+    with ThreadPoolExecutor(1) as recorder:
+        recorder.submit(threading.current_thread).result().name = "recorder"
+        outputs = solved.write(tmp_path, recorder=recorder)
+    assert outputs["rrd"].read_bytes() == b"rrd by recorder"
+
+
+def test_the_recording_is_written_here_if_the_other_process_has_ended(solved, tmp_path):
+    with ProcessPoolExecutor(1, get_context("spawn")) as recorder:
+        with pytest.raises(BrokenExecutor):
+            recorder.submit(os._exit, 1).result()
+        outputs = solved.write(tmp_path / "broken", recorder=recorder)
+    assert outputs["rrd"].read_bytes() == b"rrd by MainThread"
+
+
+def test_no_file_is_written_if_the_other_process_cannot_write_the_recording(solved, tmp_path, monkeypatch):
+    def fail(target: Path, _comparison: object) -> None:
+        raise OSError(f"{target.name}: the disk is full")
+
+    monkeypatch.setattr("mocapfix.report.recording.write_recording", fail)
+    with ThreadPoolExecutor(1) as recorder, pytest.raises(WriteError, match="disk is full"):
+        solved.write(tmp_path, recorder=recorder)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_existing_output_of_any_format_is_not_replaced(solved, tmp_path):

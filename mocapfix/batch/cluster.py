@@ -143,7 +143,7 @@ def start_cluster(options: ClusterOptions) -> Any:
         return SSHCluster([options.ssh_hosts[0], *options.ssh_hosts], worker_options=worker_options)
     from distributed import LocalCluster
 
-    from mocapfix.kernels.compilation import count_cores
+    from mocapfix.model.system import count_cores
 
     return LocalCluster(
         n_workers=options.workers or count_cores(),

@@ -7,10 +7,13 @@ The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoi
 
 import json
 import shlex
-import threading
+import signal
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,6 +43,7 @@ from mocapfix.cli.console import (
 )
 from mocapfix.errors import MocapfixError, SceneError, WriteError, describe_error
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
+from mocapfix.model.system import count_cores
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5  # runs of unfilled samples, or markers with unfilled samples, that the summary lists
@@ -47,8 +51,6 @@ MAX_PRINTED_NOTES = 12  # notes that it prints
 MAX_LISTED_REASONS = 3  # reasons of unfilled samples that it lists
 CLIP_SUFFIXES = (".glb", ".vrm")  # files of characters that hold animations
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
-SOLVE_STAGE = "solve"  # the stage during which what writes the reports is imported
-REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")  # for the reports; they take a third of a second to import
 STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import FillSection, Report, TakeSection
@@ -134,34 +136,36 @@ def clean_takes(
     written: set[Path] = set()
     laboratory: dict[str, str] = {}
     attempts = TakeAttempts()
-    for take in takes:
-        with attempts.attempt(take):
-            folder = output_folder or choose_output_folder(take)
-            if folder / take.stem in written:
-                raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
-            with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
-                timer = StageTimer(report_progress=progress if options.initialise.is_fast else import_while_solving(progress))
-                with timer("read"):
-                    capture = read_capture(take, options.read)
-                from mocapfix import pipeline  # after a file that cannot be read is refused: this takes longer than reading it
-                from mocapfix.result import check_outputs_free
+    has_recording = count_cores() > 1 and not options.initialise.is_fast
+    with start_recorder() if has_recording else nullcontext() as recorder:
+        for take in takes:
+            with attempts.attempt(take):
+                folder = output_folder or choose_output_folder(take)
+                if folder / take.stem in written:
+                    raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
+                with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
+                    timer = StageTimer(report_progress=progress)
+                    with timer("read"):
+                        capture = read_capture(take, options.read)
+                    from mocapfix import pipeline  # after a bad file is refused: this takes longer than reading it
+                    from mocapfix.result import check_outputs_free
 
-                targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
-                check_files_kept([*takes, *([clips] if clips else [])], targets)
-                result = pipeline.clean_capture(capture, options, timer)
-                result.write(folder, overwrite, progress, options.output)
-            written.add(folder / take.stem)
-            for each in result.subject_results or (result,):
-                outputs = each.get_written_paths(folder, options.output)
-                reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
-                laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
-                clip_paths += [path for suffix, path in outputs.items() if suffix.endswith(CLIP_SUFFIXES)]
-                problems = each.describe_missing_outputs(folder, options.output)
-                if not as_json:
-                    notes = [note for note in reports[-1]["notes"] if note not in problems]
-                    print_summary({**reports[-1], "notes": notes}, outputs, options.subject.subject_prefix)
-                for problem in problems:
-                    attempts.add_failure(take, problem)
+                    targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
+                    check_files_kept([*takes, *([clips] if clips else [])], targets)
+                    result = pipeline.clean_capture(capture, options, timer)
+                    result.write(folder, overwrite, progress, options.output, recorder)
+                written.add(folder / take.stem)
+                for each in result.subject_results or (result,):
+                    outputs = each.get_written_paths(folder, options.output)
+                    reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
+                    laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
+                    clip_paths += [path for suffix, path in outputs.items() if suffix.endswith(CLIP_SUFFIXES)]
+                    problems = each.describe_missing_outputs(folder, options.output)
+                    if not as_json:
+                        notes = [note for note in reports[-1]["notes"] if note not in problems]
+                        print_summary({**reports[-1], "notes": notes}, outputs, options.subject.subject_prefix)
+                    for problem in problems:
+                        attempts.add_failure(take, problem)
     if clips and clip_paths:
         with attempts.attempt(clips):
             from mocapfix.characters.character_files import write_clips
@@ -174,6 +178,22 @@ def clean_takes(
     if as_json and reports:
         print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
     return EXIT_FAILED if attempts.failed else EXIT_DONE
+
+
+@contextmanager
+def start_recorder() -> Generator[Executor]:
+    """Provide a process that writes recordings: it imports rerun while the first take is read."""
+    ignore_interrupts = signal.SIGINT, signal.SIG_IGN  # the command decides when it ends
+    recorder = ProcessPoolExecutor(1, get_context("spawn"), initializer=signal.signal, initargs=ignore_interrupts)
+    recorder.submit(import_module, "mocapfix.report.recording")
+    started = list(recorder._processes.values())  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
+    try:
+        yield recorder
+    finally:
+        recorder.shutdown(wait=False, cancel_futures=True)
+        for each in started:
+            each.kill()
+            each.join()
 
 
 def choose_output_folder(take: Path) -> Path:
@@ -192,22 +212,6 @@ def check_files_kept(files: Sequence[Path], targets: Sequence[Path]) -> None:
     for target in targets:
         if replaced := places.get(target.resolve()):
             raise WriteError(f"{replaced}: would be replaced by an output; choose another folder with --out.")
-
-
-def import_while_solving(progress: Callable[[str], None]) -> Callable[[str], None]:
-    """Return a progress callback that also imports the modules of the reports, in a thread, once the body is solved.
-
-    The solver is compiled code that leaves the interpreter to others.
-    """
-    threads: list[threading.Thread] = []
-
-    def show_stage(stage: str) -> None:
-        progress(stage)
-        if stage == SOLVE_STAGE and not threads:
-            threads.append(threading.Thread(target=lambda: [import_module(name) for name in REPORT_MODULES]))
-            threads[0].start()
-
-    return show_stage
 
 
 def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:

@@ -40,7 +40,7 @@ from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
 
-from mocapfix.model.system import get_system
+from mocapfix.model.system import count_cores, get_system
 
 config: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
 
@@ -52,7 +52,6 @@ DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 FOLDER_PREFIX = "compiled-"
 OUTDATED_PATTERNS = (f"{FOLDER_PREFIX}*", "mocapfix.*-*", "*.nb[ic]")  # the last two are of earlier versions
 MAX_PROCESSES = 8  # more would wait for the longest chain of kernels that call one another
-THREADS_VARIABLE = "MOCAPFIX_NUM_THREADS"  # of the environment
 
 
 @cache
@@ -158,12 +157,7 @@ JITCPUCodegen._library_class = CachedLibrary
 
 
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function that Python or several kernels call, as `numba.njit` does, and cache it. A decorator.
-
-    Args:
-        function: the function.
-        options: of `numba.njit`.
-    """
+    """Compile a function that Python or several kernels call, as `numba.njit` does with these options, cached. A decorator."""
     if function is None:
         return partial(compile_kernel, **options)
     jit: Any = njit  # without its types, which do not have all options
@@ -285,13 +279,6 @@ def compile_listed_kernel(name: str) -> None:
     with suppress(Exception):
         for each in read_kernel_list()[name].signatures:
             find_kernel(name).compile(each)
-
-
-def count_cores() -> int:
-    """Return the number of cores that this process may use, at most as many as the variable MOCAPFIX_NUM_THREADS says."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    limit = os.environ.get(THREADS_VARIABLE, "")
-    return max(1, min(cores, int(limit))) if limit.isdecimal() else cores
 
 
 if __name__ == "__main__":

@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
-from mocapfix.kernels.compilation import THREADS_VARIABLE, count_cores
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm, TrackingTerm
 from mocapfix.lab.common_task import CommonTask, build_common_task, compute_zyx_rotations
+from mocapfix.model.system import THREADS_VARIABLE, count_cores
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import order_sequentially
 

@@ -23,7 +23,6 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
-from mocapfix.kernels.compilation import count_cores
 from mocapfix.lab.hybrik_tables import (
     NO_TWISTS,
     build_cmu41_subject,
@@ -45,6 +44,7 @@ from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
+from mocapfix.model.system import count_cores
 from mocapfix.model.take import Take
 from mocapfix.options import INIT_METHODS, SolveOptions, SubjectOptions
 from mocapfix.solve import initial_motion, kinematics, motion_solver

@@ -13,6 +13,8 @@ from typing import NamedTuple
 # Names that Windows gives to devices, whatever follows the first dot.
 DEVICE_NAMES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
 
+THREADS_VARIABLE = "MOCAPFIX_NUM_THREADS"  # of the environment
+
 
 class System(NamedTuple):
     """An operating system."""
@@ -36,6 +38,13 @@ def get_system() -> System:
         return System("darwin", Path.home() / "Library" / "Caches", 1023, False, True, (signal.SIGTERM,))
     cache_folder = Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return System("linux", cache_folder, 4095, False, True, (signal.SIGTERM,))
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use, at most as many as the variable MOCAPFIX_NUM_THREADS says."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get(THREADS_VARIABLE, "")
+    return max(1, min(cores, int(limit))) if limit.isdecimal() else cores
 
 
 def make_file_name(text: str) -> str:

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Int
 
-from mocapfix.kernels.compilation import count_cores
+from mocapfix.model.system import count_cores
 
 
 class SolveOrder(NamedTuple):
