@@ -138,7 +138,8 @@ def clean_subjects(
         take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         choice, is_next = identify_subject(take, options.subject), index == len(results)
-        own_timer = StageTimer(dict(timer.stage_seconds), timer.report_progress if is_next else None)
+        progress = timer.report_progress if is_next else None
+        own_timer = StageTimer(dict(timer.stage_seconds), progress, dict(timer.part_times))
         return clean_subject(take, choice, reviews[index], options, conditioner, own_timer)
 
     while len(results) < len(takes):
@@ -167,7 +168,7 @@ def clean_subject(
     check_contradictions(detected, body, options)
     standing, marker_set = None, choice.marker_set
     if body:
-        with timer("solve"):
+        with timer("solve", "limbs and feet"):
             standing = hold_standing_feet(complete_body(body, conditioner, options), take, options.contacts.feet)
     with timer("fill"):
         # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
@@ -190,7 +191,7 @@ def clean_subject(
         joint_position_world=standing.fit.solved_joint_positions if standing else None,
         contacts=standing.contacts if standing else None,
         residual_m=detected.measure_residuals(standing.fit) if standing else None,
-        report=build_report(take, choice, standing, decided, options, timer.stage_seconds),
+        report=build_report(take, choice, standing, decided, options, timer),
         review=review,
     )
 
@@ -214,14 +215,14 @@ def detect_and_fit(
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
     fitted to the inliers known before. A learned marker set that contradicts the take is withdrawn.
     """
-    with timer("detect"):
+    with timer("detect", "trajectories"):
         detected = detect_on_trajectories(take, choice.marker_set, choice.subject, review, options)
     check_visible_markers(detected)
     if choice.marker_set is None:
         return FittedTake(choice, detected, None)
     calibrated, body = fit_body(detected, choice.marker_set, choice.subject, None, options, conditioner, timer)
     for _ in range(0 if options.initialise.is_fast else options.solve.max_solve_rounds - 1):
-        with timer("detect"):
+        with timer("detect", "body"):
             found = detect_on_body(detected, body, calibrated.marker_set, review, options.detect)
         if found is detected:
             break
@@ -272,7 +273,7 @@ def initialise_and_solve(
     """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
     with timer("initialise"):
         start = initialise_body(calibrated, previous, options.initialise.method_used)
-    with timer("solve"):
+    with timer("solve", "poses"):
         if options.initialise.is_fast:
             return place_body(calibrated, start.motion)
         return solve_body(calibrated, start, previous, conditioner, options)

@@ -138,7 +138,7 @@ class CleaningResult:
             overwrite: Whether outputs that exist are replaced.
             report_progress: Called with the name of each stage when it begins.
             options: Which formats are written, and how.
-            recorder: A process that writes the recording meanwhile; None: it is written in this one.
+            recorder: A process that writes the recording beside the other files; None: this one writes it.
 
         Returns:
             The paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
@@ -226,8 +226,9 @@ class CleaningResult:
             requested = replace(self.requested, output=options)
             arguments = list_clean_arguments(self.input_take.path, requested, final_folder, self._stem)
         results = self.subject_results or (self,)
-        timers = [StageTimer(dict(result.subject_report["seconds"]), report_progress) for result in results]
-        with timers[0]("write"):
+        reports = [result.subject_report for result in results]
+        timers = [StageTimer(dict(each["seconds"]), report_progress, dict(each["times"])) for each in reports]
+        with timers[0]("write", "cleaned file"):
             target = folder / f"{self._stem}.{get_source_suffixes(self.input_take.path)[0]}"
             unstorable_samples = self.write_source_copy(target)
         for result, timer in zip(results, timers, strict=True):
@@ -245,7 +246,7 @@ class CleaningResult:
         recorder: Executor | None,
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
-        with timer("write"):
+        with timer("write", "resampling"):
             exported_motion = build_exported_motion(options, self.subject, self.motion, self.input_take.rate)
         report = self.subject_report
         notes = [*report["notes"], *build_output_notes(options, self.input_take, exported_motion is not None)]
@@ -258,6 +259,7 @@ class CleaningResult:
                 f"{what} the time of a force plate in the cleaned file; its description there tells the time before."
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
+        final_report["times"] = timer.part_times
         content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
         if recorder:
             target = folder / f"{self.input_take.output_stem}.{RECORDING_SUFFIX}"
@@ -267,7 +269,7 @@ class CleaningResult:
             for each in list_output_formats(options):
                 if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
                     target, usage = folder / f"{self.input_take.output_stem}.{each.suffix}", f"{each.suffix} {each.usage_note}"
-                    with timer(each.timer_stage):
+                    with timer(each.timer_stage, each.suffix):
                         content.report["notes"].extend(each.write_file(target, content) or ())
                     if usage in content.report["notes"] and not target.exists():
                         content.report["notes"].remove(usage)

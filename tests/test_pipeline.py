@@ -193,11 +193,16 @@ def test_written_report_is_that_of_the_result_in_strict_json(cleaned):
     report = json.loads(json.dumps(cleaned.result.report))
     arguments = written.pop("arguments")
     assert (cleaned.outputs["report.json"].parent / arguments[0]).samefile(cleaned.path)
-    assert {**written, "seconds": None} == {**report, "seconds": None}
+    assert {**written, "seconds": None, "times": None} == {**report, "seconds": None, "times": None}
     assert not {"write", "show"} & set(report["seconds"])  # writing does not change the result
-    assert list(written) == ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "notes", "contacts"]
+    assert list(written) == ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "times", "notes", "contacts"]
     assert {"read", "calibrate", "solve", "fill", "write", "show"} <= set(written["seconds"])
     assert written["seconds"]["total"] == pytest.approx(sum(v for k, v in written["seconds"].items() if k != "total"), abs=1e-3)
+    by_stage = Counter[str]()
+    for part, time in written["times"].items():
+        by_stage[part.split("/")[0]] += time["seconds"]
+    assert by_stage == pytest.approx({stage: s for stage, s in written["seconds"].items() if stage != "total"}, abs=1e-2)
+    assert {"detect/trajectories", "solve/poses", "solve/limbs and feet", "write/bvh", "show/rrd"} <= set(written["times"])
 
 
 def test_report_has_the_frame_numbers_of_the_file(brief, subject):

@@ -345,6 +345,7 @@ def clean_animation(
         "solve": None,
         "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
         "seconds": timer.stage_seconds,
+        "times": timer.part_times,
         "notes": [*animation.notes, mapping_note, *contact_notes],
     }
     if contacts:

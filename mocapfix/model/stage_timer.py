@@ -1,4 +1,4 @@
-"""Wall-clock time of each processing stage.
+"""Time of each processing stage and of its parts.
 
 Lines by which a command reports its stages to a program that has started it.
 """
@@ -7,7 +7,8 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from time import perf_counter
+from time import perf_counter, process_time
+from typing import TypedDict
 
 ProgressCallback = Callable[[str], None]
 _are_times_kept: ContextVar[bool] = ContextVar("are_times_kept", default=True)
@@ -23,25 +24,40 @@ def omit_stage_times() -> Generator[None]:
         _are_times_kept.reset(token)
 
 
+class PartTime(TypedDict):
+    """Time of a part of a stage."""
+
+    seconds: float  # by the clock
+    processor_seconds: float  # of all threads of the process, those of other subjects included
+
+
 @dataclass
 class StageTimer:
-    """Seconds spent in each stage."""
+    """Seconds spent in each stage and in its parts."""
 
     # seconds by stage, rounded to milliseconds, and their sum as "total"; a stage that runs again adds to its time
     stage_seconds: dict[str, float] = field(default_factory=dict)
     report_progress: ProgressCallback | None = None  # called with the name of each stage when it starts; None makes no calls
+    part_times: dict[str, PartTime] = field(default_factory=dict)  # by "stage/part", or stage where it is one part
 
     @contextmanager
-    def __call__(self, stage: str) -> Generator[None]:
-        """Time the enclosed block as `stage`."""
+    def __call__(self, stage: str, part: str = "") -> Generator[None]:
+        """Time the enclosed block as a stage, or as a part of one."""
         if self.report_progress:
             self.report_progress(stage)
-        start = perf_counter()
+        start, processor_start = perf_counter(), process_time()
         yield
         if not _are_times_kept.get():
             self.stage_seconds["total"] = 0.0
             return
-        self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + perf_counter() - start, 3)
+        seconds, name = perf_counter() - start, f"{stage}/{part}" if part else stage
+        before = self.part_times.get(name, {"seconds": 0.0, "processor_seconds": 0.0})
+        processor_seconds = before["processor_seconds"] + process_time() - processor_start
+        self.part_times[name] = {
+            "seconds": round(before["seconds"] + seconds, 3),
+            "processor_seconds": round(processor_seconds, 3),
+        }
+        self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + seconds, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)
 
 

@@ -17,6 +17,7 @@ from mocapfix.labels.label_summary import build_labelling_section
 from mocapfix.model.changes import Decided, UnfilledRun, serialize_changes
 from mocapfix.model.faults import Fault, Faults
 from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import FEET_OFF, NO_TRAINED_PRIOR, CleanOptions
@@ -318,7 +319,7 @@ def build_report(
     standing: StandingBody | None,
     decided: Decided,
     options: CleanOptions,
-    stage_seconds: dict[str, float],
+    timer: StageTimer,
 ) -> json_report.Report:
     """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
 
@@ -326,7 +327,7 @@ def build_report(
         take: The take as it was read.
         standing: The body that was solved; None without a marker set.
         decided: The cleaned take, its faults and its changes.
-        stage_seconds: The seconds of each stage.
+        timer: The times of all stages before.
     """
     detected, solve, body_notes = decided.filled.detected, None, list[str]()
     if standing:
@@ -354,7 +355,8 @@ def build_report(
         "subject": build_subject_section(standing.fit.subject) if standing else None,
         "solve": solve,
         "fill": build_fill_section(take, detected.take, decided.take, decided.unfilled_runs, detected.donor_markers),
-        "seconds": stage_seconds,
+        "seconds": timer.stage_seconds,
+        "times": timer.part_times,
         "notes": [
             *take.notes,
             *notes.describe_up_axis(take),

@@ -5,6 +5,7 @@ from typing import NotRequired, TypedDict
 from mocapfix.labels.label_summary import LabellingSection
 from mocapfix.model.changes import ChangeEntry
 from mocapfix.model.faults import FaultKind
+from mocapfix.model.stage_timer import PartTime
 from mocapfix.model.take import ComputedEvidence
 
 
@@ -236,6 +237,7 @@ class Report(TypedDict):
     rigid_groups: NotRequired[list[RigidGroupEntry]]  # props; without a body also segments that are rigid, if there are any
     arguments: NotRequired[list[str]]  # the input and the options of `mocapfix clean`, files relative to the folder of the report
     seconds: dict[str, float]  # time by stage, and "total"
+    times: dict[str, PartTime]  # the same by part, such as "solve/poses", with processor time
     notes: list[str]  # sentences on what else needs attention
 
 

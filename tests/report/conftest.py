@@ -127,5 +127,6 @@ def build_scene_report(comparison: CleaningComparison) -> Report:
             "left_by_marker": [{"marker": LABELS[29], "samples": 10, "reasons": {"The <hand> was hidden.": 10}}],
         },
         "seconds": {"read": 0.03, "total": 2.5},
+        "times": {"read": {"seconds": 0.03, "processor_seconds": 0.02}},
         "notes": ["Look at M07 & its neighbours."],
     }
