@@ -134,7 +134,6 @@ ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03,
 BONE_DIRECTION_SD_RAD = 0.025
 """Standard deviation of the direction of a limb's bone. It is small: the pelvis moves a little before a straight knee bends, and
 shoulders before a straight arm that is pushed folds in a plane that nothing shows."""
-LIMIT_SD_SHARE = 0.3  # of the standard deviation of joint limits in a solve from markers: directions are held that much more here
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}  # standard deviations of rotations relative to the parent, by segment
 OTHER_TRACKING_SD_RAD = 0.3
 BEND_AXES = {"upper_arm": (0.0, 1.0, 0.0), "forearm": (0.0, 1.0, 0.0), "thigh": (1.0, 0.0, 0.0), "shin": (1.0, 0.0, 0.0)}
@@ -164,7 +163,7 @@ def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
         _build_direction_term(tree, targets.rotation),
         _build_orientation_term(tree, targets.rotation),
         _build_tracking_term(tree, local, targets.pelvis),
-        JointLimitTerm(tree.skeleton.rest_rotations, low, high, (LIMIT_SD_SHARE * JOINT_LIMIT_SD_RAD) ** -2),
+        JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2),
     )
     return minimise(tree.kernel_tree, terms, (targets.pelvis, local), SolverSettings(max_iterations=30)).poses
 
