@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from mocapfix.characters.alignment import write_rig_bvh
-from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import OptionError, WriteError
 from mocapfix.io.asf_amc import write_asf_amc
@@ -140,8 +138,12 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
 
 
-def build_rig_format(rig: Rig) -> OutputFormat:
-    """Return the format of a BVH for the rig of a program."""
+def build_rig_format(name_or_path: str | Path) -> OutputFormat:
+    """Return the format of a BVH for the rig of a program. Raises SceneError if there is no such rig."""
+    from mocapfix.characters.alignment import write_rig_bvh  # few cleanings need it
+    from mocapfix.characters.character_yaml import load_rig
+
+    rig = load_rig(name_or_path)
     unit = RIG_UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
 
     def write_file(target: Path, content: OutputContent) -> None:
@@ -314,7 +316,7 @@ def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | 
             problem = "is for the motion of a character; name a character too"
             raise OptionError(option.name, option.flag, option.job_key, problem)
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
-    rigs = [build_rig_format(load_rig(name)) for name in dict.fromkeys(options.rigs)]
+    rigs = [build_rig_format(name) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
     formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
     suffixes = [suffix for each in formats for suffix in each.all_suffixes]

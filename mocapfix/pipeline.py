@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from mocapfix.animations.clean import clean_animation, inspect_animation, reject_animation_options
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
@@ -82,6 +81,8 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     requested = options
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     if isinstance(capture, Animation):
+        from mocapfix.animations.clean import clean_animation  # slow to import
+
         return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
     reject_animation_options(capture, options)
     with timer("label"):
@@ -93,6 +94,17 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     results = clean_subjects(takes, reviews, options, load_pose_model, timer)
     result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))
     return replace(result, requested=requested)
+
+
+def reject_animation_options(take: Take, options: CleanOptions) -> None:
+    """Raise TakeError if options are given that apply to animations only."""
+    given = [
+        flag
+        for flag, value in (("--hierarchy", options.subject.hierarchy), ("--contacts", options.contacts.contacts_file))
+        if value is not None
+    ]
+    if given:
+        raise TakeError(f"{take.name}: has markers and no joints; clean it without {' and '.join(given)}.")
 
 
 @limit_blas_threads
@@ -299,6 +311,8 @@ def inspect(
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
+        from mocapfix.animations.clean import inspect_animation  # slow to import
+
         return [inspect_animation(capture, options)]
     reject_animation_options(capture, options)
     capture, options = label_capture(capture, options, calibrate_takes)

@@ -385,14 +385,3 @@ def reject_marker_options(animation: Animation, options: CleanOptions) -> None:
     given = [option.flag for option in OPTIONS if option.for_markers and option.get_value(options) != option.default]
     if given:
         raise TakeError(f"{animation.name}: is an animation, which has no markers; clean it without {' and '.join(given)}.")
-
-
-def reject_animation_options(take: Take, options: CleanOptions) -> None:
-    """Raise TakeError if options are given that apply to animations only."""
-    given = [
-        flag
-        for flag, value in (("--hierarchy", options.subject.hierarchy), ("--contacts", options.contacts.contacts_file))
-        if value is not None
-    ]
-    if given:
-        raise TakeError(f"{take.name}: has markers and no joints; clean it without {' and '.join(given)}.")
