@@ -92,6 +92,7 @@ def find_unobserved_joints(
 
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
+POSE_DAMPING_RATIO = 1e-6  # initial damping over the largest curvature; with 1e-5 weakly determined joints stop farther off
 PRIOR_HUBER_SCALE_SD = 1.0
 """Deviation of a joint from the mean pose, in standard deviations, beyond which the prior's force no longer grows: a forearm that
 follows its markers may then turn across the elbow's hinge, as skin and a wrong marker offset make it appear to."""
@@ -134,6 +135,7 @@ class PoseProblem:
         tracking: TrackingTerm | None = None,
         *,
         max_iterations: int = MAX_ITERATIONS_PER_SCALE,
+        damping_ratio: float = POSE_DAMPING_RATIO,
         order: SolveOrder | None = None,
     ) -> PoseSolution:
         """Return the poses of least cost, through the robust scales.
@@ -142,7 +144,7 @@ class PoseProblem:
         independent.
         """
         order = order or order_sequentially(~np.isnan(start[0][:, 0]), start[1].shape[1])
-        settings = SolverSettings(self.normalise_robust_scales(scales_m), max_iterations, order=order)
+        settings = SolverSettings(self.normalise_robust_scales(scales_m), max_iterations, damping_ratio, order)
         return minimise(self.tree, self.build_terms(tracking), start, settings)
 
     def compute_uncertainty(self, poses: Poses, scale_m: float, tracking: TrackingTerm | None = None) -> PoseUncertainty:

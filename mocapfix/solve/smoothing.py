@@ -92,14 +92,11 @@ def estimate_rotation_power(
 
 
 def interpolate_quaternions(
-    joint_quaternions: Float[np.ndarray, "T 4"],
-    variance: Float[np.ndarray, " T"],
-    is_uncertain: Bool[np.ndarray, " T"],
-    rate: float,
+    joint_quaternions: Float[np.ndarray, "T 4"], is_uncertain: Bool[np.ndarray, " T"], rate: float
 ) -> tuple[Float[np.ndarray, "T 4"], Float[np.ndarray, " T"]]:
     """Return one joint's smooth trajectory through its certain frames, and its variance in rad^2 in the others."""
     # the errors of marker offsets are the same in all frames, so the trajectory is known better than each frame
-    known_variance = np.where(is_uncertain, MAX_SAMPLE_VARIANCE, np.minimum(variance, FRAME_JITTER_SD_RAD**2))
+    known_variance = np.where(is_uncertain, MAX_SAMPLE_VARIANCE, FRAME_JITTER_SD_RAD**2)
     power = estimate_rotation_power(joint_quaternions, known_variance, rate)
     return smooth_path(joint_quaternions, known_variance, power, rate), compute_gap_variance(is_uncertain, power, rate)
 
@@ -133,16 +130,13 @@ def smooth_root_path(
 
 
 def track_across_gaps(
-    local_rotations: Float[np.ndarray, "T J 3 3"],
-    variance: Float[np.ndarray, "T J"],
-    is_uncertain: Bool[np.ndarray, "T J"],
-    rate: float,
+    local_rotations: Float[np.ndarray, "T J 3 3"], is_uncertain: Bool[np.ndarray, "T J"], rate: float
 ) -> tuple[TrackingTerm, Float[np.ndarray, "T J"]]:
     """Return a term that tracks uncertain joints' smooth paths through each frame's own solution, and variances in rad^2."""
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
     for j in np.flatnonzero(is_uncertain.any(0)):
         joint = lie.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
-        trajectory, gap_variance[:, j] = interpolate_quaternions(joint, variance[:, j], is_uncertain[:, j], rate)
+        trajectory, gap_variance[:, j] = interpolate_quaternions(joint, is_uncertain[:, j], rate)
         lie.store_joint_quaternions(trajectory, j, rotations)
         tracking_variance = gap_variance[:, j] + ROTATION_TRACKING_SD_RAD**2
         weight[:, j] = np.where(is_uncertain[:, j], 1 / tracking_variance, 0.0)

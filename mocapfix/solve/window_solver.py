@@ -423,17 +423,12 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, 
 
     Return poses, their uncertainty, and the variance (T, J) in rad^2 of the interpolated rotations of uncertain joints.
     """
-    problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
-    robust_scale_m = options.robust_scales_m[-1]
+    problem, is_uncertain, robust_scale_m = window.pose_problem, window.is_uncertain, window.options.robust_scales_m[-1]
+    tracking, gap_variance = smoothing.track_across_gaps(poses[1], is_uncertain, window.rate)
+    gaps = find_runs(np.any(is_uncertain, axis=1))
+    if gaps:
+        poses = problem.minimise(poses, (robust_scale_m,), tracking, order=order_from_gap_ends(gaps, is_uncertain)).poses
     uncertainty = problem.compute_uncertainty(poses, robust_scale_m)
-    tracking, gap_variance = smoothing.track_across_gaps(poses[1], uncertainty.rotation_variance, is_uncertain, window.rate)
-    frames = np.flatnonzero(is_uncertain.any(1))
-    if len(frames):  # only these are solved again, and have another uncertainty
-        order = order_from_gap_ends(find_runs(np.any(is_uncertain, axis=1)), is_uncertain)
-        poses = problem.minimise(poses, (robust_scale_m,), tracking, order=order).poses
-        solved_again = problem.select_frames(frames).compute_uncertainty((poses[0][frames], poses[1][frames]), robust_scale_m)
-        for values, new_values in zip(uncertainty, solved_again, strict=True):
-            values[frames] = new_values
     tracked_variance = gap_variance + smoothing.ROTATION_TRACKING_SD_RAD**2
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
@@ -444,16 +439,17 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, 
 def solve_from_starts(
     window: MotionProblem, start: Poses, is_restarted: Bool[np.ndarray, " T"]
 ) -> tuple[Poses, Int[np.ndarray, " T"]]:
-    """Solve each frame on its own. Restarted frames pass through all robust scales; the others are near their solution.
+    """Solve each frame on its own. Restarted frames whose markers are far from the body pass through all robust scales.
 
     A frame without a pose starts from the solution of the frame before; then all frames must be restarted. Return poses and
     iterations.
     """
-    problem, scales_m = window.pose_problem, window.options.robust_scales_m
-    if is_restarted.all():
+    problem, scales_m, joints = window.pose_problem, window.options.robust_scales_m, start[1].shape[1]
+    if np.isnan(start[0]).any():
         solution = problem.minimise(start, scales_m)
         return solution.poses, solution.iterations
-    joints = start[1].shape[1]
-    restarted = problem.minimise(start, scales_m, order=order_independently(np.flatnonzero(is_restarted), joints))
-    others = problem.minimise(restarted.poses, scales_m[-1:], order=order_independently(np.flatnonzero(~is_restarted), joints))
+    distance = np.linalg.norm(problem.marker_positions - predict_markers(window.subject, start), axis=-1)
+    is_far = is_restarted & (distance > scales_m[-1]).any(1, where=problem.solver_mask)
+    restarted = problem.minimise(start, scales_m, order=order_independently(np.flatnonzero(is_far), joints))
+    others = problem.minimise(restarted.poses, scales_m[-1:], order=order_independently(np.flatnonzero(~is_far), joints))
     return others.poses, restarted.iterations + others.iterations

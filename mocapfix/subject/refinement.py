@@ -103,6 +103,7 @@ SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # the same scales, one after the ot
 POSE_PRIOR_WEIGHT = 0.02  # of poses about the take's mean; more would favour longer bones, which need smaller rotations
 MAX_SELECTION_ITERATIONS = 8  # iterations of a frame when an uncalibrated body is posed
 MAX_CALIBRATION_POSE_ITERATIONS = 6  # iterations of a frame between two steps of the shared unknowns
+CALIBRATION_DAMPING_RATIO = 1e-5  # of poses on a body that is not calibrated, as in `SolverSettings`
 MAX_REFINEMENT_ROUNDS = 25  # steps of the shared unknowns
 FRAMES_PER_BLOCK = 10  # frames whose responses are held at a time: those of one frame take about a megabyte
 MAX_UNCERTAINTY_FRAMES = 30  # frames from which the standard deviations are computed
@@ -138,7 +139,8 @@ def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: 
     uncalibrated = CalibratedBody(start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3)))
     problem = build_calibration_problem(start, body, prior, markers, uncalibrated)
     poses = motion.root_position, motion.local_rotations
-    return problem.minimise(poses, SELECTION_ROBUST_SCALES_M, max_iterations=MAX_SELECTION_ITERATIONS).poses
+    scales_m, count = SELECTION_ROBUST_SCALES_M, MAX_SELECTION_ITERATIONS
+    return problem.minimise(poses, scales_m, max_iterations=count, damping_ratio=CALIBRATION_DAMPING_RATIO).poses
 
 
 def refine_subject(
@@ -180,7 +182,8 @@ def solve_and_linearise(
 
 def pose_calibrated_frames(problem: PoseProblem, start: Poses) -> Poses:
     """Return the poses of frames on a body that is nearly calibrated."""
-    return problem.minimise(start, (CALIBRATION_ROBUST_SCALE_M,), max_iterations=MAX_CALIBRATION_POSE_ITERATIONS).poses
+    scales_m, count = (CALIBRATION_ROBUST_SCALE_M,), MAX_CALIBRATION_POSE_ITERATIONS
+    return problem.minimise(start, scales_m, max_iterations=count, damping_ratio=CALIBRATION_DAMPING_RATIO).poses
 
 
 def linearise_frames(

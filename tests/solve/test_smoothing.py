@@ -60,7 +60,7 @@ def test_interpolated_rotation_has_its_variance():
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
     is_uncertain, damaged = np.zeros(200, bool), steady.as_quat()
     is_uncertain[90:110], damaged[90:110] = True, [0.0, 0.0, 0.0, 1.0]
-    smoothed, variance = smoothing.interpolate_quaternions(damaged, np.full(200, 1e-4), is_uncertain, RATE)
+    smoothed, variance = smoothing.interpolate_quaternions(damaged, is_uncertain, RATE)
     assert (Rotation.from_quat(smoothed) * steady.inv()).magnitude().max() < np.radians(1)
     np.testing.assert_array_equal(variance > 0, is_uncertain)
     assert 99 <= variance.argmax() <= 100  # the middle
