@@ -9,7 +9,7 @@ pose has in the gap beyond that with the marker.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from mocapfix.fill.edge_interpolation import fill_with_splines
 from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkerEstimate, MarkersInTake, MovingAxes
@@ -47,6 +47,16 @@ class MarkerOnBody(NamedTuple):
     roughness: float
     pose_excess: Float[np.ndarray, " T"]
 
+    def map_residual(
+        self, known_s: np.ndarray, known_excess: np.ndarray, wanted_s: np.ndarray, wanted_excess: np.ndarray
+    ) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
+        """Return the map from the residual at known times to that at wanted ones, and its variance per axis there."""
+        noise = SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0)
+        shape = {"power": self.power, "time_scale_s": BODY_RESIDUAL_FADE_S, "roughness": self.roughness}
+        return map_residual(
+            known_s, wanted_s, noise_variance=noise, known_excess=known_excess, wanted_excess=wanted_excess, **shape
+        )
+
 
 class BodyPlacement:
     """Estimates a marker from its place on the body."""
@@ -56,11 +66,13 @@ class BodyPlacement:
         if take.body is None:
             return
         positions, rotations = kinematics.compute_world_poses(take.body.extended_subject.skeleton, take.body.motion)
+        joints = take.body.extended_subject.joints
         for row, marker in enumerate(take.body.marker_columns.tolist()):
             if marker >= 0 and not take.is_visible[:, marker].all():
-                joint = take.body.extended_subject.joints[row]
+                rotation, offset = rotations[:, joints[row]], take.body.extended_subject.marker_offsets[row]
+                axes = MovingAxes(rotation, positions[:, joints[row]] + rotation @ offset)
                 path = take.visible_markers[:, marker]
-                self.markers[marker] = place_marker(take.body, row, positions[:, joint], rotations[:, joint], path, take.rate)
+                self.markers[marker] = place_marker(take.body, row, axes, path, take.rate)
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         if gap.marker not in self.markers:
@@ -71,9 +83,9 @@ class BodyPlacement:
         excess, inside = on_body.pose_excess[w.gap_frames], np.arange(w.length)
         edges = np.concatenate([np.zeros(len(w.before), int), np.full(len(w.after), w.length - 1)])
         beside = np.concatenate([w.before, w.after])
-        gap_map, gap_variance = _map_residual(on_body, beside, excess[edges], inside, excess, rate)
+        gap_map, gap_variance = on_body.map_residual(beside / rate, excess[edges], inside / rate, excess)
         hidden_beside, none = np.concatenate([w.before, w.hidden_after]), np.zeros(len(w.hidden_points))
-        hidden_map, hidden_variance = _map_residual(on_body, hidden_beside, 0.0 * edges, w.hidden_points, none, rate)
+        hidden_map, hidden_variance = on_body.map_residual(hidden_beside / rate, 0.0 * edges, w.hidden_points / rate, none)
         known_share = excess[edges] / (excess[edges] + STEP_NOISE_M**2)
         steps = _measure_steps(axes, w.first, w.length)[np.where(edges > 0, 1, 0)]
         context = residual[w.context_frames] - known_share[:, None] * steps
@@ -87,54 +99,25 @@ class BodyPlacement:
         return [GapEstimate(FillMethod.BODY, position, error, expected_sd, evidence=evidence)]
 
 
-def place_marker(
-    body: BodyFit,
-    row: int,
-    joint_positions: Float[np.ndarray, "T 3"],
-    joint_rotations: Float[np.ndarray, "T 3 3"],
-    path: Float[np.ndarray, "T 3"],
-    rate: float,
-) -> MarkerOnBody:
+def place_marker(body: BodyFit, row: int, axes: MovingAxes, path: Float[np.ndarray, "T 3"], rate: float) -> MarkerOnBody:
     """Return a marker on the body.
 
     Args:
         row: Index of the marker in its extended subject.
-        joint_positions: Metres, of the marker's joint.
-        joint_rotations: Its axes in the world.
+        axes: Those of its joint, with its place on the body as their origin.
         path: Metres: the measured marker, NaN if not visible or an outlier.
         rate: Frame rate in Hz.
     """
-    axes = MovingAxes(joint_rotations, joint_positions + joint_rotations @ body.extended_subject.marker_offsets[row])
     residual, variance = axes.transform_from_world(path), body.motion.marker_sd[:, row] ** 2
     distance = np.linalg.norm(residual, axis=1)
     if not np.isnan(distance).all():
-        residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * float(np.nanmedian(distance)))] = np.nan
+        usual_m = float(np.median(distance[~np.isnan(distance)]))
+        residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * usual_m)] = np.nan
     known = residual[~np.isnan(residual[:, 0])]
     power = max(float((known**2).mean()), MIN_BODY_RESIDUAL_M**2) if len(known) else MIN_BODY_RESIDUAL_M**2
     roughness = estimate_roughness(residual, rate, BODY_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
     shown_variance = float(np.median(variance[~np.isnan(residual[:, 0])])) if len(known) else 0.0
     return MarkerOnBody(axes, residual, power + shown_variance, roughness, np.maximum(variance - shown_variance, 0.0))
-
-
-def _map_residual(
-    on_body: MarkerOnBody,
-    known: Int[np.ndarray, " C"],
-    known_excess: Float[np.ndarray, " C"],
-    wanted: Int[np.ndarray, " n"],
-    wanted_excess: Float[np.ndarray, " n"],
-    rate: float,
-) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
-    """Return the map from the residual at known offsets (frames) to that at wanted ones, and its variance per axis there."""
-    return map_residual(
-        known / rate,
-        wanted / rate,
-        power=on_body.power,
-        time_scale_s=BODY_RESIDUAL_FADE_S,
-        roughness=on_body.roughness,
-        noise_variance=SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0),
-        known_excess=known_excess,
-        wanted_excess=wanted_excess,
-    )
 
 
 def _measure_steps(axes: MovingAxes, first: int, length: int) -> Float[np.ndarray, "2 3"]:

@@ -221,8 +221,7 @@ def _interpolate(
         methods.append((FillMethod.SPLINE, build_spline_map, spline_sd, growth**SPLINE_ERROR_GROWTH))
     estimates: list[GapEstimate] = []
     for method, build_map, expected_sd, error_growth in methods:
-        gap_map = build_map(w.before, w.after, w.length, np.arange(w.length))
-        hidden_map = build_map(w.before, w.hidden_after, w.hidden_length, w.hidden_points)
+        gap_map, hidden_map = w.build_maps(build_map)
         error = (hidden_map @ path[w.hidden_context_frames] - path[w.hidden_frames]) * error_growth
         noise_sd = SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
         position = gap_map @ path[w.context_frames]

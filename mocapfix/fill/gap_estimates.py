@@ -89,6 +89,7 @@ def estimate_missing_samples(
         rigid_groups: Groups of markers that are rigid and not on the body.
         requests: Samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
     """
+    markers = np.ascontiguousarray(markers.swapaxes(0, 1)).swapaxes(0, 1)  # a marker's path lies together
     if body and body.evidence is None and not requests:
         settled = estimate_preview(markers, rate, body)
     else:
@@ -96,7 +97,8 @@ def estimate_missing_samples(
     is_settled = ~np.isnan(settled.sd)
     if not (np.isnan(markers[..., 0]) & ~is_settled).any():
         return settled
-    known = np.where(is_settled[..., None], settled.position, markers)
+    known = markers.copy(order="K")
+    known[is_settled] = settled.position[is_settled]
     changes = measure_distance_changes(markers)
     take = MarkersInTake(markers, known, settled, changes, rate, body, rigid_groups)
     gaps = _estimate_gaps(take)
@@ -136,7 +138,7 @@ def _estimate_gaps(take: MarkersInTake) -> list[_EstimatedMarker]:
         is_shown: np.ndarray = np.all(take.is_known[:, lost], axis=1)
         window = choose_hidden_stretches(is_shown, first, last, take.rate)
         for gap, similarity in surroundings.describe_gap(window, lost):
-            estimates = [e for estimate in estimators for e in estimate(gap) if surroundings.is_plausible(e, gap)]
+            estimates = surroundings.select_plausible([e for estimate in estimators for e in estimate(gap)], gap)
             estimated.append(_EstimatedMarker(gap, estimates, similarity))
             _store(take, estimated[-1], estimates)
         _remember(take, window, lost)
@@ -151,7 +153,7 @@ def _add_later_estimates(take: MarkersInTake, gaps: Sequence[_EstimatedMarker]) 
         return
     estimators, surroundings = [build(take) for build in LATER_ESTIMATORS], _Surroundings(take)
     for each in uncertain:
-        later = [e for estimate in estimators for e in estimate(each.gap) if surroundings.is_plausible(e, each.gap)]
+        later = surroundings.select_plausible([e for estimate in estimators for e in estimate(each.gap)], each.gap)
         if later:
             each.estimates.extend(later)
             _store(take, each, each.estimates)
@@ -250,9 +252,7 @@ class _Surroundings:
         """Yield what is known around each of the markers that are lost throughout a gap, and the similarity of its stretches."""
         take, w, known = self.take, window, self.take.is_known
         shown = np.flatnonzero(known[:, lost_markers].all(1))
-        shown = shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)] if len(shown) else shown
-        used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
-        frames = np.unique(np.concatenate(used))
+        frames = w.list_frames(shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)], len(known))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
         for marker in lost_markers.tolist():
             change = take.distance_change_m[marker]
@@ -270,18 +270,21 @@ class _Surroundings:
             )
             yield gap, edges.similarity
 
-    def is_plausible(self, estimate: GapEstimate, gap: Gap) -> bool:
-        """Return whether an estimate is nowhere faster than the limit, edges included.
+    def select_plausible(self, estimates: list[GapEstimate], gap: Gap) -> list[GapEstimate]:
+        """Return the estimates that are nowhere faster than the limit, edges included.
 
         A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
         """
         w = gap.window
         first, last = max(w.first - 1, 0), min(w.first + w.length, len(self.take.markers) - 1)
-        path = self.take.markers[first : last + 1, gap.marker].copy()
-        path[w.first - first : w.first - first + w.length] = estimate.position
-        step = np.diff(path, axis=0) * self.take.rate
-        is_fast = np.einsum("ta,ta->t", step, step) > self.max_speed_m_s**2
-        return not is_fast.any() and not np.isnan(estimate.position).all()
+        paths = np.repeat(self.take.markers[None, first : last + 1, gap.marker], len(estimates), axis=0)
+        inside = slice(w.first - first, w.first - first + w.length)
+        for path, estimate in zip(paths, estimates, strict=True):
+            path[inside] = estimate.position
+        step = np.diff(paths, axis=1) * self.take.rate
+        is_fast = np.any((step * step).sum(2) > self.max_speed_m_s**2, axis=1)
+        is_chosen = ~is_fast & ~np.isnan(paths[:, inside, 0]).all(1)
+        return [each for each, is_one in zip(estimates, is_chosen, strict=True) if is_one]
 
 
 def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, " M"]:
@@ -353,13 +356,20 @@ def combine_gap_estimates(
     weights, variance = compute_weights(
         shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
     )
-    frames = np.arange(window.length)
-    by_frame = np.stack([np.interp(frames, window.points, column) for column in weights.T])
-    position = np.einsum("en,ena->na", by_frame, np.stack([e.position for e in estimates]))
-    sd = np.interp(frames, window.points, np.sqrt(variance))
-    methods = np.array([e.method for e in estimates])
-    by_method = np.stack([by_frame[methods == method].sum(0) for method in FillMethod])
-    return CombinedEstimate(position, sd, np.array(list(FillMethod), np.int8)[by_method.argmax(0)])
+    by_frame = interpolate_rows(np.column_stack([weights, np.sqrt(variance)]), window)
+    by_frame, sd = by_frame[:, :-1], by_frame[:, -1]
+    position = np.einsum("ne,ena->na", by_frame, np.stack([e.position for e in estimates]))
+    methods = np.array(list(FillMethod), np.int8)
+    by_method = by_frame @ (np.array([e.method for e in estimates])[:, None] == methods)
+    return CombinedEstimate(position, sd, methods[by_method.argmax(1)])
+
+
+def interpolate_rows(values: Float[np.ndarray, "S E"], window: GapWindow) -> Float[np.ndarray, "n E"]:
+    """Return the values in each frame of a gap, from those at its points."""
+    place = np.interp(np.arange(window.length), window.points, np.arange(len(values)))
+    row = np.minimum(place.astype(int), max(len(values) - 2, 0))
+    share = (place - row)[:, None]
+    return (1 - share) * values[row] + share * values[np.minimum(row + 1, len(values) - 1)]
 
 
 def _combine_where_estimated(

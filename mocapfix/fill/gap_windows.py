@@ -57,6 +57,9 @@ class MarkerEstimate(NamedTuple):
     method: Int8[np.ndarray, "T M"]
 
 
+MapBuilder = Callable[[np.ndarray, np.ndarray, int, np.ndarray], np.ndarray]  # from before, after, length and points of a gap
+
+
 class GapWindow(NamedTuple):
     """A gap, the visible samples beside it, and the hidden stretches that imitate it.
 
@@ -118,6 +121,20 @@ class GapWindow(NamedTuple):
             return to_first
         return np.minimum(to_first, to_last) if len(self.before) else to_last
 
+    def list_frames(self, others: Int[np.ndarray, " N"], frame_count: int) -> Int[np.ndarray, " F"]:
+        """Return the frames, ascending, of the gap, of the points of the stretches, beside either, and others."""
+        is_listed = np.zeros(frame_count, bool)
+        for frames in (others, self.gap_frames, self.context_frames, self.hidden_frames, self.hidden_context_frames):
+            is_listed[frames] = True
+        return np.flatnonzero(is_listed)
+
+    def build_maps(self, build_map: MapBuilder) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, "S C"]]:
+        """Return the maps from the samples beside the gap to its frames, and from those beside a stretch to its points."""
+        gap_map = build_map(self.before, self.after, self.length, np.arange(self.length))
+        if self.hidden_length == self.length:
+            return gap_map, gap_map[self.points]
+        return gap_map, build_map(self.before, self.hidden_after, self.hidden_length, self.hidden_points)
+
     def keep_known_context(self, is_known: Bool[np.ndarray, " T"]) -> "GapWindow":
         """Return the window with those of the samples beside its gap that are known: axes can be unknown there."""
         is_before, is_after = is_known[self.first + self.before], is_known[self.first + self.after]
@@ -125,7 +142,7 @@ class GapWindow(NamedTuple):
 
 
 class MovingAxes(NamedTuple):
-    """Axes that move with some markers, in metres; NaN where unknown."""
+    """Axes that move with some markers, in metres; the origin is NaN where they are unknown."""
 
     rotation_world_axes: Float[np.ndarray, "T 3 3"]
     origin: Float[np.ndarray, "T 3"]

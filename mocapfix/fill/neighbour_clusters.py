@@ -23,10 +23,9 @@ from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, estimate_rough
 from mocapfix.stats.marker_distances import measure_distance_spread
 from mocapfix.stats.rigid_alignment import (
     MIN_ALIGNMENT_MARKERS,
+    align_cluster,
     align_to_shape,
-    compute_cross_covariance,
     fit_common_shape,
-    fit_rotations,
     transform_to_body_axes,
 )
 from mocapfix.stats.sequences import sample_evenly
@@ -86,26 +85,6 @@ def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> 
     return UNKNOWN_CHANGE_RATIO * mean
 
 
-class AlignedCluster(NamedTuple):
-    """A cluster in its own axes (T, K, 3), and these axes in the world: rotation (T, 3, 3) and centre (T, 3) m."""
-
-    markers: np.ndarray
-    rotation: np.ndarray
-    centre: np.ndarray
-
-
-def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]) -> AlignedCluster:
-    """Return a cluster in axes that follow its mean shape."""
-    weights = np.broadcast_to(weight, cluster.shape[:2])
-    shape = cluster[0] - weight @ cluster[0] / weight.sum()
-    for _ in range(2):
-        cross, centre, _ = compute_cross_covariance(cluster, shape, weights)
-        rotation = fit_rotations(cross)
-        local = transform_to_body_axes(cluster, centre, rotation)
-        shape = local.mean(0)
-    return AlignedCluster(local, rotation, centre)  # pyright: ignore[reportPossiblyUnboundVariable]  # the loop runs twice
-
-
 def build_cluster_axes(
     markers: Float[np.ndarray, "T M 3"],
     cluster: Int[np.ndarray, " K"],
@@ -120,9 +99,9 @@ def build_cluster_axes(
     is_visible = ~np.isnan(selected[..., 0]).any(1)
     if not is_visible.any():
         return None
-    aligned = align_cluster(selected[is_visible], compute_marker_weights(change_m))
-    rotation, origin = np.full((len(markers), 3, 3), np.nan), np.full((len(markers), 3), np.nan)
-    rotation[frames[is_visible]], origin[frames[is_visible]] = aligned.rotation, aligned.centre
+    rotation, origin = np.empty((len(markers), 3, 3)), np.full((len(markers), 3), np.nan)
+    shown = frames[is_visible]
+    _, rotation[shown], origin[shown] = align_cluster(selected[is_visible], compute_marker_weights(change_m))
     return MovingAxes(rotation, origin)
 
 
@@ -138,7 +117,7 @@ def select_regression_cluster(
     shared, cluster = is_visible[:, marker].copy(), list[int]()
     for neighbour in neighbours.tolist():
         both = shared & is_visible[:, neighbour]
-        if both.sum() >= max(MIN_CLUSTER_FRAMES, MIN_KEPT_FRAME_SHARE * shared.sum()):
+        if np.count_nonzero(both) >= max(MIN_CLUSTER_FRAMES, MIN_KEPT_FRAME_SHARE * np.count_nonzero(shared)):
             cluster.append(neighbour)
             shared = both
         if len(cluster) == MAX_CLUSTER_MARKERS:
@@ -171,88 +150,62 @@ class NeighbourRegression:
         self.take = take
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        change = self.take.distance_change_m[gap.marker]
+        take, w, rate, path = self.take, gap.window, self.take.rate, self.take.markers[:, gap.marker]
+        change, is_shown = take.distance_change_m[gap.marker], take.is_known[:, gap.marker]
         steady = gap.neighbours[change[gap.neighbours] < MAX_DISTANCE_CHANGE_M]
-        cluster = select_regression_cluster(self.take.is_known, gap.marker, steady)
+        cluster = select_regression_cluster(take.is_known, gap.marker, steady)
         if len(cluster) < MIN_CLUSTER_MARKERS:
             return []
-        return estimate_by_regression(self.take.markers, gap, cluster, change[cluster], self.take.rate)
-
-
-def estimate_by_regression(
-    markers: Float[np.ndarray, "T M 3"],
-    gap: Gap,
-    cluster: Int[np.ndarray, " K"],
-    change_m: Float[np.ndarray, " K"],
-    rate: float,
-) -> list[GapEstimate]:
-    """Return the estimate of a marker from the deformation of a cluster, none if too few frames show it.
-
-    Args:
-        markers: Metres, NaN if not known.
-        change_m: Variation of the distance of each marker of the cluster to the missing one.
-        rate: Frame rate in Hz.
-    """
-    w, path = gap.window, markers[:, gap.marker]
-    is_known: np.ndarray = np.all(~np.isnan(markers[:, cluster, 0]), axis=1)
-    training = np.flatnonzero(is_known & ~np.isnan(path[:, 0]))
-    training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
-    needed = (training, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
-    frames = np.unique(np.concatenate(needed))
-    frames = frames[is_known[frames]]
-    row = np.full(len(markers), -1)
-    row[frames] = np.arange(len(frames))
-    if len(training) < MIN_CLUSTER_FRAMES or (row[np.r_[w.gap_frames, w.context_frames]] < 0).any():
-        return []
-    aligned = align_cluster(markers[frames[:, None], cluster], compute_marker_weights(change_m))
-    local = transform_to_body_axes(path[frames][:, None], aligned.centre, aligned.rotation)[:, 0]
-    regression = _Regression(aligned.markers.reshape(len(frames), -1), local, row[training])
-    residual = np.full((len(markers), 3), np.nan)
-    predicted = regression.mean + regression.x @ regression.coefficients
-    residual[frames] = local - predicted
-    gap_map, hidden_map = _build_residual_maps(residual, w, rate)
-    rows, context = row[w.gap_frames], w.context_frames
-    position = predicted[rows] + gap_map @ residual[context]
-    position = np.einsum("tab,tb->ta", aligned.rotation[rows], position) + aligned.centre[rows]
-    independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
-    learned_sd, inflation = regression.cross_validate(rows[w.points], len(training) / independent_count)
-    error = np.full((*w.hidden_frames.shape, 3), np.nan)
-    for group in np.array_split(np.arange(len(w.starts)), HIDDEN_FOLDS):
-        hidden = row[np.concatenate([w.hidden_context_frames[group], w.hidden_frames[group]], axis=1)]
-        complete, hidden = group[(hidden >= 0).all(1)], hidden[(hidden >= 0).all(1)]
-        is_out = (training >= w.starts[group, None]) & (training < w.starts[group, None] + w.hidden_length)
-        held_out = np.flatnonzero(is_out.any(0))
-        if not len(complete) or len(held_out) > MAX_HIDDEN_SHARE * len(training):
-            continue
-        misfit = local[hidden] - regression.predict_without(held_out, hidden)
-        split = len(context)
+        is_known: np.ndarray = np.all(take.is_known[:, cluster], axis=1)
+        training = np.flatnonzero(is_known & is_shown)
+        training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
+        frames = w.list_frames(training, len(path))
+        frames = frames[is_known[frames]]
+        row = np.full(len(path), -1)
+        row[frames] = np.arange(len(frames))
+        if len(training) < MIN_CLUSTER_FRAMES or (row[w.gap_frames] < 0).any() or (row[w.context_frames] < 0).any():
+            return []
+        shape, rotation, centre = align_cluster(take.markers[frames[:, None], cluster], compute_marker_weights(change[cluster]))
+        local = transform_to_body_axes(path[frames][:, None], centre, rotation)[:, 0]
+        regression = _Regression(shape.reshape(len(frames), -1), local, row[training])
+        predicted = regression.mean + regression.x @ regression.coefficients
+        residual = np.full(path.shape, np.nan)
+        residual[frames] = local - predicted
+        gap_map, hidden_map = _build_residual_maps(residual, w, rate)
+        rows, context = row[w.gap_frames], w.context_frames
+        position = predicted[rows] + gap_map @ residual[context]
+        position = np.einsum("tab,tb->ta", rotation[rows], position) + centre[rows]
+        independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
+        learned_sd, inflation = regression.cross_validate(rows[w.points], len(training) / independent_count)
+        hidden = row[np.concatenate([w.hidden_context_frames, w.hidden_frames], axis=1)]
+        coefficients, is_held_out = regression.learn_without_each(training, w)
+        error, complete = np.full((*w.hidden_frames.shape, 3), np.nan), np.flatnonzero(is_held_out & (hidden >= 0).all(1))
+        hidden, split = hidden[complete], len(context)
+        misfit = local[hidden] - regression.mean - regression.x[hidden] @ coefficients[complete]
         local_error = (hidden_map @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
-        error[complete] = np.einsum("ksab,ksb->ksa", aligned.rotation[hidden[:, split:]], local_error)
-    novelty = np.sqrt(min(1 + 2 * w.length / (~np.isnan(path[:, 0])).sum(), MAX_NOVELTY))
-    decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
-    learned_sd = learned_sd * inflation * novelty * gap.activity**ACTIVITY_POWER
-    expected_sd = np.sqrt(learned_sd**2 * decay + SAMPLE_NOISE_M**2)
-    return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
+        error[complete] = np.einsum("ksab,ksb->ksa", rotation[hidden[:, split:]], local_error)
+        novelty = np.sqrt(min(1 + 2 * w.length / np.count_nonzero(is_shown), MAX_NOVELTY))
+        decay = 1 - np.exp(-2 * w.compute_distance_to_edges() / rate / CLUSTER_RESIDUAL_FADE_S)
+        learned_sd = learned_sd * inflation * novelty * gap.activity**ACTIVITY_POWER
+        expected_sd = np.sqrt(learned_sd**2 * decay + SAMPLE_NOISE_M**2)
+        return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
 
 
-def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> list[np.ndarray]:
+def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the maps that interpolate a residual from the samples beside a gap and beside its hidden stretches."""
     w = window
     known = residual[~np.isnan(residual[:, 0])]
     power = max(float(np.median(known**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
     roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
     noise_variance = np.full(len(w.before) + len(w.after), SAMPLE_NOISE_M**2)
-    return [
-        map_residual(
-            np.concatenate([w.before, after]) / rate,
-            points / rate,
-            power=power,
-            time_scale_s=CLUSTER_RESIDUAL_FADE_S,
-            roughness=roughness,
-            noise_variance=noise_variance,
+
+    def build_map(before: np.ndarray, after: np.ndarray, _: int, points: np.ndarray) -> np.ndarray:
+        known_s, fade_s = np.concatenate([before, after]) / rate, CLUSTER_RESIDUAL_FADE_S
+        return map_residual(
+            known_s, points / rate, power=power, time_scale_s=fade_s, roughness=roughness, noise_variance=noise_variance
         )[0]
-        for after, points in ((w.after, np.arange(w.length)), (w.hidden_after, w.hidden_points))
-    ]
+
+    return w.build_maps(build_map)
 
 
 class _Regression:
@@ -263,39 +216,48 @@ class _Regression:
         self.x = deformation - deformation[training].mean(0)
         self.training_x, self.training_y = self.x[training], position[training] - self.mean
         self.square, self.moment = self.training_x.T @ self.training_x, self.training_x.T @ self.training_y
-        self.inverse, self.coefficients = self._learn_without(np.zeros(0, int))
+        self.inverse = np.linalg.inv(self._compute_curvature(self.training_x[:0]))
+        self.coefficients = self.inverse @ self.moment
 
-    def predict_without(self, held_out: Int[np.ndarray, " H"], rows: Int[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 3"]:
-        """Return the positions in some rows, learned without the training frames with the given indices."""
-        return self.mean + self.x[rows] @ self._learn_without(held_out)[1]
+    def learn_without_each(
+        self, training: Int[np.ndarray, " N"], window: GapWindow
+    ) -> tuple[Float[np.ndarray, "K F 3"], Bool[np.ndarray, " K"]]:
+        """Return the coefficients for each hidden stretch, learned without it, and whether enough training frames are left.
+
+        Stretches of one group are left out together.
+        """
+        starts, w = window.starts[:, None], window
+        is_out = (training >= starts) & (training < starts + w.hidden_length)
+        group = np.repeat(np.arange(HIDDEN_FOLDS), [len(each) for each in np.array_split(w.starts, HIDDEN_FOLDS)])
+        left_out = [is_out[group == each].any(0) for each in range(HIDDEN_FOLDS)]
+        is_enough = np.array([np.count_nonzero(each) <= MAX_HIDDEN_SHARE * len(training) for each in left_out])
+        curvature = np.stack([self._compute_curvature(self.training_x[each]) for each in left_out])
+        moment = np.stack([self.moment - self.training_x[each].T @ self.training_y[each] for each in left_out])
+        return np.linalg.solve(curvature, moment)[group], is_enough[group]
 
     def cross_validate(self, rows: Int[np.ndarray, " N"], frames_per_independent: float) -> tuple[float, Float[np.ndarray, " N"]]:
         """Return the root mean square error in metres per axis of stretches of the take that are predicted from the others.
 
         And the error in some rows relative to it, at least one. It grows where the deformation differs more from what was
         learned: the variance of the coefficients, x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
-
-        Args:
-            frames_per_independent: Number of training frames of which one is independent of the others.
+        One of `frames_per_independent` training frames is independent of the others.
         """
         square, usual, count = 0.0, 0.0, len(self.training_x)
         for fold in np.array_split(np.arange(count), HIDDEN_FOLDS):
-            inverse, coefficients = self._learn_without(fold)
-            x = self.training_x[fold]
-            square += ((self.training_y[fold] - x @ coefficients) ** 2).sum() / (3 * count)
+            x, y = self.training_x[fold], self.training_y[fold]
+            inverse = np.linalg.inv(self._compute_curvature(x))
+            square += ((y - x @ (inverse @ (self.moment - x.T @ y))) ** 2).sum() / (3 * count)
             usual += np.vdot(x @ inverse, x) / count
         x = self.x[rows]
         leverage = np.einsum("nf,nf->n", x @ self.inverse, x)
         ratio = (1 + frames_per_independent * leverage) / (1 + frames_per_independent * usual)
         return float(np.sqrt(square)), np.sqrt(np.maximum(ratio, 1.0))
 
-    def _learn_without(self, held_out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the inverse (F, F) of the curvature of the coefficients, and these (F, 3)."""
-        x, count = self.training_x[held_out], len(self.training_x)
-        curvature = self.square - x.T @ x
-        curvature.flat[:: len(curvature) + 1] += max(count - len(x), 1) * SHAPE_RIDGE_M**2
-        inverse = np.linalg.inv(curvature)
-        return inverse, inverse @ (self.moment - x.T @ self.training_y[held_out])
+    def _compute_curvature(self, left_out: Float[np.ndarray, "H F"]) -> Float[np.ndarray, "F F"]:
+        """Return the curvature of the coefficients without some training frames, whose deformations are given."""
+        curvature = self.square - left_out.T @ left_out
+        curvature.flat[:: len(curvature) + 1] += max(len(self.training_x) - len(left_out), 1) * SHAPE_RIDGE_M**2
+        return curvature
 
 
 MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated
@@ -367,7 +329,7 @@ def build_changing_axes(
     shape = fit_common_shape(selected[shape_frames[sample_evenly(len(shape_frames), MAX_CLUSTER_SHAPE_FRAMES)]])
     for frames_of_point, is_visible in zip(window.hidden_frames.T, cluster.is_visible[window.points], strict=True):
         is_used[frames_of_point] &= is_visible
-    rotation, origin = np.full((len(markers), 3, 3), np.nan), np.full((len(markers), 3), np.nan)
+    rotation, origin = np.empty((len(markers), 3, 3)), np.full((len(markers), 3), np.nan)
     aligned_rotation, aligned_origin, is_aligned = align_to_shape(selected[frames], is_used[frames], shape)
     rotation[frames[is_aligned]], origin[frames[is_aligned]] = aligned_rotation[is_aligned], aligned_origin[is_aligned]
     return MovingAxes(rotation, origin)

@@ -1,7 +1,7 @@
 """Rigid registration of point clouds, compiled: weighted cross-covariances and the rotation that fits them best.
 
 `compute_nearest_rotation` solves for the rotation by an eigenvector, for any cloud; `solve_wahba` in closed form, for clouds
-that are wider than a line. `stats.rigid_alignment` has NumPy wrappers for whole takes.
+that are wider than a line, and `fit_rotation` by whichever applies. `stats.rigid_alignment` has NumPy wrappers for whole takes.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
-from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, store_matrix, transpose_matrix
+from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
 
 MAX_JACOBI_SWEEPS = 10  # Jacobi's method converges quadratically, in four or five
 MAX_OFF_DIAGONAL_RATIO_SQUARED = 1e-32  # of an off-diagonal entry to the diagonal, squared: below it the entry is rounding error
@@ -163,6 +163,29 @@ def fit_rotation_frames(cross, rotation):
     m, vectors = np.empty((4, 4)), np.empty((4, 4))
     for t in range(len(cross)):
         store_matrix(fit_rotation(cross[t], m, vectors, rotation[t]), rotation, t)
+
+
+@compile_kernel(nogil=True)
+def align_cluster_frames(points, weight, local, rotation, centre):
+    """Write points (T, K, 3) in axes that follow their mean shape, `local`, and these axes: rotation (T, 3, 3), centre (T, 3).
+
+    The shape is that of the first frame, and then the mean of all frames in the axes that follow that one.
+    """
+    m, vectors, cross, shape = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3)), points[0]
+    mean_shape = np.empty(3)
+    for _ in range(2):
+        following = np.zeros(shape.shape)
+        for t in range(len(points)):
+            compute_weighted_means(points[t], shape, weight, centre[t], mean_shape)
+            accumulate_cross_covariance(points[t], shape, weight, centre[t], mean_shape, cross)
+            r = fit_rotation(cross, m, vectors, rotation[t])
+            store_matrix(r, rotation, t)
+            for k in range(len(weight)):
+                x, y, z = points[t, k, 0] - centre[t, 0], points[t, k, 1] - centre[t, 1], points[t, k, 2] - centre[t, 2]
+                local[t, k, 0], local[t, k, 1], local[t, k, 2] = multiply_vector(transpose_matrix(r), x, y, z)
+                for a in range(3):
+                    following[k, a] += local[t, k, a] / len(points)
+        shape = following
 
 
 @compile_kernel

@@ -177,7 +177,7 @@ def map_residual(
 
     def compute_covariance(lag_s: np.ndarray, excess: np.ndarray) -> np.ndarray:
         own = power * compute_residual_correlation(lag_s, time_scale_s, roughness)
-        return own + np.sqrt(excess) * compute_residual_correlation(lag_s, time_scale_s, 0.0)
+        return own + np.sqrt(excess) * compute_residual_correlation(lag_s, time_scale_s, 0.0) if excess.any() else own
 
     known_excess, wanted_excess = np.broadcast_to(known_excess, len(known_s)), np.broadcast_to(wanted_excess, len(wanted_s))
     among = compute_covariance(known_s[:, None] - known_s, np.outer(known_excess, known_excess)) + np.diag(noise_variance)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.rigid_registration import compute_cross_covariance_frames, fit_rotation_frames, transform_point_frames
+from mocapfix.kernels import rigid_registration
 
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
@@ -19,7 +19,7 @@ def compute_cross_covariance(
     """Return cross-covariances of points (NaN if of weight 0) and a model about their weighted means, and these means."""
     frames = len(points)
     cross, mean_points, mean_model = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3))
-    compute_cross_covariance_frames(
+    rigid_registration.compute_cross_covariance_frames(
         _make_contiguous(points), _make_contiguous(model), _make_contiguous(weight), cross, mean_points, mean_model
     )
     return cross, mean_points, mean_model
@@ -28,7 +28,7 @@ def compute_cross_covariance(
 def fit_rotations(cross: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:
     """Return the rotations R that maximise trace(R' cross), never a reflection; `cross` sums products measured by model."""
     rotation = np.empty(cross.shape)
-    fit_rotation_frames(_make_contiguous(cross), rotation)
+    rigid_registration.fit_rotation_frames(_make_contiguous(cross), rotation)
     return rotation
 
 
@@ -37,8 +37,18 @@ def transform_to_body_axes(
 ) -> Float[np.ndarray, "T K 3"]:
     """Return world points in the axes `rotation` about `origin`; NaN stays NaN."""
     transformed = np.empty(points.shape)
-    transform_point_frames(_make_contiguous(points), _make_contiguous(origin), _make_contiguous(rotation), transformed)
+    arguments = (_make_contiguous(each) for each in (points, origin, rotation))
+    rigid_registration.transform_point_frames(*arguments, transformed)
     return transformed
+
+
+def align_cluster(
+    cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]
+) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"]]:
+    """Return a cluster in axes that follow its mean shape, and these axes in the world: rotations and centres in metres."""
+    aligned = np.empty(cluster.shape), np.empty((len(cluster), 3, 3)), np.empty((len(cluster), 3))
+    rigid_registration.align_cluster_frames(_make_contiguous(cluster), _make_contiguous(weight), *aligned)
+    return aligned
 
 
 def _make_contiguous(array: np.ndarray) -> np.ndarray:
