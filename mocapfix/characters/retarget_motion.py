@@ -127,8 +127,8 @@ def build_solve_tree(frame: BodyFrame) -> SolveTree:
     return SolveTree(solved, bones, free, standard, frame.leg_length_m)
 
 
-ANKLE_SD, WRIST_SD, PELVIS_SD = 0.0004, 0.005, 0.005
-"""Standard deviations of positions about their targets, in lengths of the leg."""
+ANKLE_SD, WRIST_SD, PELVIS_SD = 0.0004, 0.0077, 0.005
+"""Standard deviations of positions about their targets, in lengths of the leg, that of the wrist in those of the arm."""
 ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
 """Standard deviations of orientations in the world, by segment."""
 BONE_DIRECTION_SD_RAD = 0.025
@@ -176,7 +176,8 @@ def _get_base_segment(segment: str) -> str:
 def _build_point_term(tree: SolveTree, targets: SegmentTargets) -> PointTerm:
     joints = np.array([tree.find_joint(segment) for segment in targets.points])
     measured = np.ascontiguousarray(np.stack(list(targets.points.values()), axis=1))
-    sd = tree.leg_length_m * np.array([ANKLE_SD if segment.endswith("foot") else WRIST_SD for segment in targets.points])
+    lengths_m = np.linalg.norm(tree.skeleton.offsets[[joints, tree.skeleton.parents[joints]]], axis=2).sum(axis=0)
+    sd = lengths_m * np.array([ANKLE_SD if segment.endswith("foot") else WRIST_SD for segment in targets.points])
     return PointTerm(joints, np.zeros((len(joints), 3)), measured, np.tile(sd**-2, (len(measured), 1)))
 
 
