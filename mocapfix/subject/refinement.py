@@ -25,6 +25,7 @@ from mocapfix.solve.minimise import (
     reduce_shared_curvature,
     reduce_shared_gradient,
 )
+from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_no_joint_limits, build_pose_prior_term
@@ -203,11 +204,13 @@ def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
 
     The frames are summed block by block: the responses of all of them together would take a hundred megabytes.
     """
-    curvature, frame_count = state.parameters.information.copy(), len(state.poses[0])
-    for first in range(0, frame_count, FRAMES_PER_BLOCK):
+    frame_count = len(state.poses[0])
+
+    def reduce_block(first: int) -> Float[np.ndarray, "Q Q"]:
         frames = np.arange(first, min(first + FRAMES_PER_BLOCK, frame_count))
-        curvature += reduce_shared_curvature(respond_in_frames(state.parameters, state.problem, state.poses, frames))
-    return curvature
+        return reduce_shared_curvature(respond_in_frames(state.parameters, state.problem, state.poses, frames))
+
+    return sum(map_in_threads(reduce_block, range(0, frame_count, FRAMES_PER_BLOCK)), state.parameters.information)
 
 
 def respond_in_frames(
