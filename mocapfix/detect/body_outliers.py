@@ -18,7 +18,7 @@ has not changed its marker.
 """
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -35,10 +35,9 @@ from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories
-from mocapfix.stats.rigid_alignment import compute_cross_covariance, compute_lengths, fit_rotations
+from mocapfix.stats.rigid_alignment import compute_cross_covariance, compute_lengths, fit_rotations, transform_to_body_axes
 
 MIN_RESIDUAL_SD_M = 0.003  # smallest standard deviation of a residual per axis, even for a marker whose errors the body follows
-RESIDUAL_BLOCK_FRAMES = 256  # number of frames whose residuals are computed at once: so many fit into the processor's cache
 
 
 @dataclass(frozen=True)
@@ -67,23 +66,21 @@ def compute_body_residuals(
         solver_mask: The samples that the solve used.
     """
     position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
-    joints, markers = subject.joints, subject_take.markers
-    blocks = [slice(first, first + RESIDUAL_BLOCK_FRAMES) for first in range(0, len(markers), RESIDUAL_BLOCK_FRAMES)]
-    residual, expected_world = np.empty(markers.shape), np.empty(markers.shape)
-    for frames in blocks:
-        from_joint = markers[frames] - position[frames, joints]
-        residual[frames] = np.einsum("tkba,tkb->tka", rotation[frames, joints], from_joint) - subject.marker_offsets
-    bias, sd_m = np.zeros((len(joints), 3)), np.full(len(joints), MIN_RESIDUAL_SD_M)
+    markers = subject_take.markers
+    residual = np.empty_like(markers.swapaxes(0, 1), order="C").swapaxes(0, 1)  # path after path
+    for joint in np.unique(subject.joints):
+        own = np.flatnonzero(subject.joints == joint)
+        from_joint = transform_to_body_axes(markers[:, own], position[:, joint], rotation[:, joint])
+        residual[:, own] = from_joint - subject.marker_offsets[own]
+    bias, sd_m = np.zeros(subject.marker_offsets.shape), np.full(len(subject.joints), MIN_RESIDUAL_SD_M)
     for k in np.flatnonzero(solver_mask.any(0)):
-        used = np.ascontiguousarray(residual[solver_mask[:, k], k].T)
+        used = np.ascontiguousarray(residual[np.flatnonzero(solver_mask[:, k]), k].T)
         bias[k] = np.median(used, axis=1)
         x, y, z = used - bias[k, :, None]
         square = x * x + y * y + z * z
         sd_m[k] = max(MIN_RESIDUAL_SD_M, np.sqrt(np.median(square) / CHI2_MEDIAN_3_DOF))
-    usual_offsets = subject.marker_offsets + bias
-    for frames in blocks:
-        offset_world = np.einsum("tkab,kb->tka", rotation[frames, joints], usual_offsets)
-        expected_world[frames] = position[frames, joints] + offset_world
+    usual = replace(subject, marker_offsets=subject.marker_offsets + bias)
+    expected_world = kinematics.predict_markers(usual, (motion.root_position, motion.local_rotations))
     residual -= bias
     excess_variance = np.maximum(motion.marker_sd**2 - np.median(motion.marker_sd, axis=0) ** 2, 0)
     return BodyResiduals(markers, expected_world, residual, np.sqrt(sd_m**2 + excess_variance))
@@ -191,7 +188,9 @@ def _build_outlier(
 ) -> BodyOutlier | None:
     """Build the outlier of a segment (N,) of a marker's valid frames; None if its samples are sound."""
     path, sd_m = residuals.residual_segment[:, marker], residuals.sd_m[segment_frames, marker]
-    sample_distance_m = np.linalg.norm(path[segment_frames], axis=1)
+    sample_distance_m = residuals.distance_m[segment_frames, marker]
+    if np.count_nonzero(sample_distance_m > MIN_EXCURSION_SCORE_SD * sd_m) < len(segment_frames) / 2:
+        return None  # the smallest score of an outlier is larger
     distance_m, score_sd = float(np.median(sample_distance_m)), float(np.median(sample_distance_m / sd_m))
     first, stop = int(segment_frames[0]), int(segment_frames[-1]) + 1
     excursion_m = _measure_excursion(path, is_leap, first, stop)
@@ -199,7 +198,7 @@ def _build_outlier(
     is_excursion = excursion_m > min_distance_m and score_sd > MIN_EXCURSION_SCORE_SD
     if not is_far and not is_excursion:
         return None
-    sway_m = np.linalg.norm(path[segment_frames] - np.median(path[segment_frames], axis=0), axis=1)
+    sway_m = compute_lengths(path[segment_frames] - np.median(path[segment_frames], axis=0))
     sway_sd = float(np.median(sway_m / sd_m))
     is_at_end = segment_frames[0] == valid_frames[0] or segment_frames[-1] == valid_frames[-1]
     is_long = len(segment_frames) >= MIN_SHIFTED_DURATION_S * rate
@@ -218,7 +217,7 @@ def _split_at_leaps(
     """
     if not len(frames):
         return []
-    step_m = np.linalg.norm(np.diff(residuals.residual_segment[frames, marker], axis=0), axis=1)
+    step_m = compute_lengths(np.diff(residuals.residual_segment[frames, marker], axis=0))
     max_step_m = MIN_LEAP_M + LEAP_GROWTH_M_PER_S * np.minimum(np.diff(frames) / rate, LEAP_GROWTH_LIMIT_S)
     return np.split(frames, np.flatnonzero((step_m > max_step_m) & (is_leap[frames[1:]] | (np.diff(frames) > 1))) + 1)
 
@@ -366,6 +365,8 @@ class CarriedMarker(NamedTuple):
 
 def detect_body_label_swaps(residuals: BodyResiduals, outliers: list[BodyOutlier], take: Take) -> list[Fault]:
     """Detect the exchanges of labels that explain outliers, the most certain first; no two of them overlap."""
+    if not outliers:
+        return []
     is_home = residuals.distance_m < MAX_HOME_DISTANCE_SD * residuals.sd_m
     is_smooth = compute_own_leaps(build_trajectories(take.markers, take.rate)) < MAX_SMOOTH_LEAP
     carried = [each for outlier in outliers for each in _find_carried_markers(residuals, is_home, outlier)]

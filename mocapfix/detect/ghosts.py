@@ -53,9 +53,11 @@ def detect_ghosts(take: Take) -> list[Fault]:
     ghosts: list[Fault] = []
     for m in range(len(take.labels)):
         visible = np.flatnonzero(take.visible[:, m])
+        if not (contradiction[visible, m] > ELSEWHERE_CONTRADICTION).any():
+            continue  # changes of state alone save less than the smallest gain
         is_consecutive = np.diff(visible, prepend=-1) == 1
         step_cost, state_cost = _compute_ghost_costs(leaps[visible, m], contradiction[visible, m], is_consecutive, take.rate)
-        state = find_cheapest_states(step_cost[1:], state_cost) if len(visible) else np.zeros(0, int)
+        state = find_cheapest_states(step_cost[1:], state_cost)
         for a, b in find_runs(state == 1):
             frames = visible[a : b + 1]
             if not len(frames) > MIN_GHOST_S * take.rate:

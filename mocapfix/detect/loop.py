@@ -146,6 +146,7 @@ def detect_sample_faults(
     memory, shape = memory or RoundMemory(), take.visible.shape
     virtual = external_fills.detect_virtual_samples(take)
     measured = take.masked(take.measured & ~build_fault_mask(virtual, shape))
+    measured = measured.replace_markers(np.ascontiguousarray(measured.markers.swapaxes(0, 1)).swapaxes(0, 1))  # path after path
     all_spikes = noise.detect_spikes(measured, options.min_spike_m, options.max_spike_duration_s, memory)
     exact = external_fills.detect_frozen(measured, memory=memory) + external_fills.detect_polynomial_fills(
         measured, memory=memory
@@ -159,7 +160,7 @@ def detect_sample_faults(
     lost = gaps.detect_lost_segments(take, marker_set) if marker_set else []
     faults = Faults((*gaps.detect_gaps(take, memory), *virtual, *lost, *noisy, *isolated_spikes, *exact, *bursts))
     is_sound = faults.compute_inlier_mask(measured) & ~build_fault_mask(exact, shape)
-    return faults.add_faults(ghosts.detect_ghosts(measured.masked(is_sound)))
+    return faults.add_faults(ghosts.detect_ghosts(take.masked(is_sound)))
 
 
 MIN_VISIBLE_MARKERS = 3  # inliers in at least one frame: fewer do not determine the position of anything

@@ -31,6 +31,7 @@ class RegressedPath(NamedTuple):
     basis: np.ndarray  # columns (N, 1 + F) of the regression, a constant first, orthonormal but for the ridge
     residual: np.ndarray  # residual (N, 3) of the position in metres
     frames: np.ndarray  # frame indices (N,)
+    step_products: np.ndarray  # (N, 4 + F) the sums of the products of residual and basis with the steps up to each sample
 
 
 def regress_out(
@@ -46,7 +47,9 @@ def regress_out(
     u, singular_values, _ = np.linalg.svd(features - features.mean(0), full_matrices=False)
     gain = singular_values**2 / (singular_values**2 + count * ridge**2)
     basis = np.column_stack([np.full(count, count**-0.5), u * np.sqrt(gain)])
-    return RegressedPath(basis, path - basis @ (basis.T @ path), frames)
+    residual = path - basis @ (basis.T @ path)
+    after = np.cumsum(np.concatenate([residual, basis], axis=1)[::-1], axis=0)[::-1]
+    return RegressedPath(basis, residual, frames, np.cumsum(after, axis=0))
 
 
 class Ramp(NamedTuple):
@@ -70,10 +73,7 @@ class Ramp(NamedTuple):
 def fit_best_ramp(path: RegressedPath, starts: Int[np.ndarray, " P"], ends: Int[np.ndarray, " P"]) -> Ramp:
     """Return the ramp with the largest gain among those from `starts` to `ends` (sample indices)."""
     count, lengths = len(path.residual), ends - starts
-    columns = np.concatenate([path.residual, path.basis], axis=1)
-    # sums of the products with the steps up to each sample
-    cumulative = np.cumsum(np.cumsum(columns[::-1], axis=0)[::-1], axis=0)
-    product = (cumulative[ends] - cumulative[starts]) / lengths[:, None]
+    product = (path.step_products[ends] - path.step_products[starts]) / lengths[:, None]
     square = (lengths + 1) * (2 * lengths + 1) / (6 * lengths) + count - 1 - ends
     unexplained = np.maximum(square - (product[:, 3:] ** 2).sum(1), 1e-9)
     gain = (product[:, :3] ** 2).sum(1) / unexplained

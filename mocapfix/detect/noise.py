@@ -187,16 +187,10 @@ def detect_noise(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
 
 def estimate_noise_levels(take: Take, memory: RoundMemory | None = None) -> Float[np.ndarray, " M"]:
     """Estimate the standard deviation per axis, in metres, of each marker's noise; NaN if the marker is hardly visible."""
-    usual_m = (memory or RoundMemory()).recall("usual residual", take.visible, lambda m: _measure_usual_residual(take, m))
+    usual_m = (memory or RoundMemory()).recall(
+        "usual residual", take.visible, lambda m: _measure_noise(take, m, take.visible[:, m], np.inf)[0]
+    )
     return np.array(usual_m) / MEDIAN_NORM_SD
-
-
-def _measure_usual_residual(take: Take, marker: int) -> float:
-    """Measure the median residual in metres of a marker's visible samples, NaN if there are too few."""
-    frames = np.flatnonzero(take.visible[:, marker])
-    if len(frames) < MIN_NOISE_SAMPLES:
-        return np.nan
-    return float(np.median(compute_cubic_residuals(frames / take.rate, take.markers[frames, marker])))
 
 
 def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
@@ -217,7 +211,7 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
     for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True):
         residual -= weight * path[:, 2 + offset : 2 + offset + count]
     gain = np.sqrt(1 + (weights**2).sum(0))
-    return np.pad(np.sqrt((residual**2).sum(0)) / gain, 2, mode="edge")
+    return (np.sqrt((residual**2).sum(0)) / gain)[np.clip(np.arange(len(times_s)) - 2, 0, count - 1)]
 
 
 def detect_jitter(
@@ -271,6 +265,8 @@ def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, min_noise_m: 
 
 def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: float, min_frames: float) -> Iterator[_Burst]:
     """Find the bursts among samples at `frames` (N,). A gap of `min_frames` or longer ends a burst."""
+    if not (residual_m > min_residual_m).any():
+        return
     window = max(MIN_NOISE_SAMPLES, round(min_frames)) | 1
     for stretch in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames) > min_frames) + 1):
         is_noisy = _is_median_above(residual_m[stretch], window, min_residual_m)
@@ -368,13 +364,14 @@ def _find_excursions(take: Take, marker: int, min_distance_m: float, max_duratio
     is_kept = np.ones(len(frames), bool)
     if len(frames) >= 3:
         is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))
-    omitted = np.flatnonzero(~is_kept)
+    kept, omitted = np.flatnonzero(is_kept), np.flatnonzero(~is_kept)
     if not len(omitted):
         return _Excursions(omitted, np.empty((0, 3)), np.empty((0, 0), int), np.empty((0, 0)))
-    samples, weight, sd_m = _fit_locally(frames[is_kept] / rate, frames[omitted] / rate)
-    deviation = points[omitted] - np.einsum("ns,nsx->nx", weight, points[is_kept][samples])
+    samples, weight, sd_m = _fit_locally(frames[kept] / rate, frames[omitted] / rate)
+    fitted = kept[samples]
+    deviation = points[omitted] - np.einsum("ns,nsx->nx", weight, points[fitted])
     is_far = np.linalg.norm(deviation, axis=-1) > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * sd_m)
-    return _Excursions(frames[omitted][is_far], deviation[is_far], frames[is_kept][samples[is_far]], weight[is_far])
+    return _Excursions(frames[omitted][is_far], deviation[is_far], frames[fitted[is_far]], weight[is_far])
 
 
 def _find_shared_excursions(take: Take, marker: int, excursion: _Excursions, partners: np.ndarray) -> np.ndarray:

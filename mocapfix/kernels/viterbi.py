@@ -27,12 +27,14 @@ def find_cheapest_chain(frames, points, rate, max_omitted):
     """Return the mask (N,) of the samples on the cheapest chain that omits at most `max_omitted` samples in a row.
 
     cost[i, g] is the cost of the cheapest chain that ends in samples i - g - 1 and i; predecessor[i, g] is its g before.
+    It stays infinite if it is larger than that of another chain that ends in i, least[i], and a bend.
     """
     count, steps = len(frames), max_omitted + 1
     cost, predecessor = np.empty((count, steps)), np.empty((count, steps), np.int64)
     for i in range(count):
         for g in range(steps):
             cost[i, g], predecessor[i, g] = np.inf, -1
+    least = np.full(count, np.inf)
     price, edge_price = np.zeros(steps), np.zeros(steps)
     for n in range(max_omitted):
         price[n + 1] = edge_price[n + 1] = OMITTED_SAMPLE_COST + OMITTED_RUN_LENGTH_COST * n / max_omitted
@@ -43,12 +45,14 @@ def find_cheapest_chain(frames, points, rate, max_omitted):
             step_price = edge_price[g] if frames[i] - frames[j] > i - j else price[g]
             if j < steps:
                 cost[i, g] = edge_price[j] + step_price
-            for h in range(min(steps, j)):
+            reach = min(steps, j) if least[j] + step_price <= least[i] + 1.0 else 0
+            for h in range(reach):
                 if cost[j, h] + step_price >= cost[i, g]:
                     continue  # whatever the bend costs
                 total = cost[j, h] + step_price + _compute_bend(frames, points, rate, j - h - 1, j, i)
                 if total < cost[i, g]:
                     cost[i, g], predecessor[i, g] = total, h
+            least[i] = min(least[i], cost[i, g])
     best, i, g = np.inf, count - 1, 0
     for end in range(max(1, count - steps), count):
         for step in range(steps):

@@ -140,11 +140,11 @@ def find_correct_labels(
         candidates = [*permutations, *find_pair_exchanges(current, predicted, is_testable[order])]
         if not candidates:
             break
+        permuted = np.ascontiguousarray(current[:, candidates].swapaxes(0, 1))
+        predicted = fit_markers(body, permuted.reshape(-1, *current.shape[1:])).reshape(permuted.shape)
         tried: list[RelabelStep] = []
-        for permutation in candidates:
-            permuted = np.ascontiguousarray(current[:, permutation])
+        for permutation, gain in zip(candidates, misfit - compute_marker_misfit(permuted, predicted).sum(-1), strict=True):
             is_visible = ~np.isnan(current[:, permutation != np.arange(len(permutation)), 0]).all(1)
-            gain = misfit - compute_marker_misfit(permuted, fit_markers(body, permuted)).sum(1)
             is_known = is_visible.sum() >= MIN_MARKER_FRAMES
             tried.append(RelabelStep(permutation, float(np.median(gain[is_visible])) if is_known else 0.0))
         best = max(tried, key=lambda step: step.gain)
