@@ -10,7 +10,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.stats.rigid_alignment import compute_shortest_rotations, split_along_line
+from mocapfix.stats.rigid_alignment import compute_lengths, compute_shortest_rotations, split_along_line
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
 
@@ -64,7 +64,7 @@ def compute_marker_distances(subject: Subject, pose: Poses, markers: Float[np.nd
     for first in range(0, len(markers), DISTANCE_BLOCK_FRAMES):
         block = slice(first, first + DISTANCE_BLOCK_FRAMES)
         predicted = predict_markers(subject, (pose[0][block], pose[1][block]))
-        distance[block] = np.linalg.norm(markers[block] - predicted, axis=-1)
+        distance[block] = compute_lengths(markers[block] - predicted)
     return distance
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
+from mocapfix.stats.rigid_alignment import compute_lengths
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
@@ -46,7 +47,7 @@ def measure_residual_growth(
     Returns:
         By joint, the growth in metres of each window of w frames that begins at frames 0 to T - w; 0 in windows without markers.
     """
-    growth = np.linalg.norm(markers - after, axis=-1) - np.linalg.norm(markers - before, axis=-1)
+    growth = compute_lengths(markers - after) - compute_lengths(markers - before)
     length = min(get_window_length(rate), len(growth))
     by_joint: dict[int, Float[np.ndarray, " W"]] = {}
     for joint in np.unique(joints).tolist():

@@ -40,6 +40,7 @@ from mocapfix.solve.pose_problem import MotionProblem, PoseProblem
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
+from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MIN_ROOT_CURVATURE = 1.0  # curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers
@@ -368,7 +369,7 @@ def find_neighbours(is_lost: Bool[np.ndarray, " T"], frames: Int[np.ndarray, " N
 
 def compute_marker_cost(problem: PoseProblem, predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:
     """Return the cost of each frame's visible markers, half the sum of squares in standard deviations, at a wide robust scale."""
-    square = ((problem.marker_positions - predicted) ** 2).sum(-1) / problem.marker_sd**2
+    square = (compute_lengths(problem.marker_positions - predicted) / problem.marker_sd) ** 2
     scale2 = (COMPARED_ROBUST_SCALE_M / problem.marker_sd) ** 2
     return np.where(problem.solver_mask, compute_robust_costs(square, scale2), 0.0).sum(1)
 
@@ -448,7 +449,7 @@ def solve_from_starts(
     if np.isnan(start[0]).any():
         solution = problem.minimise(start, scales_m)
         return solution.poses, solution.iterations
-    distance = np.linalg.norm(problem.marker_positions - predict_markers(window.subject, start), axis=-1)
+    distance = compute_lengths(problem.marker_positions - predict_markers(window.subject, start))
     is_far = is_restarted & (distance > scales_m[-1]).any(1, where=problem.solver_mask)
     restarted = problem.minimise(start, scales_m, order=order_independently(np.flatnonzero(is_far), joints))
     others = problem.minimise(restarted.poses, scales_m[-1:], order=order_independently(np.flatnonzero(~is_far), joints))

@@ -151,7 +151,8 @@ def smooth_path(
 
 def _compute_line_information(information: Float[np.ndarray, " T"]) -> float:
     """Return the least information that the frames give about a straight line of unit length, which stiffness leaves free."""
-    lines = np.linalg.qr(np.vander(np.linspace(-1, 1, len(information)), 2))[0]
+    line = np.linspace(-1, 1, len(information))
+    lines = np.stack([line / np.linalg.norm(line), np.full(len(line), len(line) ** -0.5)], axis=1)
     return float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])
 
 
