@@ -34,7 +34,7 @@ from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleaningResult, merge_results
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
-from mocapfix.solve.initial_motion import initialise_body
+from mocapfix.solve.initial_motion import initialise_body, initialise_preview
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_prior import PoseModel
@@ -283,11 +283,12 @@ def initialise_and_solve(
     timer: StageTimer,
 ) -> BodyFit:
     """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
+    if options.initialise.is_fast:
+        with timer("initialise"):
+            return place_body(calibrated, initialise_preview(calibrated, options.initialise.method_used))
     with timer("initialise"):
         start = initialise_body(calibrated, previous, options.initialise.method_used)
     with timer("solve", "poses"):
-        if options.initialise.is_fast:
-            return place_body(calibrated, start.motion)
         return solve_body(calibrated, start, previous, conditioner, options)
 
 

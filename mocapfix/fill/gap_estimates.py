@@ -129,7 +129,9 @@ class _EstimatedMarker(NamedTuple):
 
 def _estimate_gaps(take: MarkersInTake) -> list[_EstimatedMarker]:
     """Estimate every gap, the shortest first."""
-    estimators, surroundings = [build(take) for build in ESTIMATORS], _Surroundings(take)
+    is_preview = take.body is not None and take.body.evidence is None  # which guesses the segments that no marker shows
+    estimators = [build(take) for build in ESTIMATORS if not (is_preview and build is BodyPlacement)]
+    surroundings = _Surroundings(take)
     estimated: list[_EstimatedMarker] = []
     has_ends = take.is_common.copy()
     if take.body:

@@ -288,6 +288,32 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
     return PoseStart(replace(solved.motion, root_position=root_position, local_rotations=local_rotations), changes)
 
 
+PREVIEW_POSE_RATE_HZ = (
+    30.0  # at which a preview has poses of its own: the joints of composed takes are as near as from all frames
+)
+
+
+def initialise_preview(subject: SubjectInTake, method: str) -> Motion:
+    """Return first poses for a preview: at PREVIEW_POSE_RATE_HZ in closed form, and interpolated in the frames between."""
+    take = subject.take
+    step = max(1, round(take.rate / PREVIEW_POSE_RATE_HZ))
+    frames = np.unique([*range(0, take.frame_count, step), take.frame_count - 1])
+    posed = replace(take.replace_markers(take.markers[frames]), rate=take.rate / step)
+    motion = initialise_body(replace(subject, take=posed), None, method).motion
+    place = np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))
+    below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), (place % 1)[:, None]
+    root, rotations = motion.root_position, Rotation.from_matrix(motion.local_rotations.reshape(-1, 3, 3))
+    quaternions = rotations.as_quat().reshape(*motion.local_rotations.shape[:2], 4)
+    first, second = quaternions[below], quaternions[above]
+    second = np.where((first * second).sum(-1, keepdims=True) < 0, -second, second)
+    between = Rotation.from_quat((first + share[..., None] * (second - first)).reshape(-1, 4)).as_matrix()
+    return replace(
+        motion.select_frames(np.rint(place).astype(int)),
+        root_position=root[below] + share * (root[above] - root[below]),
+        local_rotations=between.reshape(take.frame_count, -1, 3, 3),
+    )
+
+
 LEARNED_START_PASSES = 2  # a third changes hardly anything
 MIN_SEGMENT_TRUST = 0.25  # robust weight from which a marker shows the rotation of its segment
 

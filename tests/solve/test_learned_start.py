@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
+from mocapfix.model.body_fit import SubjectInTake
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import initial_motion
@@ -52,7 +53,7 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     result = pipeline.clean(path, is_fast=True)
     assert result.motion is not None
     assert (result.motion.iterations == 0).all()
-    assert any(note.startswith("Preview: ") and "29 mm" in note for note in result.subject_report["notes"])
+    assert any(note.startswith("Preview: ") and "10 mm" in note for note in result.subject_report["notes"])
     error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
     assert np.nanmean(error) < 0.04
     solve = result.subject_report["solve"]
@@ -76,3 +77,17 @@ def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance
     expected = initial_motion.initialise_motion(take, subject, body, prior, "learned")
     np.testing.assert_allclose(found.local_rotations, expected.local_rotations[frames])
     np.testing.assert_allclose(found.root_position, expected.root_position[frames])
+
+
+def test_preview_poses_between_those_of_its_own_rate_are_near_those_of_all_frames(performance):
+    columns = np.arange(len(performance.subject.labels))
+    take = Take(performance.marker_positions, performance.subject.labels, 60.0)
+    subject = SubjectInTake(performance.subject, performance.subject, columns, take)
+    preview = initial_motion.initialise_preview(subject, "hybrik-x")
+    every = initial_motion.initialise_body(subject, None, "hybrik-x").motion
+    frames = [0, 2, 116, len(take.markers) - 1]  # the last is no multiple of the step
+    np.testing.assert_allclose(preview.local_rotations[frames], every.local_rotations[frames], atol=1e-9)
+    rotation = preview.local_rotations
+    np.testing.assert_allclose(np.einsum("tjab,tjcb->tjac", rotation, rotation) - np.eye(3), 0.0, atol=1e-9)
+    first, second = (compute_world_poses(performance.subject.skeleton, each)[0] for each in (preview, every))
+    assert np.linalg.norm(first - second, axis=-1).mean() < 0.004
