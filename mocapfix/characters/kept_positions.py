@@ -133,9 +133,8 @@ LIFT_S = 0.04  # standard deviation of the time over which changes of a foot's h
 SETTLING_ROUNDS = 3  # the bend of the toe depends on the height of the foot, and that on the toe
 MAX_TOE_BEND_RAD = np.deg2rad(70.0)
 RESTING_S, MIN_SHARE = 0.5, 1e-9  # standard deviation of the time over which a foot's usual inclination is averaged; avoids 0 / 0
-LEVEL_SHARE, LEVEL_SD_RAD = 0.7, np.deg2rad(5.0)
-"""Share of the differences from its usual inclination that is taken from a foot while heel and ball stand, and standard deviation
-of usual ones that are flat: 95 % are below 5.5 degrees in 15 captures. A foot that is inclined far more is held on its toes."""
+LEVEL_SHARE = 0.7  # of the differences from its usual inclination that is taken from a foot while heel and ball stand
+LEVEL_SD_RAD = np.deg2rad(5.0)  # of usual inclinations of flat feet, 95 % below 5.5 degrees in 15 captures; others are on toes
 TOE_TIP_SHARE = 0.3  # of a toe's length, from which its points are ahead of the ball
 
 
@@ -233,8 +232,7 @@ def hold_kept_feet(
 
 def resample_foot_contacts(contacts: BodyContacts, frame_count: int, rate: float) -> BodyContacts:
     """Return the contacts of heels and balls of the feet at another rate: those of the nearest frames."""
-    frames = np.rint(np.arange(frame_count) * contacts.rate / rate).astype(int)
-    frames = np.minimum(frames, max(len(contacts.is_contact) - 1, 0))
+    frames = np.rint(np.arange(frame_count) * contacts.rate / rate).clip(0, max(len(contacts.is_contact) - 1, 0)).astype(int)
     columns = [contacts.joints.index(joint) for joint in CONTACT_JOINTS]
     is_contact, is_known = (mask[frames][:, columns] for mask in (contacts.is_contact, contacts.is_known))
     return replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known, rate=rate)
