@@ -130,13 +130,12 @@ def detect_body_outliers(residuals: BodyResiduals, rate: float, min_distance_m: 
     distance_m = residuals.distance_m
     visible, is_far = ~np.isnan(distance_m), distance_m > MIN_OUTLIER_SCORE_SD * residuals.sd_m
     is_valid = visible & (is_far.sum(1) <= MAX_OUTLYING_MARKER_FRACTION * visible.sum(1))[:, None]
-    is_leap = _detect_leaps(residuals.measured_world, rate)
     outliers: list[BodyOutlier] = []
     for k in range(distance_m.shape[1]):
-        frames = np.flatnonzero(is_valid[:, k])
+        frames, is_leap = np.flatnonzero(is_valid[:, k]), _detect_leaps(residuals.measured_world[:, k], rate)
         candidates = [
-            _build_outlier(residuals, k, segment, frames, is_leap[:, k], rate, min_distance_m)
-            for segment in _split_at_leaps(residuals, k, frames, is_leap[:, k], rate)
+            _build_outlier(residuals, k, segment, frames, is_leap, rate, min_distance_m)
+            for segment in _split_at_leaps(residuals, k, frames, is_leap, rate)
         ]
         found = [outlier for outlier in candidates if outlier]
         if sum(len(outlier.frames) for outlier in found) < MAX_OUTLIER_FRACTION * len(frames):
@@ -222,13 +221,13 @@ def _split_at_leaps(
     return np.split(frames, np.flatnonzero((step_m > max_step_m) & (is_leap[frames[1:]] | (np.diff(frames) > 1))) + 1)
 
 
-def _detect_leaps(markers: np.ndarray, rate: float) -> np.ndarray:
-    """Detect (T, K) the steps from the frame before that differ from the step before, the step after and their mean.
+def _detect_leaps(path: np.ndarray, rate: float) -> np.ndarray:
+    """Detect (T,) the steps of a path (T, 3) from the frame before that differ from the steps beside them and from their mean.
 
     If none of these is known, the step may be a leap and counts as one.
     """
-    step = np.full((len(markers) + 2, *markers.shape[1:]), np.nan)
-    step[1 : len(markers)] = np.diff(markers, axis=0)
+    step = np.full((len(path) + 2, 3), np.nan)
+    step[1 : len(path)] = np.diff(path, axis=0)
     before, own, after = step[:-2], step[1:-1], step[2:]
     difference_m = [compute_lengths(own - other) for other in (before, after, (before + after) / 2)]
     is_leap = ~(np.fmin.reduce(difference_m) < STEP_TOLERANCE_M + STEP_TOLERANCE_M_PER_S2 / rate**2)
