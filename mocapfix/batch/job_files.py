@@ -129,18 +129,14 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
         if key in model.model_fields_set and not (value is None and option.name in PURPOSE_DEFAULTS):
             given[option.name] = option.from_display(value)
     try:
-        options = build_clean_options(**given).map_files(lambda name: _find_beside_job(path, name))
+        beside = path.parent  # what is not the name of a file there is that of something shipped
+        options = build_clean_options(**given).map_files(lambda name: beside / name if is_existing_file(beside / name) else name)
         list_output_formats(options.output)
     except OptionError as error:
         raise SceneError(f"{path}: {error.job_key}: {error.problem}.") from error
     except MocapfixError as error:
         raise SceneError(f"{path}: write: {error}") from error
     return options
-
-
-def _find_beside_job(path: Path, name: str | Path) -> str | Path:
-    """Return the path of the file beside the job if there is one of this name; otherwise something shipped is named."""
-    return path.parent / name if is_existing_file(path.parent / name) else name
 
 
 def has_wildcards(name: str) -> bool:

@@ -317,6 +317,9 @@ class CharacterFiles:
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, as the legs are."]
+        if contacts and (levels := contacts.floor.level_heights_m):
+            lowest_m = compute_character_poses(source, convert_motion(motion, rate))[0][..., 1].min() - levels[0]
+            notes += [f"{target.name}: {each}" for each in describe_depth(character, delivered, scale * min(lowest_m, 0.0))]
         if self.options.loop:
             count = motion.frame_count
             feet = resample_foot_contacts(contacts or build_no_contacts(count, rate), count, rate)
@@ -331,6 +334,23 @@ class CharacterFiles:
         write_character_glb(target, character, delivered, target.name.removesuffix(f".{self.suffixes[0]}"))
         problems = [GLB_CONVERTERS[suffix](target.with_suffix(f".{suffix}"), target, rate) for suffix in self.converted]
         return notes + [each for each in problems if each]
+
+
+MAX_DEPTH_LEG_SHARE = 0.03  # depth of a bone under the floor, as a share of the leg, from which it is said: flesh surrounds it
+
+
+def describe_depth(character: Character, motion: CharacterMotion, lowest_m: float) -> list[str]:
+    """Return a sentence on the bone that is deepest under the floor, if far deeper than the performer, who is at `lowest_m`."""
+    feet = {bone for name, chain in character.mapping.bones.items() if name.endswith(("foot", "toe")) for bone in chain}
+    mapped = {bone for chain in character.mapping.bones.values() for bone in chain} - feet  # soles are measured by their mesh
+    bones = [bone for bone, parent in enumerate(character.skeleton.parents) if {bone, parent} & mapped and bone not in feet]
+    height = compute_character_poses(character, motion)[0][:, bones, 1]
+    frame, lowest = np.unravel_index(height.argmin(), height.shape)
+    depth_m = lowest_m - float(height[frame, lowest])
+    if depth_m < MAX_DEPTH_LEG_SHARE * build_body_frame(character).leg_length_m:
+        return []
+    where = f"{character.skeleton.names[bones[lowest]]} is {depth_m * 1e3:.0f} mm under the floor in frame {frame + 1}"
+    return [f"{where}, the deepest: the proportions do not allow the pose, so pose it by hand there."]
 
 
 def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:

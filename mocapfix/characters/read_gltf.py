@@ -305,8 +305,9 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
         for above in nodes.list_ancestors(node):
             if above in segment_of:
                 if segment in SEGMENTS_BELOW.get(segment_of[above], ()):
-                    for bone in between:
-                        segments.setdefault(_choose_segment(segment_of[above], bone, arm_carriers), []).append(bone)
+                    for bone in between:  # a bone of the spine above all that carries an arm is one of the neck
+                        is_neck = segment_of[above] == "spine" and arm_carriers and bone not in arm_carriers
+                        segments.setdefault("neck" if is_neck else segment_of[above], []).append(bone)
                 break
             between.append(above)
     place = {node: bone for bone, node in enumerate(bones)}
@@ -322,11 +323,6 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
         )
     except SceneError as error:
         raise ReadError(str(error)) from error
-
-
-def _choose_segment(upper_segment: str, bone: int, arm_carriers: set[int]) -> str:
-    """Return the segment of a bone between a humanoid bone of `upper_segment` and the next one."""
-    return "neck" if upper_segment == "spine" and arm_carriers and bone not in arm_carriers else upper_segment
 
 
 MIN_BODY_NODES = 12  # of a file without skin: fewer nodes form no body

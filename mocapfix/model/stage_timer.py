@@ -51,12 +51,9 @@ class StageTimer:
             self.stage_seconds["total"] = 0.0
             return
         seconds, name = perf_counter() - start, f"{stage}/{part}" if part else stage
-        before = self.part_times.get(name, {"seconds": 0.0, "processor_seconds": 0.0})
-        processor_seconds = before["processor_seconds"] + process_time() - processor_start
-        self.part_times[name] = {
-            "seconds": round(before["seconds"] + seconds, 3),
-            "processor_seconds": round(processor_seconds, 3),
-        }
+        time = self.part_times.setdefault(name, {"seconds": 0.0, "processor_seconds": 0.0})
+        time["seconds"] = round(time["seconds"] + seconds, 3)
+        time["processor_seconds"] = round(time["processor_seconds"] + process_time() - processor_start, 3)
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + seconds, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)
 

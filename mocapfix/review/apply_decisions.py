@@ -173,7 +173,7 @@ def update_computed_points(original: Take, cleaned: Take, options: FillOptions) 
         if function is None or not all(parent in column for parent in function.parents):
             continue
         parents = np.array([column[parent] for parent in function.parents])
-        is_updated = is_editable[:, c] & _find_updated_frames(points.visible[:, c], is_changed[:, parents], options)
+        is_updated = is_editable[:, c] & (~points.visible[:, c] | (options.update_computed & is_changed[:, parents].any(1)))
         if computed.evidence[c] == "name" and not options.update_computed:
             continue
         new = function.evaluate(cleaned.markers[is_updated][:, parents])
@@ -197,12 +197,6 @@ def find_missing_functions(take: Take, computed: ComputedPoints) -> ComputedPoin
         parents = tuple(int(take.point_indices[parent]) for parent in function.parents)
         functions[point - count] = replace(function, parents=parents)
     return replace(computed, functions=tuple(functions))
-
-
-def _find_updated_frames(
-    is_visible: Bool[np.ndarray, " T"], is_parent_changed: Bool[np.ndarray, "T n"], options: FillOptions
-) -> Bool[np.ndarray, " T"]:
-    return ~is_visible | is_parent_changed.any(1) if options.update_computed else ~is_visible
 
 
 def _get_parent_sd(take: Take, frames: Int[np.ndarray, " N"], parents: Int[np.ndarray, " n"]) -> Float[np.ndarray, " N"]:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.character_files import CharacterFiles
+from mocapfix.characters.character import CharacterMotion, compute_character_poses
+from mocapfix.characters.character_files import CharacterFiles, describe_depth
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import HeldFeet
@@ -96,6 +97,26 @@ def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
     np.testing.assert_allclose(rotations, expected.local_rotations[:, foot], atol=1e-5)
     assert np.abs(rotations - other.local_rotations[:, foot]).max() > 1e-3
     assert (on_zero.pelvis_position[:, 1] > pelvis[:, 1] + 0.02).all()
+
+
+def test_a_bone_far_under_the_floor_is_named_with_its_frame(tmp_path):
+    target = load_character("mixamo")
+    frames = 5
+    rotations = np.tile(target.skeleton.rest_rotations, (frames, 1, 1, 1))
+    pelvis = np.tile([0.0, 2.0, 0.0], (frames, 1))
+    motion = CharacterMotion(pelvis, rotations, RATE)
+    assert describe_depth(target, motion, 0.0) == []
+    lowered = replace(motion, pelvis_position=pelvis - np.array([0.0, 4.0, 0.0]) * (np.arange(frames) == 3)[:, None])
+    height = compute_character_poses(target, lowered)[0][3, :, 1]
+    feet = [bone for side in ("left", "right") for part in ("foot", "toe") for bone in target.mapping.bones[f"{side}_{part}"]]
+    bones = [bone for bone, parent in enumerate(target.skeleton.parents) if not {bone, parent} & {*feet}]
+    bones = [bone for bone in bones if "Toe" not in target.skeleton.names[bone]]
+    lowest = min(bones, key=lambda bone: height[bone])
+    (sentence,) = describe_depth(target, lowered, -0.2)
+    assert sentence.startswith(
+        f"{target.skeleton.names[lowest]} is {-(height[lowest] + 0.2) * 1e3:.0f} mm under the floor in frame 4"
+    )
+    assert describe_depth(target, lowered, -5.0) == []
 
 
 def test_file_names_are_checked_before_anything_is_cleaned():
