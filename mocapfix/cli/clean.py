@@ -7,7 +7,6 @@ The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoi
 
 import json
 import shlex
-import signal
 from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -43,7 +42,7 @@ from mocapfix.cli.console import (
 )
 from mocapfix.errors import MocapfixError, SceneError, WriteError, describe_error
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
-from mocapfix.model.system import count_cores
+from mocapfix.model.system import count_cores, follow_parent
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5  # runs of unfilled samples, or markers with unfilled samples, that the summary lists
@@ -183,8 +182,7 @@ def clean_takes(
 @contextmanager
 def start_recorder() -> Generator[Executor]:
     """Provide a process that writes recordings: it imports rerun while the first take is read."""
-    ignore_interrupts = signal.SIGINT, signal.SIG_IGN  # the command decides when it ends
-    recorder = ProcessPoolExecutor(1, get_context("spawn"), initializer=signal.signal, initargs=ignore_interrupts)
+    recorder = ProcessPoolExecutor(1, get_context("spawn"), initializer=follow_parent)
     recorder.submit(import_module, "mocapfix.report.recording")
     started = list(recorder._processes.values())  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
     try:

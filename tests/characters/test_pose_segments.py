@@ -41,7 +41,7 @@ def test_straight_knees_bend_forwards_where_the_target_must_bend():
         assert abs((knee - straight)[0]) < 0.02
 
 
-def test_joint_limits_hold_an_elbow_back():
+def test_joint_limits_hold_an_elbow_back_less_than_the_performer_bends_it():
     character, motion = stand()
     elbow = character.mapping.bones["left_forearm"][0]
     local = motion.local_rotations.copy()
@@ -57,4 +57,4 @@ def test_joint_limits_hold_an_elbow_back():
         for each in (character, limited)
     )
     assert free_deg == pytest.approx(120, abs=1)
-    assert limited_deg < free_deg - 10
+    assert 60 < limited_deg < free_deg - 3
