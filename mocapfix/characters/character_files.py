@@ -336,11 +336,14 @@ class CharacterFiles:
         return notes + [each for each in problems if each]
 
 
-MAX_DEPTH_LEG_SHARE = 0.03  # depth of a bone under the floor, as a share of the leg, from which it is said: flesh surrounds it
+MAX_DEPTH_LEG_SHARE = 0.03  # depth of a bone under the floor, in leg lengths, from which the report names it: flesh surrounds it
 
 
 def describe_depth(character: Character, motion: CharacterMotion, lowest_m: float) -> list[str]:
-    """Return a sentence on the bone that is deepest under the floor, if far deeper than the performer, who is at `lowest_m`."""
+    """Return a sentence on the bone deepest under the floor, which is at height 0, if it is far deeper than the performer's.
+
+    `lowest_m` is the height in metres of the performer's lowest joint, scaled to the character; 0 if it is above the floor.
+    """
     feet = {bone for name, chain in character.mapping.bones.items() if name.endswith(("foot", "toe")) for bone in chain}
     mapped = {bone for chain in character.mapping.bones.values() for bone in chain} - feet  # soles are measured by their mesh
     bones = [bone for bone, parent in enumerate(character.skeleton.parents) if {bone, parent} & mapped and bone not in feet]
@@ -350,7 +353,7 @@ def describe_depth(character: Character, motion: CharacterMotion, lowest_m: floa
     if depth_m < MAX_DEPTH_LEG_SHARE * build_body_frame(character).leg_length_m:
         return []
     where = f"{character.skeleton.names[bones[lowest]]} is {depth_m * 1e3:.0f} mm under the floor in frame {frame + 1}"
-    return [f"{where}, the deepest: the proportions do not allow the pose, so pose it by hand there."]
+    return [f"{where} of the file, the deepest: the figure does not reach the performer's pose there; correct it by hand."]
 
 
 def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:
