@@ -5,8 +5,6 @@
 
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Future
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -36,6 +34,7 @@ from mocapfix.model.take import TableLayout, Take
 from mocapfix.options import CHARACTER_OPTIONS, OPTION_BY_NAME, ROOT_IN_PLACE, OutputOptions
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
+from mocapfix.solve.parallel import Computation
 from mocapfix.subject import library
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
-    recording: Future[None] | None = None  # the recording that another process writes; None: this one writes it
+    recording: Computation[None] | None = None  # the recording, which the second process writes; None: it is written here
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
 
@@ -214,10 +213,7 @@ def record_comparison(target: Path, comparison: CleaningComparison) -> None:
 
 
 def _write_recording(target: Path, content: OutputContent) -> None:
-    if content.recording is not None:
-        with suppress(BrokenExecutor):
-            return content.recording.result()
-    return record_comparison(target, content.comparison)
+    return content.recording.finish() if content.recording else record_comparison(target, content.comparison)
 
 
 def _write_html_report(target: Path, content: OutputContent) -> None:

@@ -7,8 +7,6 @@ several subjects.
 import json
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Executor, wait
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -47,6 +45,7 @@ from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.terms import get_point_terms
+from mocapfix.solve.parallel import compute_beside
 
 
 def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
@@ -126,7 +125,6 @@ class CleaningResult:
         overwrite: bool = False,
         report_progress: ProgressCallback | None = None,
         options: OutputOptions = DEFAULT_OUTPUT_OPTIONS,
-        recorder: Executor | None = None,
     ) -> dict[str, Path]:
         """Write all outputs into a folder, which is created if necessary.
 
@@ -138,7 +136,6 @@ class CleaningResult:
             overwrite: Whether outputs that exist are replaced.
             report_progress: Called with the name of each stage when it begins.
             options: Which formats are written, and how.
-            recorder: A process that writes the recording beside the other files; None: this one writes it.
 
         Returns:
             The paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
@@ -151,7 +148,7 @@ class CleaningResult:
         targets = check_outputs_free(folder, stem, overwrite, self.input_take.path, options, subject_stems)
         make_output_folder(folder)
         with replace_together(targets, folder) as temporary:
-            self._write_files(temporary, folder, options, report_progress, recorder)
+            self._write_files(temporary, folder, options, report_progress)
         paths = [path for result in results for path in result.get_written_paths(folder, options).values()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 
@@ -218,7 +215,6 @@ class CleaningResult:
         final_folder: Path,
         options: OutputOptions,
         report_progress: ProgressCallback | None,
-        recorder: Executor | None,
     ) -> None:
         """Write the cleaned file of all subjects, then the other files of each, to be moved to the final folder."""
         arguments: list[str] = []
@@ -234,7 +230,7 @@ class CleaningResult:
         for result, timer in zip(results, timers, strict=True):
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
             unstorable = [(frame, index[m]) for frame, m in unstorable_samples if m in index]
-            result._write_subject_files(folder, options, timer, unstorable, arguments, recorder)
+            result._write_subject_files(folder, options, timer, unstorable, arguments)
 
     def _write_subject_files(
         self,
@@ -243,7 +239,6 @@ class CleaningResult:
         timer: StageTimer,
         unstorable_samples: Sequence[tuple[int, int]],
         arguments: list[str],
-        recorder: Executor | None,
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
         with timer("write", "resampling"):
@@ -261,10 +256,9 @@ class CleaningResult:
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final_report["times"] = timer.part_times
         content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
-        if recorder:
+        if not self.requested.initialise.is_fast:
             target = folder / f"{self.input_take.output_stem}.{RECORDING_SUFFIX}"
-            with suppress(BrokenExecutor):
-                content = replace(content, recording=recorder.submit(record_comparison, target, content.comparison))
+            content = replace(content, recording=compute_beside(record_comparison, target, content.comparison))
         try:
             for each in list_output_formats(options):
                 if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
@@ -274,7 +268,8 @@ class CleaningResult:
                     if usage in content.report["notes"] and not target.exists():
                         content.report["notes"].remove(usage)
         finally:
-            wait([content.recording] if content.recording else [])  # it writes into the folder
+            if content.recording:
+                content.recording.leave()  # it writes into the folder
 
     def build_content(self, exported: ExportedMotion | None) -> OutputContent:
         """Return what the files of a take of at most one subject are written from, with the motion as it is written."""

@@ -1,12 +1,11 @@
 """Output files: optional formats beside the default ones, all of them or none."""
 
 import json
-import os
 import re
 import threading
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from mocapfix.model.take import TableLayout
 from mocapfix.options import RIG_NAMES, OutputOptions, build_clean_options
 from mocapfix.output_formats import OPTIONAL_FORMATS, list_output_formats
 from mocapfix.result import CleaningResult, list_clean_arguments
+from mocapfix.solve.parallel import second_process
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.conftest import FIRST_FRAME
 from tests.io.read_back import Bvh, smooth_rotations
@@ -165,28 +165,27 @@ def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):
     assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == {"walk.bvh": "earlier"}
 
 
-def test_the_recording_is_written_by_another_thread_or_process(solved, tmp_path):
-    with ThreadPoolExecutor(1) as recorder:
-        recorder.submit(threading.current_thread).result().name = "recorder"
-        outputs = solved.write(tmp_path, recorder=recorder)
-    assert outputs["rrd"].read_bytes() == b"rrd by recorder"
+@pytest.fixture
+def recorder() -> Generator[ThreadPoolExecutor]:
+    """Return a thread that takes the place of the second process."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(threading.current_thread).result().name = "recorder"
+        token = second_process.set(thread)
+        yield thread
+        second_process.reset(token)
 
 
-def test_the_recording_is_written_here_if_the_other_process_has_ended(solved, tmp_path):
-    with ProcessPoolExecutor(1, get_context("spawn")) as recorder:
-        with pytest.raises(BrokenExecutor):
-            recorder.submit(os._exit, 1).result()
-        outputs = solved.write(tmp_path / "broken", recorder=recorder)
-    assert outputs["rrd"].read_bytes() == b"rrd by MainThread"
+def test_the_recording_is_written_by_the_second_process(solved, recorder, tmp_path):
+    assert solved.write(tmp_path)["rrd"].read_bytes() == b"rrd by recorder"
 
 
-def test_no_file_is_written_if_the_other_process_cannot_write_the_recording(solved, tmp_path, monkeypatch):
+def test_no_file_is_written_if_the_second_process_cannot_write_the_recording(recorder, solved, tmp_path, monkeypatch):
     def fail(target: Path, _comparison: object) -> None:
         raise OSError(f"{target.name}: the disk is full")
 
     monkeypatch.setattr("mocapfix.report.recording.write_recording", fail)
-    with ThreadPoolExecutor(1) as recorder, pytest.raises(WriteError, match="disk is full"):
-        solved.write(tmp_path, recorder=recorder)
+    with pytest.raises(WriteError, match="disk is full"):
+        solved.write(tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -8,11 +8,8 @@ The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoi
 import json
 import shlex
 from collections import Counter
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager, nullcontext
-from importlib import import_module
-from multiprocessing import get_context
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,8 +39,9 @@ from mocapfix.cli.console import (
 )
 from mocapfix.errors import MocapfixError, SceneError, WriteError, describe_error
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
-from mocapfix.model.system import count_cores, follow_parent
+from mocapfix.model.system import count_cores
 from mocapfix.options import CleanOptions
+from mocapfix.solve.parallel import start_second_process
 
 MAX_LISTED_RUNS = 5  # runs of unfilled samples, or markers with unfilled samples, that the summary lists
 MAX_PRINTED_NOTES = 12  # notes that it prints
@@ -135,8 +133,9 @@ def clean_takes(
     written: set[Path] = set()
     laboratory: dict[str, str] = {}
     attempts = TakeAttempts()
-    has_recording = count_cores() > 1 and not options.initialise.is_fast
-    with start_recorder() if has_recording else nullcontext() as recorder:
+    is_shared = count_cores() > 1 and not options.initialise.is_fast
+    modules = "mocapfix.fill.gap_filling", "mocapfix.report.recording"
+    with start_second_process(*modules) if is_shared else nullcontext():
         for take in takes:
             with attempts.attempt(take):
                 folder = output_folder or choose_output_folder(take)
@@ -152,7 +151,7 @@ def clean_takes(
                     targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
                     check_files_kept([*takes, *([clips] if clips else [])], targets)
                     result = pipeline.clean_capture(capture, options, timer)
-                    result.write(folder, overwrite, progress, options.output, recorder)
+                    result.write(folder, overwrite, progress, options.output)
                 written.add(folder / take.stem)
                 for each in result.subject_results or (result,):
                     outputs = each.get_written_paths(folder, options.output)
@@ -177,21 +176,6 @@ def clean_takes(
     if as_json and reports:
         print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
     return EXIT_FAILED if attempts.failed else EXIT_DONE
-
-
-@contextmanager
-def start_recorder() -> Generator[Executor]:
-    """Provide a process that writes recordings: it imports rerun while the first take is read."""
-    recorder = ProcessPoolExecutor(1, get_context("spawn"), initializer=follow_parent)
-    recorder.submit(import_module, "mocapfix.report.recording")
-    started = list(recorder._processes.values())  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
-    try:
-        yield recorder
-    finally:
-        recorder.shutdown(wait=False, cancel_futures=True)
-        for each in started:
-            each.kill()
-            each.join()
 
 
 def choose_output_folder(take: Path) -> Path:

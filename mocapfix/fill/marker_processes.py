@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
 from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes, compute_variation_growth
-from mocapfix.stats.gaussian_process import GaussianProcess, HeldOutPrediction, StateCovariance, fit_gaussian_process
+from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import sample_evenly, select_training_frames
 
@@ -47,21 +47,6 @@ def select_input_markers(is_known: Bool[np.ndarray, "N M"], candidate_markers: I
     by_frequency = candidate_markers[np.argsort(-is_known[:, candidate_markers].sum(0), kind="stable")]
     shared_count = np.logical_and.accumulate(is_known[:, by_frequency], axis=1).sum(0)
     return np.sort(by_frequency[shared_count >= MIN_SHARED_FRAME_SHARE * len(is_known)])
-
-
-def fit_marker_process(
-    local: Float[np.ndarray, "T M 3"],
-    input_markers: Int[np.ndarray, " I"],
-    lost_markers: Int[np.ndarray, " L"],
-    axes: MovingAxes,
-    training_frames: Int[np.ndarray, " N"],
-    rate: float,
-) -> GaussianProcess:
-    """Return the process of the lost markers in the body's axes, in metres, given the state of the input markers."""
-    positions = local[np.ix_(training_frames, lost_markers)].reshape(len(training_frames), -1)
-    states = compute_marker_state_features(local[:, input_markers], axes, training_frames, rate)
-    noise = np.full(len(training_frames), PROCESS_SAMPLE_NOISE_M**2)
-    return fit_gaussian_process(positions, states, training_frames / rate, noise, MARKER_FILL_KERNEL)
 
 
 def compute_marker_state_features(
@@ -144,9 +129,8 @@ class MarkerProcesses:
             )
             if estimate is None:
                 return []
-            position[piece], sd[piece] = estimate.position, estimate.sd
-            if end - begin + 1 == w.length:
-                error = estimate.error
+            position[piece], sd[piece], error_of_whole = estimate
+            error = error_of_whole if end - begin + 1 == w.length else error
         return [
             GapEstimate(FillMethod.GAUSSIAN_PROCESS, position[:, n], error[:, :, n], sd[w.points, n])
             for n in range(len(lost_markers))
@@ -171,8 +155,8 @@ class MarkerProcesses:
 
     def _estimate_piece(
         self, window: GapWindow, frames: np.ndarray, inputs: np.ndarray, lost_markers: np.ndarray
-    ) -> "_PieceEstimate | None":
-        """Return the estimate of some frames of a gap."""
+    ) -> tuple[Float[np.ndarray, "n L 3"], Float[np.ndarray, "n L"], Float[np.ndarray, "K S L 3"]] | None:
+        """Return positions in some frames of a gap, their standard deviations, and the errors in hidden stretches."""
         w, (axes, local, is_aligned) = window, self._get_axes(inputs)
         is_usable = is_aligned & self.is_visible[:, lost_markers].all(1) & self.is_known[:, inputs].all(1)
         training = select_training_frames(is_usable, int(frames[0]), int(frames[-1]), self.rate)
@@ -182,7 +166,10 @@ class MarkerProcesses:
         training = np.union1d(training, added[is_usable[added]])
         if len(training) < MIN_PROCESS_TRAINING_FRAMES or not is_aligned[frames].all():
             return None
-        process = fit_marker_process(local, inputs, lost_markers, axes, training, self.rate)
+        positions = local[np.ix_(training, lost_markers)].reshape(len(training), -1)
+        states = compute_marker_state_features(local[:, inputs], axes, training, self.rate)
+        noise = np.full(len(training), PROCESS_SAMPLE_NOISE_M**2)
+        process = fit_gaussian_process(positions, states, training / self.rate, noise, MARKER_FILL_KERNEL)
         states = compute_marker_state_features(local[:, inputs], axes, frames, self.rate)
         predicted, relative_variance = process.predict(states, frames / self.rate)
         world = (
@@ -193,35 +180,18 @@ class MarkerProcesses:
         novelty = compute_variation_growth(is_usable, w.length / self.rate, self.rate)
         sd = np.sqrt(relative_variance[:, None] * power + PROCESS_SAMPLE_NOISE_M**2) * novelty
         error = np.full((len(w.starts), len(w.points), len(lost_markers), 3), np.nan)
-        if len(frames) == w.length:
-            for k in tried:
-                hidden = self._hold_out(process, training, int(w.starts[k]), w.hidden_length)
-                error[k] = self._compute_hidden_error(hidden, training, w.hidden_frames[k], relative_variance[w.points], axes)
-        return _PieceEstimate(world, sd, error)
-
-    @staticmethod
-    def _hold_out(process: GaussianProcess, training: np.ndarray, first: int, length: int) -> HeldOutPrediction | None:
-        """Return the prediction of the training frames in a stretch from the others; None if these are too few."""
-        indices = np.flatnonzero((training >= first) & (training < first + length))
-        return process.predict_held_out(indices) if 0 < len(indices) <= MAX_HELD_OUT_SHARE * len(training) else None
-
-    @staticmethod
-    def _compute_hidden_error(
-        hidden: HeldOutPrediction | None,
-        training: np.ndarray,
-        frames: np.ndarray,
-        relative_variance: np.ndarray,
-        axes: MovingAxes,
-    ) -> np.ndarray:
-        """Return the errors (S, L, 3) in the world at some frames of a stretch, increased to the uncertainty in the gap."""
-        if hidden is None:
-            return np.array(np.nan)
-        held_frames = training[hidden.indices]
-        at = np.minimum(np.searchsorted(held_frames, frames), len(held_frames) - 1)
-        inflation = np.sqrt(np.maximum(relative_variance / hidden.relative_variance[at], 1.0))
-        error = hidden.error[at].reshape(len(frames), -1, 3) * inflation[:, None, None]
-        error[held_frames[at] != frames] = np.nan
-        return np.einsum("sab,smb->sma", axes.rotation_world_axes[frames], error)
+        for k in tried if len(frames) == w.length else ():
+            held_out = np.flatnonzero((training >= w.starts[k]) & (training < w.starts[k] + w.hidden_length))
+            if 0 < len(held_out) <= MAX_HELD_OUT_SHARE * len(training):
+                held_frames, hidden_frames = training[held_out], w.hidden_frames[k]
+                at = np.minimum(np.searchsorted(held_frames, hidden_frames), len(held_out) - 1)
+                held_error, held_variance = process.predict_held_out(held_out)
+                # increased to the uncertainty in the gap
+                inflation = np.sqrt(np.maximum(relative_variance[w.points] / held_variance[at], 1.0))
+                local_error = held_error[at].reshape(len(at), -1, 3) * inflation[:, None, None]
+                local_error[held_frames[at] != hidden_frames] = np.nan
+                error[k] = np.einsum("sab,smb->sma", axes.rotation_world_axes[hidden_frames], local_error)
+        return world, sd, error
 
 
 class _InputAxes(NamedTuple):
@@ -230,11 +200,3 @@ class _InputAxes(NamedTuple):
     axes: MovingAxes
     local: np.ndarray
     is_aligned: np.ndarray
-
-
-class _PieceEstimate(NamedTuple):
-    """Positions (n, L, 3) and standard deviations (n, L) in a piece of a gap, and errors (K, S, L, 3) in hidden stretches."""
-
-    position: np.ndarray
-    sd: np.ndarray
-    error: np.ndarray

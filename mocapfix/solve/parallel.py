@@ -2,20 +2,27 @@
 
 The kernels release the interpreter's lock. Each thread takes a block of frames and writes only there, so the result does not
 depend on the number of threads. (Numba's own parallel loops do the same but take several times as long to compile.)
+
+Work that holds the lock is shared with a second process, if the command has started one: `start_second_process` starts it,
+`compute_beside` gives it work. Without it, or when it has ended, the same work is done in this process.
 """
 
+import gc
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextvars import copy_context
-from functools import cache
-from typing import NamedTuple, TypeVar
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar, copy_context
+from functools import cache, partial
+from importlib import import_module
+from multiprocessing import get_context
+from typing import Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from mocapfix.model.system import count_cores
+from mocapfix.model.system import count_cores, follow_parent
 
 
 class SolveOrder(NamedTuple):
@@ -136,3 +143,75 @@ def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> 
             yield each.result()
     finally:
         remaining.clear()
+
+
+Arguments = ParamSpec("Arguments")
+
+second_process: ContextVar[Executor | None] = ContextVar("second_process", default=None)
+
+
+class Computation(NamedTuple, Generic[Value]):
+    """A value that is computed by the second process, or here when it is asked for."""
+
+    compute: Callable[[], Value]
+    future: "Future[Value] | None"  # None without a second process
+
+    def finish(self) -> Value:
+        """Return the value. It is computed here if the second process has not begun with it, has ended or lacks memory.
+
+        Raises:
+            Exception: Whatever the function raises.
+        """
+        if self.future and not self.future.cancel():
+            with suppress(BrokenExecutor, MemoryError):
+                return self.future.result()
+        return self.compute()
+
+    def leave(self) -> None:
+        """Wait until the second process does not work on it: it is not needed any more."""
+        if self.future and not self.future.cancel():
+            wait([self.future])
+
+
+def compute_beside(
+    function: Callable[Arguments, Value], *arguments: Arguments.args, **keywords: Arguments.kwargs
+) -> Computation[Value]:
+    """Begin function(*arguments) in the second process, if this thread and those that have started it know one.
+
+    Args:
+        function: One that a module defines by its name, for it is sent by its name. It does not change its arguments, and its
+            value does not depend on the process.
+        arguments: Values that can be pickled; a megabyte takes about two milliseconds. Later changes of them may reach it or not.
+        keywords: The same by name.
+    """
+    compute, future, process = partial(function, *arguments, **keywords), None, second_process.get()
+    with suppress(BrokenExecutor):
+        future = process and process.submit(compute)
+    return Computation(compute, future)
+
+
+@contextmanager
+def start_second_process(*modules: str) -> Generator[None]:
+    """Provide a second process for `compute_beside`. It ends with this one, however that ends.
+
+    Args:
+        modules: Those that it imports while this process does other things, in the order in which they will be needed.
+    """
+    process = ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin_second_process)
+    for each in modules:
+        process.submit(import_module, each)
+    started = list(process._processes.values())  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
+    token = second_process.set(process)
+    try:
+        yield
+    finally:
+        second_process.reset(token)
+        process.shutdown(wait=False, cancel_futures=True)
+        for each in started:
+            each.kill()
+            each.join()
+
+
+def _begin_second_process() -> None:
+    follow_parent()
+    gc.disable()  # as in the first one

@@ -62,16 +62,6 @@ class StateCovariance(NamedTuple):
         return self.time_power * by_time + self.recurrence_power * by_state + self.linear_power * products
 
 
-class HeldOutPrediction(NamedTuple):
-    """The prediction of some training frames from the others: their indices, the errors (H, C), prediction minus value, and the
-    predicted variance (H,) relative to the signal power.
-    """
-
-    indices: np.ndarray
-    error: np.ndarray
-    relative_variance: np.ndarray
-
-
 class GaussianProcess(NamedTuple):
     """C signals conditioned on their values in N training frames."""
 
@@ -94,10 +84,13 @@ class GaussianProcess(NamedTuple):
         variance = prior - np.einsum("an,an->a", cross @ self.precision, cross)
         return self.value_mean + cross @ self.weights, np.maximum(variance, model.noise_power)
 
-    def predict_held_out(self, indices: Int[np.ndarray, " H"]) -> HeldOutPrediction:
-        """Predict some training frames from the others, without a second factorisation (see `cross_validate_gaps`)."""
+    def predict_held_out(self, indices: Int[np.ndarray, " H"]) -> tuple[Float[np.ndarray, "H C"], Float[np.ndarray, " H"]]:
+        """Return the errors of predicting some training frames from the others, and the variances relative to the signal power.
+
+        No second factorisation is needed (see `cross_validate_gaps`).
+        """
         covariance = np.linalg.inv(self.precision[np.ix_(indices, indices)])
-        return HeldOutPrediction(indices, -covariance @ self.weights[indices], np.diag(covariance))
+        return -covariance @ self.weights[indices], np.diag(covariance)
 
     def cross_validate_gaps(self, gap_s: float) -> Float[np.ndarray, " C"]:
         """Return (C,) the mean square error in stretches of `gap_s` seconds, each predicted from all others, over the

@@ -112,7 +112,13 @@ def fit_common_shape(markers: Float[np.ndarray, "T M 3"]) -> CommonShape:
         rotation, origin, is_aligned = align_to_shape(markers, is_visible, shape)
         if not is_aligned.any():
             break
-        positions, variance = compute_common_shape(markers, is_visible & is_aligned[:, None], rotation, origin)
+        local, is_used = transform_to_body_axes(markers, origin, rotation), is_visible & is_aligned[:, None]
+        local[~is_used] = 0.0
+        count = np.where(is_used.any(0), is_used.sum(0), np.nan)[:, None]
+        positions = local.sum(0) / count
+        local -= positions
+        local[~is_used] = 0.0
+        variance = np.nan_to_num(np.einsum("tma,tma->ma", local, local) / count).mean(1)
         shape = CommonShape(positions - np.nanmean(positions, 0), variance)
     return shape
 
@@ -136,22 +142,6 @@ def align_to_shape(
     cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape.positions), weight)
     rotation = fit_rotations(cross)
     return rotation, mean_markers - np.einsum("tab,tb->ta", rotation, mean_shape), is_aligned
-
-
-def compute_common_shape(
-    markers: Float[np.ndarray, "T M 3"],
-    use: Bool[np.ndarray, "T M"],
-    rotation: Float[np.ndarray, "T 3 3"],
-    origin: Float[np.ndarray, "T 3"],
-) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
-    """Return the markers' mean positions in the body's axes over the samples to `use`, and their variances."""
-    positions = transform_to_body_axes(markers, origin, rotation)
-    positions[~use] = 0.0
-    count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
-    shape = positions.sum(0) / count
-    positions -= shape
-    positions[~use] = 0.0
-    return shape, np.nan_to_num(np.einsum("tma,tma->ma", positions, positions) / count).mean(1)
 
 
 def compute_lengths(vectors: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:

@@ -1,13 +1,17 @@
-"""Blocks of frames on every core, and functions in several threads."""
+"""Blocks of frames on every core, functions in several threads, and work in a second process."""
 
+import math
 import os
+import signal
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from mocapfix.errors import TakeError
-from mocapfix.solve.parallel import map_in_threads, run_over_frames
+from mocapfix.solve.parallel import compute_beside, map_in_threads, run_over_frames, second_process, start_second_process
 
 
 @pytest.mark.parametrize("frames", [1, 2, 7, 8, 9, 100])
@@ -86,3 +90,37 @@ def test_parts_that_have_not_begun_are_left_out_when_the_caller_stops(cores):
 def test_settings_of_the_caller_hold_in_the_threads(cores):
     with np.errstate(divide="raise"), pytest.raises(FloatingPointError):
         list(map_in_threads(lambda part: np.ones(1) / part, range(2)))
+
+
+def test_work_is_done_in_the_second_process_and_here_when_that_has_ended():
+    with start_second_process("mocapfix.errors"):
+        here, begun = os.getpid(), compute_beside(os.getpid)
+        assert begun.future
+        other = begun.future.result()
+        assert begun.finish() == other != here
+        np.testing.assert_array_equal(compute_beside(np.diff, np.eye(4), axis=0).finish(), np.diff(np.eye(4), axis=0))
+        with pytest.raises(ValueError, match="math domain"):
+            compute_beside(math.sqrt, -1.0).finish()
+        assert all(map_in_threads(lambda _: compute_beside(os.getpid).future, range(2)))
+        begun = [compute_beside(time.sleep, 0.1), compute_beside(os.getpid)]
+        os.kill(other, signal.SIGTERM)
+        assert [each.finish() for each in begun] == [None, here]
+        assert compute_beside(os.getpid).finish() == here
+    assert compute_beside(os.getpid).finish() == here
+
+
+def test_work_is_done_here_that_the_second_process_has_not_begun_or_lacks_memory_for():
+    def work() -> str:
+        if threading.current_thread() is not threading.main_thread():
+            raise MemoryError
+        return "here"
+
+    with ThreadPoolExecutor(1) as other:
+        token, stop = second_process.set(other), threading.Event()
+        assert compute_beside(work).finish() == "here"
+        busy, waiting, unneeded = (compute_beside(each) for each in (stop.wait, work, work))
+        unneeded.leave()
+        assert waiting.finish() == "here"
+        stop.set()
+        assert busy.finish() is True
+        second_process.reset(token)
