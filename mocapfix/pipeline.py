@@ -181,12 +181,13 @@ def clean_subject(
     standing, marker_set = None, choice.marker_set
     if body:
         with timer("solve", "limbs and feet"):
-            standing = hold_standing_feet(complete_body(body, conditioner, options), take, options.contacts.feet)
+            body = complete_body(body, conditioner, options)
+            standing = hold_standing_feet(body, take, options.contacts.feet)
     with timer("fill"):
         # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
-        filling_body = replace(standing.fit, motion=standing.filling_motion) if standing else None
+        body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
-        filled = fill_gaps(detected, filling_body, props, review.corrections, options.fill)
+        filled = fill_gaps(detected, body, props, review.corrections, options.fill)
         is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
         decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
         decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))

@@ -164,10 +164,9 @@ def displace_feet(
     ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
     step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
     moving = replace(moving, root_position=moving.root_position + step)
+    legs = solve_legs(skeleton, moving, points, (moving.root_position, free[1]), root_share=FIXED_ROOT_SHARE)[1]
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
-    root_position[frames] = moving.root_position
-    fixed = solve_legs(skeleton, moving, points, (moving.root_position, free[1]), root_share=FIXED_ROOT_SHARE)
-    local_rotations[frames, 1:] = fixed[1][:, 1:]
+    root_position[frames], local_rotations[frames, 1 : legs.shape[1]] = moving.root_position, legs[:, 1:]
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
 
 
@@ -191,8 +190,10 @@ def add_leg_markers(
     return PointTerm(joints, offsets, np.ascontiguousarray(measured), np.ascontiguousarray(weights))
 
 
-def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, start: Poses, *, root_share: float = 1.0) -> Poses:
-    """Return poses near those of a motion whose legs place joints and markers where these shall be."""
+def solve_legs(
+    skeleton: Skeleton, motion: Motion, points: PointTerm, start: Poses, *, root_share: float = 1.0
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T L 3 3"]]:
+    """Return poses near those of a motion, of the joints up to the last of the points, that place these where they shall be."""
     frame_count, count = motion.frame_count, int(points.joints.max()) + 1  # joints after the legs' only follow the root
     is_free = np.isin(np.arange(count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
     weight = np.full((frame_count, count), LEG_ROTATION_SD_RAD**-2)
@@ -202,7 +203,7 @@ def solve_legs(skeleton: Skeleton, motion: Motion, points: PointTerm, start: Pos
     tree = KinematicTree(skeleton.parents[:count], skeleton.offsets[:count], is_free)
     settings = SolverSettings(damping_ratio=SolverSettings.damping_ratio * root_share**2)  # it is relative to the root's weight
     legs = minimise(tree, (points, tracking), (start[0], start[1][:, :count]), settings)
-    return legs.root_position, np.concatenate([legs.local_rotations, motion.local_rotations[:, count:]], axis=1)
+    return legs.root_position, legs.local_rotations
 
 
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))
