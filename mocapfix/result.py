@@ -210,11 +210,7 @@ class CleaningResult:
         return self.input_take.path.stem if self.input_take.path else "take"
 
     def _write_files(
-        self,
-        folder: Path,
-        final_folder: Path,
-        options: OutputOptions,
-        report_progress: ProgressCallback | None,
+        self, folder: Path, final_folder: Path, options: OutputOptions, report_progress: ProgressCallback | None
     ) -> None:
         """Write the cleaned file of all subjects, then the other files of each, to be moved to the final folder."""
         arguments: list[str] = []
@@ -233,12 +229,7 @@ class CleaningResult:
             result._write_subject_files(folder, options, timer, unstorable, arguments)
 
     def _write_subject_files(
-        self,
-        folder: Path,
-        options: OutputOptions,
-        timer: StageTimer,
-        unstorable_samples: Sequence[tuple[int, int]],
-        arguments: list[str],
+        self, folder: Path, options: OutputOptions, timer: StageTimer, unstorable: Sequence[tuple[int, int]], arguments: list[str]
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
         with timer("write", "resampling"):
@@ -255,7 +246,7 @@ class CleaningResult:
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final_report["times"] = timer.part_times
-        content = replace(self, report=final_report)._drop_samples(unstorable_samples).build_content(exported_motion)
+        content = replace(self, report=final_report)._drop_samples(unstorable).build_content(exported_motion)
         if not self.requested.initialise.is_fast:
             target = folder / f"{self.input_take.output_stem}.{RECORDING_SUFFIX}"
             content = replace(content, recording=compute_beside(record_comparison, target, content.comparison))
