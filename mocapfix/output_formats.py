@@ -40,7 +40,7 @@ from mocapfix.subject import library
 if TYPE_CHECKING:
     from mocapfix.report.contact_sheet import ContactSheet, Performer
 
-RECORDING_SUFFIX = "rrd"
+RECORDING_SUFFIX, HTML_SUFFIX = "rrd", "report.html"
 SHEET_SUFFIX = "sheet.png"
 RIG_UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
 
@@ -72,7 +72,7 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
-    recording: Computation[None] | None = None  # the recording, which the second process writes; None: it is written here
+    shown: Computation[None] | None = None  # HTML report and recording, written by the second process; None in a preview
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
 
@@ -205,21 +205,18 @@ def _write_npz(target: Path, content: OutputContent) -> None:
     write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts)
 
 
-def record_comparison(target: Path, comparison: CleaningComparison) -> None:
-    """Write the recording of a cleaning, as `write_recording` does, which is slow to import."""
+def show_cleaning(folder: Path, report: Report, comparison: CleaningComparison, sheets: "Sequence[ContactSheet]") -> None:
+    """Write the recording and the HTML report of a cleaning into a folder. They are slow to import."""
+    from mocapfix.report.html_report import write_html_report
     from mocapfix.report.recording import write_recording
 
-    write_recording(target, comparison)
+    stem = comparison.input_take.output_stem
+    write_recording(folder / f"{stem}.{RECORDING_SUFFIX}", comparison)
+    write_html_report(folder / f"{stem}.{HTML_SUFFIX}", report, comparison, sheets)
 
 
-def _write_recording(target: Path, content: OutputContent) -> None:
-    return content.recording.finish() if content.recording else record_comparison(target, content.comparison)
-
-
-def _write_html_report(target: Path, content: OutputContent) -> None:
-    from mocapfix.report.html_report import write_html_report
-
-    write_html_report(target, content.report, content.comparison, content.sheets)
+def _finish_showing(_: Path, content: OutputContent) -> None:
+    return content.shown.finish() if content.shown else None
 
 
 def _write_json_report(target: Path, content: OutputContent) -> None:
@@ -248,8 +245,7 @@ DEFAULT_FORMATS = (
     OutputFormat(
         CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
-    OutputFormat("report.html", _write_html_report, is_in_preview=False, timer_stage="show"),
-    OutputFormat(RECORDING_SUFFIX, _write_recording, is_in_preview=False, timer_stage="show"),  # after what is written beside it
+    OutputFormat(HTML_SUFFIX, _finish_showing, (RECORDING_SUFFIX,), is_in_preview=False, timer_stage="show"),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {

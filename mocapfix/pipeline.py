@@ -4,9 +4,11 @@
 feet, fill, apply decisions. Each stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
+from operator import call
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +39,6 @@ from mocapfix.review.apply_decisions import apply_decisions, update_computed_poi
 from mocapfix.solve.initial_motion import initialise_body, initialise_preview
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_threads
-from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
@@ -78,8 +79,7 @@ def clean(
 @limit_blas_threads
 def clean_capture(capture: Take | Animation, options: CleanOptions, timer: StageTimer) -> CleaningResult:
     """Clean a capture that is read, as `clean` does; the timer has the seconds of reading it."""
-    requested = options
-    load_pose_model = build_pose_model_loader(options.prior.name_used)
+    requested, load_pose_model = options, build_pose_model_loader(options.prior.name_used)
     if isinstance(capture, Animation):
         from mocapfix.animations.clean import clean_animation  # slow to import
 
@@ -91,7 +91,7 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     if options.initialise.is_fast:
         options = options.change(max_rounds=1, feet=FEET_OFF)
     takes, reviews, exchanges = split_corrected_subjects(capture, options)
-    results = clean_subjects(takes, reviews, options, load_pose_model, timer)
+    results = clean_subjects(takes, reviews, options, timer)
     result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))
     return replace(result, requested=requested)
 
@@ -132,11 +132,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
 
 
 def clean_subjects(
-    takes: Sequence[Take],
-    reviews: Sequence[Review],
-    options: CleanOptions,
-    load_pose_model: Callable[[], PoseModel] | None,
-    timer: StageTimer,
+    takes: Sequence[Take], reviews: Sequence[Review], options: CleanOptions, timer: StageTimer
 ) -> list[CleaningResult]:
     """Run all stages on the takes of several subjects, side by side.
 
@@ -145,17 +141,14 @@ def clean_subjects(
     """
     results: list[CleaningResult] = []
     unlabelled = takes[0].unlabelled
-
-    def clean_one(index: int) -> CleaningResult:
-        take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
-        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        choice, is_next = identify_subject(take, options.subject), index == len(results)
-        progress = timer.report_progress if is_next else None
-        own_timer = StageTimer(dict(timer.stage_seconds), progress, dict(timer.part_times))
-        return clean_subject(take, choice, reviews[index], options, conditioner, own_timer)
-
     while len(results) < len(takes):
-        for result in map_in_threads(clean_one, range(len(results), len(takes))):
+        calls: list[partial[CleaningResult]] = []
+        for index in range(len(results), len(takes)):
+            take = takes[index] if takes[index].unlabelled is unlabelled else replace(takes[index], unlabelled=unlabelled)
+            progress = timer.report_progress if len(takes) == 1 else None
+            own_timer = StageTimer(dict(timer.stage_seconds), progress, dict(timer.part_times))
+            calls.append(partial(clean_subject, take, reviews[index], options, own_timer))
+        for result in map_in_threads(call, calls, is_shared=True):
             results.append(result)
             if timer.report_progress and len(takes) > 1:
                 timer.report_progress(f"{len(results)} of {len(takes)} subjects")
@@ -165,15 +158,10 @@ def clean_subjects(
     return results
 
 
-def clean_subject(
-    take: Take,
-    choice: SubjectChoice,
-    review: Review,
-    options: CleanOptions,
-    conditioner: PriorConditioner | None,
-    timer: StageTimer,
-) -> CleaningResult:
+def clean_subject(take: Take, review: Review, options: CleanOptions, timer: StageTimer) -> CleaningResult:
     """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
+    choice = identify_subject(take, options.subject)
+    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
     choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)

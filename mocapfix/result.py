@@ -32,20 +32,19 @@ from mocapfix.options import CleanOptions, OutputOptions, format_arguments
 from mocapfix.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
-    RECORDING_SUFFIX,
     ExportedMotion,
     OutputContent,
     OutputFormat,
     build_exported_motion,
     list_output_formats,
-    record_comparison,
+    show_cleaning,
     write_cleaned_copy,
 )
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.terms import get_point_terms
-from mocapfix.solve.parallel import compute_beside
+from mocapfix.solve.parallel import compute_beside, map_in_threads
 
 
 def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
@@ -223,10 +222,13 @@ class CleaningResult:
         with timers[0]("write", "cleaned file"):
             target = folder / f"{self._stem}.{get_source_suffixes(self.input_take.path)[0]}"
             unstorable_samples = self.write_source_copy(target)
-        for result, timer in zip(results, timers, strict=True):
+
+        def write_subject(result: CleaningResult, timer: StageTimer) -> None:
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
             unstorable = [(frame, index[m]) for frame, m in unstorable_samples if m in index]
             result._write_subject_files(folder, options, timer, unstorable, arguments)
+
+        list(map_in_threads(lambda each: write_subject(*each), zip(results, timers, strict=True)))
 
     def _write_subject_files(
         self, folder: Path, options: OutputOptions, timer: StageTimer, unstorable: Sequence[tuple[int, int]], arguments: list[str]
@@ -247,20 +249,20 @@ class CleaningResult:
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final_report["times"] = timer.part_times
         content = replace(self, report=final_report)._drop_samples(unstorable).build_content(exported_motion)
+        source_suffixes, default = get_source_suffixes(self.input_take.path), (BVH_FORMAT, *DEFAULT_FORMATS)
+        formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
+        for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes
+            _write_format(each, folder, content, timer)
+        copy: Report = {**content.report, "seconds": {**timer.stage_seconds}, "times": {**timer.part_times}, "notes": [*notes]}
         if not self.requested.initialise.is_fast:
-            target = folder / f"{self.input_take.output_stem}.{RECORDING_SUFFIX}"
-            content = replace(content, recording=compute_beside(record_comparison, target, content.comparison))
+            shown = compute_beside(show_cleaning, folder, copy, content.comparison, content.sheets)
+            content = replace(content, shown=shown)
         try:
-            for each in list_output_formats(options):
-                if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
-                    target, usage = folder / f"{self.input_take.output_stem}.{each.suffix}", f"{each.suffix} {each.usage_note}"
-                    with timer(each.timer_stage, each.suffix):
-                        content.report["notes"].extend(each.write_file(target, content) or ())
-                    if usage in content.report["notes"] and not target.exists():
-                        content.report["notes"].remove(usage)
+            for each in (each for each in formats if each in default):
+                _write_format(each, folder, content, timer)
         finally:
-            if content.recording:
-                content.recording.leave()  # it writes into the folder
+            if content.shown:
+                content.shown.leave()  # it writes into the folder
 
     def build_content(self, exported: ExportedMotion | None) -> OutputContent:
         """Return what the files of a take of at most one subject are written from, with the motion as it is written."""
@@ -287,6 +289,15 @@ class CleaningResult:
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world
         takes, body = (self.input_take, self.relabelled_take, self.take), (skeleton, joints, self.residual_m)
         return CleaningComparison(*takes, self.faults, self.changes, *body, get_point_terms(self.take), self.contacts)
+
+
+def _write_format(output: OutputFormat, folder: Path, content: OutputContent, timer: StageTimer) -> None:
+    """Write the files of a format into a folder, and add to the report what their users must know."""
+    target, usage = folder / f"{content.input_take.output_stem}.{output.suffix}", f"{output.suffix} {output.usage_note}"
+    with timer(output.timer_stage, output.suffix):
+        content.report["notes"].extend(output.write_file(target, content) or ())
+    if usage in content.report["notes"] and not target.exists():
+        content.report["notes"].remove(usage)
 
 
 def build_output_paths(

@@ -202,7 +202,9 @@ def test_written_report_is_that_of_the_result_in_strict_json(cleaned):
     for part, time in written["times"].items():
         by_stage[part.split("/")[0]] += time["seconds"]
     assert by_stage == pytest.approx({stage: s for stage, s in written["seconds"].items() if stage != "total"}, abs=1e-2)
-    assert {"detect/trajectories", "solve/poses", "solve/limbs and feet", "write/bvh", "show/rrd"} <= set(written["times"])
+    assert {"detect/trajectories", "solve/poses", "solve/limbs and feet", "write/bvh", "show/report.html"} <= set(
+        written["times"]
+    )
 
 
 def test_report_has_the_frame_numbers_of_the_file(brief, subject):

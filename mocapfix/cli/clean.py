@@ -134,7 +134,7 @@ def clean_takes(
     laboratory: dict[str, str] = {}
     attempts = TakeAttempts()
     is_shared = count_cores() > 1 and not options.initialise.is_fast
-    modules = "mocapfix.fill.gap_filling", "mocapfix.report.recording"
+    modules = "mocapfix.fill.gap_filling", "mocapfix.report.recording", "mocapfix.report.html_report"
     with start_second_process(*modules) if is_shared else nullcontext():
         for take in takes:
             with attempts.attempt(take):

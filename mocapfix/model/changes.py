@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TypedDict, cast
 
@@ -93,7 +93,8 @@ class ChangeEntry(TypedDict):
 
 def serialize_changes(changes: Iterable[Change]) -> list[ChangeEntry]:
     """Return the changes as plain data, as in the changes file and the JSON report."""
-    return [cast("ChangeEntry", asdict(change) | {"markers": list(change.markers)}) for change in changes]
+    parts = ((vars(each), [*each.markers], {**vars(each.before)}, {**vars(each.after)}) for each in changes)
+    return [cast("ChangeEntry", {**own, "markers": markers, "before": a, "after": b}) for own, markers, a, b in parts]
 
 
 def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:

@@ -314,12 +314,7 @@ def build_fill_section(
 
 
 def build_report(
-    take: Take,
-    subject: SubjectChoice,
-    standing: StandingBody | None,
-    decided: Decided,
-    options: CleanOptions,
-    timer: StageTimer,
+    take: Take, subject: SubjectChoice, standing: StandingBody | None, decided: Decided, options: CleanOptions, timer: StageTimer
 ) -> json_report.Report:
     """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
 

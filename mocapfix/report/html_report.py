@@ -144,16 +144,12 @@ def _describe_worst_frame(comparison: CleaningComparison) -> tuple[str, Figure, 
     frame = find_worst_frame(comparison.sample_states, comparison.joint_position_world)
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
-    text_before = (
-        _list_markers("missing", input_state == SampleOutcome.EMPTY, before)
-        + _list_markers("faulty (red)", input_state == SampleOutcome.SUSPECT, before)
-        + _list_markers("under another label (violet)", input_state == SampleOutcome.RELABELLED, before)
-    )
-    text_after = (
-        _list_markers("estimated (green)", find_estimated_samples(outcome), after)
-        + _list_markers("relabelled (violet)", outcome == SampleOutcome.RELABELLED, after)
-        + _list_markers("left empty", outcome == SampleOutcome.EMPTY, after)
-    )
+    text_before = _list_markers("missing", input_state == SampleOutcome.EMPTY, before)
+    text_before += _list_markers("faulty (red)", input_state == SampleOutcome.SUSPECT, before)
+    text_before += _list_markers("under another label (violet)", input_state == SampleOutcome.RELABELLED, before)
+    text_after = _list_markers("estimated (green)", find_estimated_samples(outcome), after)
+    text_after += _list_markers("relabelled (violet)", outcome == SampleOutcome.RELABELLED, after)
+    text_after += _list_markers("left empty", outcome == SampleOutcome.EMPTY, after)
     svg_before, svg_after = draw_stick_figures(comparison, frame)
     return (
         f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first.",

@@ -231,11 +231,12 @@ class _RecordingWriter:
         """Log one line from each joint to its parent, in the frames where both are known."""
         child = np.flatnonzero(skeleton.parents >= 0)
         parent = skeleton.parents[child]
-        bones = np.stack([joint_position_world[:, parent], joint_position_world[:, child]], axis=2)
-        known = np.isfinite(bones).all(axis=(2, 3))
+        position, is_known = joint_position_world.astype(np.float32), ~np.isnan(joint_position_world[..., 0])
+        known = is_known[:, parent] & is_known[:, child]
+        bones = np.stack([position[:, parent], position[:, child]], axis=2)[known]
         style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(RECORDING_BONE_COLOUR))
         self.recording.log("world/skeleton", style, static=True)
-        columns = rr.LineStrips3D.columns(strips=_build_strips(bones[known].astype(np.float32)))
+        columns = rr.LineStrips3D.columns(strips=_build_strips(bones))
         self.send_columns("world/skeleton", columns.partition(known.sum(axis=1)))
 
     def log_sample_states(self, outcome: Int[np.ndarray, "T M"]) -> None:

@@ -121,8 +121,7 @@ def compute_round_step(minimum: float) -> float:
 def build_residual_plot(residual_m: Float[np.ndarray, "T M"]) -> ResidualPlot | None:
     """Return the median and the 95th percentile of the residuals over the markers; None if all are NaN."""
     bins = [part[np.isfinite(part)] * 1e3 for part in np.array_split(residual_m, min(MAX_RESIDUAL_BINS, len(residual_m)))]
-    median_mm = np.array([np.median(part) if part.size else np.nan for part in bins])
-    percentile_mm = np.array([np.percentile(part, 95) if part.size else np.nan for part in bins])
+    median_mm, percentile_mm = np.array([np.percentile(part, (50, 95)) if part.size else (np.nan, np.nan) for part in bins]).T
     if np.isnan(median_mm).all():
         return None
     limit_mm = compute_round_step(np.nanmax(percentile_mm) or 1.0)

@@ -108,13 +108,17 @@ def get_thread_pool(workers: int) -> ThreadPoolExecutor:
 
 
 Value = TypeVar("Value")
+second_process: ContextVar[Executor | None] = ContextVar("second_process", default=None)
 
 
-def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> Generator[Value]:
+def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part], *, is_shared: bool = False) -> Generator[Value]:
     """Yield function(part) of each part in order, computed in as many threads at a time as there are cores.
 
     Half of the time of a clean passes in kernels, beside which the other threads run. Parts that have not begun when the caller
     stops are left out. Those that have begun do not delay the end of the program.
+
+    Args:
+        is_shared: Whether the second process takes the place of one thread. Function, parts and values can be pickled then.
 
     Raises:
         Exception: Whatever the function raises.
@@ -125,7 +129,17 @@ def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> 
         yield from (function(part) for part, _ in remaining)
         return
 
-    def compute_remaining() -> None:
+    process = second_process.get() if is_shared else None
+
+    def compute_beside_threads(part: Part) -> Value:
+        with suppress(BrokenExecutor, MemoryError):
+            if process:
+                return process.submit(function, part).result()
+        return function(part)
+
+    def compute_remaining(function: Callable[[Part], Value]) -> None:
+        if process:
+            second_process.set(None)
         while True:
             try:
                 part, future = remaining.popleft()
@@ -137,8 +151,9 @@ def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> 
                 future.set_exception(error)
 
     try:
-        for _ in range(min(count_cores(), len(remaining))):
-            threading.Thread(target=copy_context().run, args=(compute_remaining,), daemon=True).start()
+        for thread in range(min(count_cores(), len(remaining))):
+            arguments = compute_remaining, function if thread else compute_beside_threads
+            threading.Thread(target=copy_context().run, args=arguments, daemon=True).start()
         for each in futures:
             yield each.result()
     finally:
@@ -146,8 +161,6 @@ def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part]) -> 
 
 
 Arguments = ParamSpec("Arguments")
-
-second_process: ContextVar[Executor | None] = ContextVar("second_process", default=None)
 
 
 class Computation(NamedTuple, Generic[Value]):

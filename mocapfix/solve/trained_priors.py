@@ -331,6 +331,7 @@ def save_pose_model(path: Path, model: PoseModel) -> None:
 MODEL_CLASSES: dict[str, type[PoseModel]] = {each.kind: each for each in (GaussianModel, MixtureModel, AutoencoderModel)}
 
 
+@cache
 def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:
     """Return a function that loads a trained prior once, when it is first needed; None for the name "none"."""
     if name == "none":

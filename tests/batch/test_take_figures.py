@@ -29,9 +29,7 @@ def clean_moving_points(labels: tuple[str, ...] = ("A<b>", "B&", 'C"', "D"), gap
     markers[20 : 20 + gap_frames, 0] = np.nan
     markers[50:, 1] = np.nan
     take, options = Take(markers, labels, RATE, 101, Path("points.c3d")), CleanOptions()
-    return pipeline.clean_subject(
-        take, pipeline.identify_subject(take, options.subject), NO_REVIEW, options, None, StageTimer({}, None)
-    )
+    return pipeline.clean_subject(take, NO_REVIEW, options, StageTimer())
 
 
 @pytest.fixture(scope="module")

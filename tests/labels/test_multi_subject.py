@@ -305,7 +305,7 @@ def test_what_one_subject_takes_is_not_available_to_the_next(assigned, cores, mo
 
     monkeypatch.setattr(pipeline, "identify_subject", lambda *_: None)
     monkeypatch.setattr(pipeline, "clean_subject", clean_one)
-    results = pipeline.clean_subjects(takes, [NO_REVIEW] * 5, CleanOptions(), None, StageTimer())
+    results = pipeline.clean_subjects(takes, [NO_REVIEW] * 5, CleanOptions(), StageTimer())
     counts = [sum(each < n for each in assigned) for n in range(5)]
     given = [each.input_take.unlabelled for each in results]
     assert [each and each.labels for each in given] == [loose.labels[count:] for count in counts]
