@@ -11,12 +11,14 @@ import subprocess
 import sys
 import threading
 import webbrowser
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Callable
+from contextlib import ExitStack, redirect_stderr, suppress
+from functools import partial, wraps
 from importlib import import_module
+from io import StringIO
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.markup import escape
@@ -24,9 +26,6 @@ from rich.table import Table
 
 from mocapfix.cli import console
 from mocapfix.cli.arguments import JsonOption, describe_option, join_axis_arguments
-from mocapfix.cli.batch import run_batch
-from mocapfix.cli.clean import print_summary, run_clean, run_inspect, run_scene
-from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS, run_calibrate, run_label
 from mocapfix.errors import OptionError, ReadError, describe_error, format_name_list
 from mocapfix.io.shipped import get_version
 from mocapfix.model.system import get_system
@@ -44,6 +43,7 @@ def run_demo(
     spikes. It is written as demo.c3d and cleaned like any other file; the output files are in demo.mocapfix/.
     """
     from mocapfix import pipeline
+    from mocapfix.cli.clean import print_summary
     from mocapfix.io.files import make_output_folder
     from mocapfix.synthetic import compose_take, compute_fill_errors, write_synthetic_take
 
@@ -161,25 +161,27 @@ def run_status(folder: FolderArgument, as_json: JsonOption = False) -> int:
 
 DEBUG_FLAG = "--debug"
 
+# The commands, with the module of this package and the function of each: one command needs not those of the others.
 COMMANDS = {
-    "demo": run_demo,
-    "inspect": run_inspect,
-    "label": run_label,
-    "calibrate": run_calibrate,
-    "clean": run_clean,
-    "batch": run_batch,
-    "view": run_view,
-    "review": run_review,
-    "status": run_status,
-    "run": run_scene,
+    "demo": "app.run_demo",
+    "inspect": "clean.run_inspect",
+    "label": "marker_sets.run_label",
+    "calibrate": "marker_sets.run_calibrate",
+    "clean": "clean.run_clean",
+    "batch": "batch.run_batch",
+    "view": "app.run_view",
+    "review": "app.run_review",
+    "status": "app.run_status",
+    "run": "clean.run_scene",
 }
-COMMAND_GROUPS = {"marker-set": ("List and show marker sets, and learn new ones from takes.", MARKER_SET_COMMANDS)}
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
-# The commands that measure and train, with the module of mocapfix.lab that holds them: no other command needs it.
-LAB_COMMANDS = {
-    "bench": ("Measure mocapfix against known truth.", "command", "BENCH_COMMANDS"),
-    "train": ("Train the pose priors and the twist model on motion.", "train_command", "TRAIN_COMMANDS"),
+# The groups of commands, with their help, their module and its table of them.
+COMMAND_GROUPS = {
+    "marker-set": ("List and show marker sets, and learn new ones from takes.", "cli.marker_sets", "MARKER_SET_COMMANDS"),
+    "bench": ("Measure mocapfix against known truth.", "lab.command", "BENCH_COMMANDS"),
+    "train": ("Train the pose priors and the twist model on motion.", "lab.train_command", "TRAIN_COMMANDS"),
 }
+LAB_GROUPS = ("bench", "train")  # the groups that measure and train: no other command needs their modules
 
 
 def _stop(_number: int, _frame: FrameType | None) -> None:
@@ -213,27 +215,12 @@ def run_command(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         console.print_line(f"mocapfix {get_version()}")
         return console.EXIT_DONE
-    app = tyro.extras.SubcommandApp()
-    for name, command in COMMANDS.items():
-        app.command(name=name)(command)
-    groups = dict(COMMAND_GROUPS)
-    for name, (help_text, module, commands) in LAB_COMMANDS.items():
-        groups[name] = (help_text, getattr(import_module(f"mocapfix.lab.{module}"), commands) if arguments[:1] == [name] else {})
-    for group_name, (help_text, commands) in groups.items():
-        group = tyro.extras.SubcommandApp()
-        for name, command in commands.items():
-            group.command(name=name)(command)
-        app.command(group, name=group_name, help=help_text)
     if threading.current_thread() is threading.main_thread():
         for number in get_system().stop_signals:
             signal.signal(number, _stop)
     try:
-        return app.cli(
-            prog="mocapfix",
-            description="Clean optical motion capture: writes the cleaned file, a BVH, a report and a before/after recording. "
-            "--version prints the version. After an unexpected error, --debug shows where in mocapfix it was raised.",
-            args=arguments,
-        )
+        command = parse_command(*arguments)
+        return command() if command else parse_all_commands(arguments)
     except SystemExit as end:  # help, or wrong usage
         return end.code if isinstance(end.code, int) else console.EXIT_DONE
     except OptionError as error:
@@ -248,3 +235,42 @@ def run_command(arguments: list[str]) -> int:
         files = [each for each in arguments if Path(each).is_file()]
         console.print_failure(error, files[0] if len(files) == 1 else f"mocapfix {' '.join(arguments[:1])}")
     return console.EXIT_FAILED
+
+
+def import_command(name: str) -> Callable[..., int]:
+    """Return the function of a command."""
+    module, _, function = COMMANDS[name].partition(".")
+    return getattr(import_module(f"{__package__}.{module}"), function)
+
+
+def parse_command(name: str = "", *arguments: str) -> Callable[[], int] | None:
+    """Return the call of a command with its arguments; None for help and wrong usage, which the parser of all commands shows."""
+    if name not in COMMANDS:
+        return None
+    command = import_command(name)
+
+    @wraps(command)
+    def defer(*values: Any, **named_values: Any) -> Callable[[], int]:
+        return partial(command, *values, **named_values)
+
+    with redirect_stderr(StringIO()), suppress(SystemExit):
+        return tyro.cli(defer, args=arguments, console_outputs=False)
+
+
+def parse_all_commands(arguments: list[str]) -> int:
+    """Run a command by the parser that knows all of them: it prints help, and which of them an argument is for."""
+    app = tyro.extras.SubcommandApp()
+    for name in COMMANDS:
+        app.command(name=name)(import_command(name))
+    for group_name, (help_text, module, table) in COMMAND_GROUPS.items():
+        group = tyro.extras.SubcommandApp()
+        if group_name not in LAB_GROUPS or arguments[:1] == [group_name]:
+            for name, command in getattr(import_module(f"mocapfix.{module}"), table).items():
+                group.command(name=name)(command)
+        app.command(group, name=group_name, help=help_text)
+    return app.cli(
+        prog="mocapfix",
+        description="Clean optical motion capture: writes the cleaned file, a BVH, a report and a before/after recording. "
+        "--version prints the version. After an unexpected error, --debug shows where in mocapfix it was raised.",
+        args=arguments,
+    )

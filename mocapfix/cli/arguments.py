@@ -49,7 +49,8 @@ def build_options_argument(
             arguments = [(option.name, *_build_argument(option, texts.get(option.name, ""))) for option in options]
             group = make_dataclass(type(each.default).__name__.removesuffix("Options"), arguments)
             group.__doc__ = type(each.default).__doc__
-            groups.append((each.name, tyro.conf.OmitArgPrefixes[group], field(default_factory=group)))
+            help_texts = {"help": group.__doc__}  # without it, tyro searches the source for comments, which takes long
+            groups.append((each.name, tyro.conf.OmitArgPrefixes[group], field(default_factory=group, metadata=help_texts)))
     return Annotated[tyro.conf.OmitArgPrefixes[make_dataclass("OptionArguments", groups)], tyro.conf.arg(name="")]
 
 
