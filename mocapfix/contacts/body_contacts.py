@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet, StandingBody
 from mocapfix.contacts.find_contacts import find_contacts
@@ -134,8 +134,10 @@ def build_leg_markers(
     columns = np.flatnonzero(np.isin(subject.joints, joints))
     residual = markers[:, columns] - body_markers[:, columns]
     visible = ~np.isnan(residual[..., 0])
-    weight = gaussian_filter1d(visible.astype(float), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest")
-    total = gaussian_filter1d(np.where(visible[..., None], residual, 0.0), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest")
+    weight = scipy.ndimage.gaussian_filter1d(visible.astype(float), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest")
+    total = scipy.ndimage.gaussian_filter1d(
+        np.where(visible[..., None], residual, 0.0), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest"
+    )
     position = body_markers[:, columns] + total / np.maximum(weight, MIN_KERNEL_WEIGHT)[..., None]
     share = np.stack([smooth_share(each.astype(float), rate) for each in visible.T], axis=1) if len(columns) else weight
     return LegMarkers(subject.joints[columns], subject.marker_offsets[columns], position, share)
@@ -301,8 +303,8 @@ def find_jumps(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]
         return np.zeros(len(before), bool)
     acceleration = [np.pad(np.linalg.norm(np.diff(each, 2, axis=0), axis=1) * rate**2, 1) for each in (before, after)]
     reach = 2 * round(JUMP_REACH_S * rate) + 1
-    usual = np.maximum(MAX_JUMP_RATIO * maximum_filter1d(acceleration[0], reach), MIN_JUMP_M_S2)
-    return maximum_filter1d(acceleration[1] > usual, 3)
+    usual = np.maximum(MAX_JUMP_RATIO * scipy.ndimage.maximum_filter1d(acceleration[0], reach), MIN_JUMP_M_S2)
+    return scipy.ndimage.maximum_filter1d(acceleration[1] > usual, 3)
 
 
 def select_held_contacts(contacts: BodyContacts, share: Float[np.ndarray, "T F"]) -> BodyContacts:

@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_dilation, gaussian_filter1d, median_filter, minimum_filter1d
 
 from mocapfix.contacts.contacts import (
     BASE_PERCENTILE,
@@ -51,7 +51,8 @@ def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool
     """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
     usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
     is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M)
-    return np.logical_not(binary_dilation(is_unknown, iterations=max(1, round(BORDER_S * rate))))
+    border = max(1, round(BORDER_S * rate))
+    return np.convolve(is_unknown, np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
 
 
 def find_certain_occlusions(
@@ -255,10 +256,10 @@ def estimate_slide(
     if len(hips) < 2:
         return no_slide
     velocity = np.gradient(hips, 1 / contacts.rate, axis=0) * [1.0, 0.0, 1.0]
-    smooth = gaussian_filter1d(velocity, WALKING_SMOOTHING_S * contacts.rate, axis=0, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter1d(velocity, WALKING_SMOOTHING_S * contacts.rate, axis=0, mode="nearest")
     speed, toe_velocity = np.linalg.norm(smooth, axis=1, keepdims=True), np.gradient(toes, 1 / contacts.rate, axis=0)
     shares = np.einsum("tfi,ti->tf", toe_velocity, smooth) / np.maximum(speed, MIN_WALKING_SPEED_M_S) ** 2
-    lowest = minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * contacts.rate) + 1, axis=0)
+    lowest = scipy.ndimage.minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * contacts.rate) + 1, axis=0)
     is_support = (toes[..., 1] < lowest + MAX_STEP_HEIGHT_M) & (np.abs(shares) < MAX_SLIDE_SHARE) & (shares[:, ::-1] > 1)
     is_contact = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
     is_support = (is_contact if is_given else is_support) & (speed > MIN_WALKING_SPEED_M_S)
@@ -270,7 +271,7 @@ def estimate_slide(
     is_sliding = is_sliding and not FITTING_SHARES[0] <= np.median(step_shares) <= FITTING_SHARES[1]
     if not steps or not (is_given or is_sliding):
         return no_slide
-    usual = median_filter(step_shares, SLIDE_STEPS, mode="nearest")
+    usual = scipy.ndimage.median_filter(step_shares, SLIDE_STEPS, mode="nearest")
     for (_, foot, span), step_share, usual_share in zip(steps, step_shares, usual, strict=True):
         no_slide.is_support[span, foot] = abs(step_share - usual_share) < MAX_SHARE_ERROR
     share = np.interp(np.arange(len(hips)), [frame for frame, _, _ in steps], usual)

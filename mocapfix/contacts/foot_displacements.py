@@ -12,8 +12,8 @@ allow: `compute_step_displacements`.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import compute_speed
@@ -146,7 +146,7 @@ def compute_target(
             from_mean[:, UP_AXIS] = 0.0
             shown -= limit_length(from_mean, locked_m)
         else:
-            shown = gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
+            shown = scipy.ndimage.gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
         shown[:, UP_AXIS] = height
         target[span] = shown
     return target
@@ -179,13 +179,13 @@ def smooth_displacement(
     wanted = np.where(is_contact[:, None], displacement, 0.0)
     smooth = smooth_path(wanted, variance, power, rate)
     reach = 2 * round(ACCELERATION_REACH_S * rate) + 1
-    is_free = maximum_filter1d(~is_limited, reach)
+    is_free = scipy.ndimage.maximum_filter1d(~is_limited, reach)
     for _ in range(ACCELERATION_ROUNDS if len(smooth) > 2 else 0):
         acceleration = np.linalg.norm(np.diff(smooth[:, :3], 2, axis=0), axis=1) * rate**2
         if acceleration.max() <= lock.acceleration_m_s2:
             break
         excess = np.pad(np.maximum(1, acceleration / lock.acceleration_m_s2), 1, mode="edge")
-        near = maximum_filter1d(np.where(is_free, 1, excess), reach)
+        near = scipy.ndimage.maximum_filter1d(np.where(is_free, 1, excess), reach)
         power /= near**2
         smooth = smooth_path(wanted, variance, power, rate)
     return smooth

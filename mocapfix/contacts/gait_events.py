@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_closing, binary_opening
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, MAX_LEVEL_DEVIATION_M, Floor, GaitEvent
 from mocapfix.contacts.find_contacts import compute_speed
@@ -199,10 +198,12 @@ def find_foot_near_floor(points: FootPoints, floor: Floor, rate: float) -> Bool[
     for first, last in find_runs(~is_slowest):
         if not is_slow[first : last + 1].all():
             is_near[first : last + 1] = is_slow[first : last + 1]
-    structure = np.ones(max(1, round(MIN_CONTACT_S * rate)) + 1, bool)
-    padded = np.pad(is_near, len(structure), mode="edge")
-    closed = binary_closing(padded, structure)[len(structure) : -len(structure)]
-    return binary_opening(closed, structure)
+    min_frames = max(1, round(MIN_CONTACT_S * rate)) + 1
+    for first, last in find_runs(~is_near):
+        is_near[first : last + 1] = first > 0 and last < len(is_near) - 1 and last - first + 1 < min_frames
+    for first, last in find_runs(is_near):
+        is_near[first : last + 1] = last - first + 1 >= min_frames
+    return is_near
 
 
 def find_low_frames(points: FootPoints, floor: Floor, rate: float, limit_m_s: float) -> Bool[np.ndarray, " T"]:

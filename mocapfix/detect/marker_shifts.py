@@ -14,15 +14,15 @@ the largest change is accepted, and the body is solved again.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.ndimage import median_filter
-from scipy.spatial.transform import Rotation
 
 from mocapfix.detect.body_outliers import BodyResiduals
 from mocapfix.model.faults import MarkerShift
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 
 
 class RegressedPath(NamedTuple):
@@ -164,7 +164,7 @@ def detect_marker_shifts(residuals: BodyResiduals, subject: Subject, motion: Mot
     """Detect markers that seem to move on their segments, ordered by marker; at most one change of each."""
     step = max(1, round(rate / SHIFT_SAMPLE_RATE_HZ))
     sampled = motion.local_rotations[::step]
-    rotvecs = Rotation.from_matrix(sampled.reshape(-1, 3, 3)).as_rotvec().reshape(sampled.shape[:3])
+    rotvecs = compute_rotation_vectors(sampled)
     rotvecs_by_joint: dict[int, np.ndarray] = {}  # (N, 3 J): of a joint, except the root, and of its children
     for joint in set(subject.joints.tolist()):
         adjacent = [j for j, parent in enumerate(subject.skeleton.parents) if joint in (j, parent) and parent >= 0]
@@ -210,7 +210,7 @@ def _detect_shift(residual: np.ndarray, joint_rotvecs: np.ndarray, marker: int, 
     frames = np.flatnonzero(~np.isnan(reduced[:, 0]))
     if len(frames) < MIN_OBSERVED_DURATION_S * reduced_rate:
         return None
-    smoothed = median_filter(reduced[frames], (3, 1), mode="nearest")
+    smoothed = scipy.ndimage.median_filter(reduced[frames], (3, 1), mode="nearest")
     regressed = regress_out(joint_rotvecs[frames], smoothed, frames, ROTATION_RIDGE_RAD)
     path = _MarkerPath(marker, residual, regressed, rate, step)
     knock = fit_step(regressed, round(MIN_SHIFT_MARGIN_S * reduced_rate))

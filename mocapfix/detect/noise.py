@@ -20,8 +20,8 @@ from collections.abc import Callable, Hashable, Iterator
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.model.faults import Fault
@@ -272,8 +272,8 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
         is_noisy = _is_median_above(residual_m[stretch], window, min_residual_m)
         if not is_noisy.any():
             continue
-        median_m = median_filter(residual_m[stretch], window, mode="nearest")
-        is_burst = is_noisy | binary_closing(is_noisy, np.ones(window))  # a short pause does not end a burst
+        median_m = scipy.ndimage.median_filter(residual_m[stretch], window, mode="nearest")
+        is_burst = is_noisy | scipy.ndimage.binary_closing(is_noisy, np.ones(window))  # a short pause does not end a burst
         for a, b in find_runs(is_burst):
             first, last = int(frames[stretch[a]]), int(frames[stretch[b]])
             if len(stretch) >= MIN_NOISE_SAMPLES and last - first + 1 >= min_frames:

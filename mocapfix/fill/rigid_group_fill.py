@@ -9,10 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.gap_windows import MIN_FILL_SD_M, FillMethod, Gap, GapEstimate, MarkersInTake
-from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, CommonShape, align_to_shape, fit_common_shape
+from mocapfix.stats.rigid_alignment import (
+    MIN_ALIGNMENT_MARKERS,
+    CommonShape,
+    align_to_shape,
+    compute_lengths,
+    compute_rotation_vectors,
+    compute_rotations,
+    fit_common_shape,
+)
 from mocapfix.stats.sequences import sample_evenly
 
 MAX_SHAPE_FRAMES = 600  # evenly spread frames in which the shape of a group is measured
@@ -188,15 +195,15 @@ def turn_about_line(
     seen: Float[np.ndarray, "N 3"],
 ) -> Float[np.ndarray, "N 3 3"]:
     """Return rotations at a share of the way from first to last, turned the shortest way that directs `line` along `seen`."""
-    step = (Rotation.from_matrix(last) * Rotation.from_matrix(first).inv()).as_rotvec()
-    turned = Rotation.from_rotvec(share[:, None] * step).as_matrix() @ first
+    step = compute_rotation_vectors(last @ first.swapaxes(1, 2))
+    turned = compute_rotations(share[:, None] * step) @ first
     before = turned @ (line / np.linalg.norm(line))
     after = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     axis, cosine = np.cross(before, after), np.einsum("ta,ta->t", before, after)
     length = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(length, cosine)
     shortest = axis * np.divide(angle, length, out=np.zeros(len(length)), where=length > 0)[:, None]
-    return Rotation.from_rotvec(shortest).as_matrix() @ turned
+    return compute_rotations(shortest) @ turned
 
 
 class TwistError(NamedTuple):
@@ -218,7 +225,7 @@ def measure_twist_error(poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_o
             break
         true, last = poses.rotation[frames], poses.rotation[frames - lag if is_one_sided else frames + lag]
         turned = turn_about_line(poses.rotation[frames - lag], last, np.full(len(frames), 0.5), line, true @ line)
-        angle = Rotation.from_matrix(np.swapaxes(true, 1, 2) @ turned).magnitude()
+        angle = compute_lengths(compute_rotation_vectors(np.swapaxes(true, 1, 2) @ turned))
         lags.append(float(lag))
         errors.append(float(np.sqrt((angle**2).mean())))
     if len(lags) == 1:

@@ -8,7 +8,6 @@ it would move the feet by one to two centimetres when they strike the floor.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.model.motion import Motion
 
@@ -35,6 +34,7 @@ def resample_motion(motion: Motion, rate: float, new_rate: float) -> Motion:
     if motion.frame_count == 1 or is_frame_subset(rate, new_rate):
         return motion.select_frames(nearest)
     from scipy.interpolate import CubicSpline  # slow to import
+    from scipy.spatial.transform import Rotation, RotationSpline
 
     frames = np.arange(motion.frame_count)
     new_frames = np.minimum(new_frames, frames[-1])

@@ -30,11 +30,13 @@ from functools import cache, partial
 from graphlib import TopologicalSorter
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import numba
 from llvmlite.binding import parse_bitcode
 from numba import njit, types
+from numba.core import environment
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.runtime.nrt import rtsys
@@ -154,6 +156,16 @@ class CachedLibrary(JITCodeLibrary):
 
 
 JITCPUCodegen._library_class = CachedLibrary
+
+
+def find_loaded_module(name: str) -> ModuleType:
+    """Return a module, or an empty one in place of one that is not loaded: cached kernels need nothing of Numba's own modules,
+    which take as long to import as all kernels to load.
+    """
+    return sys.modules.get(name) or ModuleType(name)
+
+
+cast(Any, environment).importlib = SimpleNamespace(import_module=find_loaded_module)
 
 
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Rotation vectors, quaternions and matrices inside compiled loops (outside them: scipy.spatial.transform).
+"""Rotation vectors, quaternions and matrices inside compiled loops, and kernels for many of them.
 
 Matrices are tuples of nine numbers, row by row, as in `small_matrices`.
 
@@ -139,6 +139,20 @@ def orthonormalise_rotation(m):
     length = 1.0 / math.sqrt(d * d + e * e + f * f)
     d, e, f = d * length, e * length, f * length
     return a, b, c, d, e, f, b * f - c * e, c * d - a * f, a * e - b * d
+
+
+@compile_kernel
+def store_rotation_vectors(rotations, vectors):
+    """Write the rotation vectors of rotations (N, 3, 3) into `vectors` (N, 3)."""
+    for n in range(len(rotations)):
+        vectors[n, 0], vectors[n, 1], vectors[n, 2], _ = compute_logarithm(load_matrix(rotations, n))
+
+
+@compile_kernel
+def store_vector_rotations(vectors, rotations):
+    """Write the rotations of rotation vectors (N, 3) into `rotations` (N, 3, 3)."""
+    for n in range(len(vectors)):
+        store_matrix(compute_exponential(vectors[n, 0], vectors[n, 1], vectors[n, 2]), rotations, n)
 
 
 MIN_VECTOR_LENGTH = 1e-12  # a quaternion's vector part shorter than this has no direction

@@ -5,7 +5,7 @@ A tuple lives in registers and needs no allocation, unlike an array.
 
 import math
 
-from mocapfix.kernels.compilation import compile_inner_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 
 SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # allow the compiler to reorder and vectorise long sums of products
 
@@ -113,6 +113,28 @@ def solve_cholesky(m, x):
         x[i] /= m[i, i]
         for c in range(i):
             x[c] -= m[i, c] * x[i]
+
+
+@compile_kernel(nogil=True)
+def solve_banded(band, x):
+    """Solve A x = x in place, x (N, R), A positive definite; A[i, j] for i <= j is band[-1 + i - j, j], which is overwritten."""
+    width, count = len(band) - 1, band.shape[1]
+    for j in range(count):  # Cholesky's factor above the diagonal
+        first = max(0, j - width)
+        for i in range(first, j + 1):
+            total = band[width + i - j, j]
+            for k in range(max(first, i - width), i):
+                total -= band[width + k - i, i] * band[width + k - j, j]
+            band[width + i - j, j] = math.sqrt(total) if i == j else total / band[width, i]
+        for r in range(x.shape[1]):
+            for k in range(first, j):
+                x[j, r] -= band[width + k - j, j] * x[k, r]
+            x[j, r] /= band[width, j]
+    for j in range(count - 1, -1, -1):
+        for r in range(x.shape[1]):
+            x[j, r] /= band[width, j]
+            for k in range(max(0, j - width), j):
+                x[k, r] -= band[width + k - j, j] * x[j, r]
 
 
 @compile_inner_kernel

@@ -18,8 +18,8 @@ from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.labels.body_search import (
     EXTENSION_GATE_M,
@@ -280,7 +280,7 @@ def search_reference(
     """Return the assignments of a frame's points, in metres, by rising cost; the poses have all headings, and the pitches."""
     headings = np.linspace(0, 2 * np.pi, TRIED_HEADING_COUNT, endpoint=False)
     angles = np.array([(heading, pitch) for heading in headings for pitch in pitches_rad])
-    rotations = Rotation.from_euler("YX", angles).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_euler("YX", angles).as_matrix()
     found: list[FoundMarkers] = []
     for pose in reference.poses[:SEARCHED_POSES]:
         if not (~np.isnan(pose[:, 0])).any():

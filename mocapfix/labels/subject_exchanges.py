@@ -16,9 +16,8 @@ from functools import partial
 from itertools import combinations, pairwise
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
 from mocapfix.errors import format_name_list
 from mocapfix.io.changes_file import Review
@@ -82,14 +81,14 @@ def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"
         label_s: How many seconds longer each tracklet has labels of person 0 than of person 1.
     """
     evidence, count = relations.limited_evidence, len(label_s)
-    weights = csr_array((MAX_PAIR_EVIDENCE + 1 - np.abs(evidence), tuple(relations.pairs.T)), (count, count))
-    signs = csr_array((np.where(evidence > 0, 1.0, -1.0), tuple(relations.pairs.T)), (count, count))
-    signs, tree = signs + signs.T, minimum_spanning_tree(weights)
+    weights = scipy.sparse.csr_array((MAX_PAIR_EVIDENCE + 1 - np.abs(evidence), tuple(relations.pairs.T)), (count, count))
+    signs = scipy.sparse.csr_array((np.where(evidence > 0, 1.0, -1.0), tuple(relations.pairs.T)), (count, count))
+    signs, tree = signs + signs.T, scipy.sparse.csgraph.minimum_spanning_tree(weights)
     side, is_reached = np.ones(count), np.zeros(count, bool)
     for root in range(count):
         if is_reached[root]:
             continue
-        order, parents = depth_first_order(tree, root, directed=False)
+        order, parents = scipy.sparse.csgraph.depth_first_order(tree, root, directed=False)
         is_reached[order] = True
         for n in order[1:]:
             side[n] = side[parents[n]] * signs[parents[n], n]
@@ -279,7 +278,7 @@ def _compare_markers(take: Take, columns: Int[np.ndarray, "2 K"]) -> MarkerPairs
     np.fill_diagonal(steady_sd_m, np.inf)
     steadiest = np.argsort(steady_sd_m, axis=1, kind="stable")[:, :MAX_COMPARED_PARTNERS]
     chosen = [(k, int(p)) for k in range(count) for p in steadiest[k] if steady_sd_m[k, p] < MAX_COMPARED_SD_M]
-    tree = minimum_spanning_tree(np.where(np.isfinite(steady_sd_m), steady_sd_m, 0.0))  # connects all segments
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(np.where(np.isfinite(steady_sd_m), steady_sd_m, 0.0))
     chosen += list(zip(*(index.tolist() for index in tree.nonzero()), strict=True))
     partners = np.array(sorted({(min(pair), max(pair)) for pair in chosen}), int).reshape(-1, 2)
     k, p = partners.T

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
+from mocapfix.kernels import lie
 from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion
@@ -31,6 +31,7 @@ from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.solve.segment_registration import register_poses
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 
 MIN_MARKER_SPREAD_M = 1e-7  # smallest marker spread, which bounds the weight of a marker
 MAX_JOINT_SD_M = 0.5  # standard deviation of a joint position above which it counts as unknown
@@ -224,8 +225,7 @@ def bend_unmarked_chains(motion: Motion, subject: Subject, prior: MeanPosePrior)
     for chain in find_unmarked_chains(subject):
         rotation = world_rotations[:, skeleton.parents[chain[0]]].swapaxes(1, 2) @ world_rotations[:, chain[-1]]
         mean = np.linalg.multi_dot(prior.mean_rotations[chain])
-        vector = Rotation.from_matrix(mean.T @ rotation).as_rotvec()
-        part = Rotation.from_rotvec(vector / len(chain)).as_matrix()
+        part = compute_rotations(compute_rotation_vectors(mean.T @ rotation) / len(chain))
         product = np.eye(3)
         for j in chain[:-1]:
             local_rotations[:, j] = prior.mean_rotations[j] @ part
@@ -302,15 +302,15 @@ def initialise_preview(subject: SubjectInTake, method: str) -> Motion:
     motion = initialise_body(replace(subject, take=posed), None, method).motion
     place = np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))
     below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), (place % 1)[:, None]
-    root, rotations = motion.root_position, Rotation.from_matrix(motion.local_rotations.reshape(-1, 3, 3))
-    quaternions = rotations.as_quat().reshape(*motion.local_rotations.shape[:2], 4)
-    first, second = quaternions[below], quaternions[above]
-    second = np.where((first * second).sum(-1, keepdims=True) < 0, -second, second)
-    between = Rotation.from_quat((first + share[..., None] * (second - first)).reshape(-1, 4)).as_matrix()
+    root, rotations = motion.root_position, np.ascontiguousarray(motion.local_rotations)
+    between, is_known = np.empty((take.frame_count, *rotations.shape[1:])), np.ones(len(frames), bool)
+    for joint in range(rotations.shape[1]):
+        quaternions = lie.extract_joint_quaternions(rotations, joint, is_known)
+        lie.store_joint_quaternions(quaternions[below] + share * (quaternions[above] - quaternions[below]), joint, between)
     return replace(
         motion.select_frames(np.rint(place).astype(int)),
         root_position=root[below] + share * (root[above] - root[below]),
-        local_rotations=between.reshape(take.frame_count, -1, 3, 3),
+        local_rotations=between,
     )
 
 

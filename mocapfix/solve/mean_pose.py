@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_yaml
+from mocapfix.kernels import lie
 from mocapfix.model.skeleton import Skeleton
 
 NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
@@ -74,7 +74,7 @@ def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePr
     for j, joint in enumerate(joint_names[1:], start=1):
         try:
             entry = data["joints"][joint]
-            mean_rotations[j] = Rotation.from_quat(entry["quaternion_xyzw"]).as_matrix()
+            lie.store_joint_quaternions(np.array([entry["quaternion_xyzw"]], float), j, mean_rotations[None])
             covariance = build_symmetric_matrix(entry["covariance"])
             between_take_covariance[j] = build_symmetric_matrix(entry["between_takes"])
             np.linalg.cholesky(covariance - between_take_covariance[j])  # the covariance within takes is positive definite

@@ -9,14 +9,13 @@ least as good as the same share of the displacement. The share changes slowly, s
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
-from scipy.spatial.transform import Rotation
 
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotation_vectors, compute_rotations
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
@@ -85,8 +84,8 @@ def smooth_share(share: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarra
     """Return a share that changes slowly and is nowhere above the given one."""
     sd = max(SHARE_SMOOTHING_S * rate, 1e-3)
     reach = int(SHARE_REACH_SD * sd + 0.5)
-    least = minimum_filter1d(share, 2 * reach + 1, mode="nearest")
-    return gaussian_filter1d(least, sd, mode="nearest", radius=reach)
+    least = scipy.ndimage.minimum_filter1d(share, 2 * reach + 1, mode="nearest")
+    return scipy.ndimage.gaussian_filter1d(least, sd, mode="nearest", radius=reach)
 
 
 def yield_to_markers(
@@ -109,9 +108,9 @@ def yield_to_markers(
         limit = limit * compute_allowed_share(worst, len(limit))
         share = smooth_share(limit, rate)
         frames, joints = np.nonzero((share < 1)[:, None] & (inferred.local_rotations != before.local_rotations).any((2, 3)))
-        start = Rotation.from_matrix(before.local_rotations[frames, joints])
-        turn = (start.inv() * Rotation.from_matrix(inferred.local_rotations[frames, joints])).as_rotvec()
+        start = before.local_rotations[frames, joints]
+        turn = compute_rotation_vectors(start.swapaxes(1, 2) @ inferred.local_rotations[frames, joints])
         local_rotations = inferred.local_rotations.copy()
-        local_rotations[frames, joints] = (start * Rotation.from_rotvec(share[frames, None] * turn)).as_matrix()
+        local_rotations[frames, joints] = start @ compute_rotations(share[frames, None] * turn)
         motion = replace(inferred, local_rotations=local_rotations)
     return motion

@@ -19,15 +19,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Float32, Int
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 
 MOTION_RATE_HZ = 30.0  # rate of the training data
 CONTEXT_DISTANCES_S = np.array([0, 1, 2, 4, 7, 12, 19, 29]) / MOTION_RATE_HZ
@@ -338,7 +339,9 @@ def _sample_motion(
     upper = np.ceil(frames).astype(int)
     share = (frames - lower)[:, None]
     below, above = (
-        Rotation.from_matrix(local_rotations[each][:, joints].reshape(-1, 3, 3)).as_quat().reshape(len(frames), -1, 4)
+        scipy.spatial.transform.Rotation.from_matrix(local_rotations[each][:, joints].reshape(-1, 3, 3))
+        .as_quat()
+        .reshape(len(frames), -1, 4)
         for each in (lower, upper)
     )
     above = np.where((below * above).sum(-1, keepdims=True) < 0, -above, above)
@@ -368,17 +371,17 @@ def _interpolate_tokens(
     frames: Int[np.ndarray, " n"],
 ) -> PredictedGap:
     """Return the motion in all frames of a gap, given the moments at its edges and inside it."""
-    from scipy.interpolate import CubicSpline  # slow to import
-
     used = slice(INNER_TOKENS.start - 1, INNER_TOKENS.stop + 1)
     knots, known = token_frames[used], quaternions[used].astype(float)
     products = (known[1:] * known[:-1]).sum(axis=-1, keepdims=True)
     known[1:] *= np.cumprod(np.where(products < 0, -1.0, 1.0), axis=0)
-    rotations = Rotation.from_quat(CubicSpline(knots, known)(frames).reshape(-1, 4)).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_quat(
+        scipy.interpolate.CubicSpline(knots, known)(frames).reshape(-1, 4)
+    ).as_matrix()
     edge = np.zeros((1, sd.shape[1]))
     all_sd = np.concatenate([edge, sd, edge])
     frame_sd = np.stack([np.interp(frames, knots, values) for values in all_sd.T], axis=1)
-    root_position = CubicSpline(knots, position[used].astype(float))(frames)
+    root_position = scipy.interpolate.CubicSpline(knots, position[used].astype(float))(frames)
     return PredictedGap(rotations.reshape(len(frames), -1, 3, 3), frame_sd[:, :-1], root_position, frame_sd[:, -1])
 
 
@@ -454,8 +457,7 @@ def combine_rotations(
     """Return an estimate of rotations combined with the prediction of the same joints, and its variance in rad^2."""
     weight = compute_prediction_weight(variance, prediction.variance)
     difference = np.swapaxes(rotations, -1, -2) @ prediction.rotations
-    vectors = Rotation.from_matrix(difference.reshape(-1, 3, 3)).as_rotvec().reshape(*weight.shape, 3)
-    turn = Rotation.from_rotvec((weight[..., None] * vectors).reshape(-1, 3)).as_matrix().reshape(rotations.shape)
+    turn = compute_rotations(weight[..., None] * compute_rotation_vectors(difference))
     return rotations @ turn, compute_combined_variance(variance, prediction.variance, weight)
 
 

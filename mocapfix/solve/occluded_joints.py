@@ -22,13 +22,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import lie
 from mocapfix.solve.motion_prior import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
 
 VELOCITY_HALF_SPAN_S = 0.067  # time before and after a frame over which velocities are measured
@@ -62,7 +62,7 @@ def compute_joint_state_features(
 
     def compute_angular_velocity(of_joints: np.ndarray) -> np.ndarray:
         step = np.swapaxes(local_rotations[before][:, of_joints], -1, -2) @ local_rotations[after][:, of_joints]
-        return (Rotation.from_matrix(step.reshape(-1, 3, 3)).as_rotvec().reshape(len(frames), -1)) / seconds[:, None]
+        return compute_rotation_vectors(step).reshape(len(frames), -1) / seconds[:, None]
 
     world_to_root = np.swapaxes(local_rotations[frames, 0], 1, 2)
     velocity = np.einsum("tab,tb->ta", world_to_root, root_position[after] - root_position[before]) / seconds[:, None]

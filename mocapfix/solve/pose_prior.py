@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 
 Header = dict[str, Any]  # the JSON header of a weights file
 Tensors = dict[str, np.ndarray]  # the tensors of a weights file, by name
@@ -97,7 +99,7 @@ def compute_pose_vectors(
     """Return the rotation vectors in radians from the reference pose to local joint rotations, without the root's heading."""
     local = np.concatenate([remove_heading(rotations[:, 0])[:, None], rotations[:, 1:]], axis=1)
     difference = local @ np.swapaxes(reference_rotations, 1, 2)
-    return Rotation.from_matrix(difference.reshape(-1, 3, 3)).as_rotvec().reshape(*rotations.shape[:2], 3)
+    return compute_rotation_vectors(difference)
 
 
 def remove_heading(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
@@ -105,9 +107,9 @@ def remove_heading(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "
 
     R = heading @ tilt, where heading is a rotation about the vertical axis y, and the axis of tilt is perpendicular to y.
     """
-    quaternions = Rotation.from_matrix(rotations).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()
     heading = 2 * np.arctan2(quaternions[:, 1], quaternions[:, 3])
-    return Rotation.from_euler("y", -heading[:, None]).as_matrix() @ rotations
+    return compute_rotations(-heading[:, None] * [0.0, 1.0, 0.0]) @ rotations
 
 
 FIELD_OF_GAUSSIAN_TENSOR = {

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.linalg import solve_triangular
-from scipy.spatial.transform import Rotation
 
 from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
@@ -74,8 +73,9 @@ class PriorConditioner:
             for batch in batches
         ]
         for i, j in enumerate(occluded_joints):
-            rotation = Rotation.from_rotvec(np.concatenate([each[:, i] for each in vectors]))
-            predicted[:, i] = 2 * (rotation * Rotation.from_matrix(model.reference_rotations[j])).as_quat()
+            rotation = scipy.spatial.transform.Rotation.from_rotvec(np.concatenate([each[:, i] for each in vectors]))
+            reference_rotation = scipy.spatial.transform.Rotation.from_matrix(model.reference_rotations[j])
+            predicted[:, i] = 2 * (rotation * reference_rotation).as_quat()
         is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
         return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
 
@@ -117,7 +117,7 @@ class PriorConditioner:
         count = directions.shape[-1]
         observed = directions[joints].reshape(len(sd), count) / sd[:, None]
         factor = np.linalg.cholesky(observed @ observed.T + np.eye(len(sd)))
-        whitening = solve_triangular(factor, np.eye(len(sd)), lower=True)
+        whitening = scipy.linalg.solve_triangular(factor, np.eye(len(sd)), lower=True)
         occluded = directions[occluded_joints].reshape(3 * len(occluded_joints), count)
         return ObservedErrors(joints, sd, whitening, occluded @ observed.T @ whitening.T @ whitening)
 

@@ -11,7 +11,6 @@ from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ConstraintError, format_name_list
 from mocapfix.model.motion import FrameStatus
@@ -29,6 +28,7 @@ from mocapfix.solve.terms import (
     ReprojectionTerm,
     normalise_pixels,
 )
+from mocapfix.stats.rigid_alignment import compute_rotations
 
 ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
 
@@ -372,7 +372,7 @@ def build_start_poses(
 ) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, "H J 3 3"]]:
     """Return the model's reference pose in four headings, centred at the constrained points: root in metres, local rotations."""
     local_rotations = np.repeat(model.reference_rotations[None], len(START_HEADINGS_RAD), axis=0)
-    local_rotations[:, 0] = Rotation.from_euler("y", START_HEADINGS_RAD[:, None]).as_matrix() @ local_rotations[:, 0]
+    local_rotations[:, 0] = compute_rotations(np.array(START_HEADINGS_RAD)[:, None] * [0.0, 1.0, 0.0]) @ local_rotations[:, 0]
     root_position = np.zeros((len(START_HEADINGS_RAD), 3))
     if len(points.joints):
         positions = kinematics.compute_tree_poses(tree, root_position[:1], local_rotations[:1])[0]

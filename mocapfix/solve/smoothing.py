@@ -11,8 +11,8 @@ few of them as possible and document which arguments they overwrite.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree
@@ -74,8 +74,8 @@ def average_acceleration_power(
     The power is that of a random acceleration, per component, averaged over the differences of a window that are used.
     """
     second = ((path[2 * step :] - 2 * path[step:-step] + path[: -2 * step]) ** 2).mean(1) / (2 / 3 * (step / rate) ** 3)
-    total = uniform_filter1d(np.where(is_used, second, 0.0), window, mode="nearest")
-    share = uniform_filter1d(is_used.astype(float), window, mode="nearest")
+    total = scipy.ndimage.uniform_filter1d(np.where(is_used, second, 0.0), window, mode="nearest")
+    share = scipy.ndimage.uniform_filter1d(is_used.astype(float), window, mode="nearest")
     usable = np.flatnonzero(share > min_share)
     return usable, total[usable] / share[usable], second
 
@@ -241,12 +241,12 @@ def remove_jitter(
     smooth = smooth_path(joint_quaternions, variance, power, rate)
     reach = 2 * max(1, round(ACCELERATION_STEP_S * rate)) + 1
     window = max(1, round(ACCELERATION_STEP_S * rate))
-    has_known_neighbours = np.asarray(minimum_filter1d(is_known, 2 * reach + 1), bool)
+    has_known_neighbours = np.asarray(scipy.ndimage.minimum_filter1d(is_known, 2 * reach + 1), bool)
     for _ in range(MAX_POWER_CORRECTIONS):
-        deviation = uniform_filter1d(smooth - joint_quaternions, window, axis=0, mode="nearest")
+        deviation = scipy.ndimage.uniform_filter1d(smooth - joint_quaternions, window, axis=0, mode="nearest")
         deviation_rad = np.where(has_known_neighbours, 2 * np.linalg.norm(deviation, axis=1), 0.0)
         usual_rad = np.median(deviation_rad[has_known_neighbours]) if has_known_neighbours.any() else 0.0
-        excess = maximum_filter1d(deviation_rad, reach) / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
+        excess = scipy.ndimage.maximum_filter1d(deviation_rad, reach) / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
         if not (excess > 1).any():
             break
         power = power * np.maximum(excess, 1.0) ** POWER_CORRECTION_EXPONENT

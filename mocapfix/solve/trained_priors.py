@@ -17,16 +17,17 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Float32
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder, is_existing_file
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve.pose_prior import GaussianModel, Header, MixtureModel, PoseModel, Tensors, validate_tensors
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 
 ENCODER, DECODER = "encoder.", "decoder."  # how the names of the weights begin
 SKIPPED_LAYERS, SKIP = "0.layers.", "0.skip."  # and how they go on in a decoder with a skip connection
@@ -79,13 +80,12 @@ def compute_pose_features(
     kind: str, pose_vectors: Float[np.ndarray, "N J 3"], reference_rotations: Float[np.ndarray, "J 3 3"]
 ) -> Float[np.ndarray, "N F"]:
     """Return the features of poses, given as rotation vectors from a reference pose in radians."""
-    pose_count, joint_count = pose_vectors.shape[:2]
+    pose_count = len(pose_vectors)
     if kind == "vectors":
         return pose_vectors.reshape(pose_count, -1)
-    turns = Rotation.from_rotvec(pose_vectors.reshape(-1, 3)).as_matrix().reshape(pose_count, joint_count, 3, 3)
-    local = turns @ reference_rotations
+    local = compute_rotations(pose_vectors) @ reference_rotations
     if kind == "euler":
-        return Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler("ZYX").reshape(pose_count, -1)
+        return scipy.spatial.transform.Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler("ZYX").reshape(pose_count, -1)
     columns = np.swapaxes(local[:, 1:, :, :2], -1, -2).reshape(pose_count, -1)
     return np.concatenate([columns, local[:, 0, 1]], axis=1)
 
@@ -98,8 +98,8 @@ def compute_feature_vectors(
     if kind == "vectors":
         return angles
     references = np.broadcast_to(np.swapaxes(reference_rotations, 1, 2), (*angles.shape, 3)).reshape(-1, 3, 3)
-    turns = Rotation.from_euler("ZYX", angles.reshape(-1, 3)) * Rotation.from_matrix(references)
-    return turns.as_rotvec().reshape(angles.shape)
+    turns = scipy.spatial.transform.Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix() @ references
+    return compute_rotation_vectors(turns).reshape(angles.shape)
 
 
 def evaluate_silu(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import lie
 from mocapfix.model.motion import PoseEvidence, PoseUncertainty
@@ -40,7 +39,7 @@ from mocapfix.solve.pose_problem import MotionProblem, PoseProblem
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
-from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotation_vectors, compute_rotations
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MIN_ROOT_CURVATURE = 1.0  # curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers
@@ -113,11 +112,6 @@ def compute_left_jacobian(vectors: Float[np.ndarray, "N F 3"]) -> Float[np.ndarr
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)
     return np.eye(3) + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
-
-
-def exponentiate_vectors(vectors: Float[np.ndarray, "N F 3"]) -> Float[np.ndarray, "N F 3 3"]:
-    """Return the rotations of rotation vectors in radians."""
-    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
 
 
 MAX_SAMPLE_INTERVAL_S = 0.1  # largest time between the frames in which the model is evaluated
@@ -226,7 +220,7 @@ def compute_sampled_prior(
     force = prior.compute_force(vectors[:, rows])[:, -size:].reshape(start.shape)
     blocks = prior.information[:, -size:, -size:]
     information = np.stack([blocks[:, n : n + 3, n : n + 3] for n in range(0, size, 3)], axis=1)
-    rotations = exponentiate_vectors(vectors[:, joints]) @ model.reference_rotations[joints]
+    rotations = compute_rotations(vectors[:, joints]) @ model.reference_rotations[joints]
     inverse = np.linalg.inv(compute_left_jacobian(vectors[:, joints]))  # vectors by rotations of the joint
     force = (np.swapaxes(inverse, -1, -2) @ force[..., None])[..., 0]
     information = np.swapaxes(inverse, -1, -2) @ information @ inverse
@@ -235,7 +229,7 @@ def compute_sampled_prior(
     locked_force, locked_information = compute_locked_prior(base, rotations, joints)
     information = share[..., None, None] * information + locked_information
     offset = np.linalg.solve(information, (share[..., None] * force + locked_force)[..., None])[..., 0]
-    return SampledPrior(exponentiate_vectors(-offset) @ rotations, information)
+    return SampledPrior(compute_rotations(-offset) @ rotations, information)
 
 
 class LinearisedModel(NamedTuple):
@@ -292,8 +286,8 @@ def compute_locked_prior(
     base: MeanPosePrior, rotations: Float[np.ndarray, "N F 3 3"], joints: Int[np.ndarray, " F"]
 ) -> tuple[Float[np.ndarray, "N F 3"], Float[np.ndarray, "N F 3 3"]]:
     """Return force and information of the prior about locked axes, whose force is bounded."""
-    error = (rotations @ np.swapaxes(base.mean_rotations[joints], 1, 2)).reshape(-1, 3, 3)
-    vectors = Rotation.from_matrix(error).as_rotvec().reshape(rotations.shape[:3])
+    error = rotations @ np.swapaxes(base.mean_rotations[joints], 1, 2)
+    vectors = compute_rotation_vectors(error)
     force = (base.locked_information[joints] @ vectors[..., None])[..., 0]
     share = np.minimum(1.0, MAX_DEVIATION_SD / np.sqrt(np.maximum((force * vectors).sum(-1), 1e-12)))[..., None]
     return share * force, share[..., None] * base.locked_information[joints]

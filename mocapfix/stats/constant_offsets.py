@@ -10,9 +10,8 @@ from typing import NamedTuple
 from warnings import catch_warnings
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.linalg import solve_triangular
-from scipy.spatial.transform import Rotation
 
 from mocapfix.stats.gaussian_process import compute_matern_52
 
@@ -41,9 +40,9 @@ def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: s
     in_parent, in_joint = (np.swapaxes(np.tensordot(q, products, (1, axis)), 1, 2) for axis in (1, 0))
     models = [OffsetModel(zeros, basis, 3) for basis in (in_parent, in_joint)]
     if len(order) == 3:
-        rotations = Rotation.from_quat(quaternions)
+        rotations = scipy.spatial.transform.Rotation.from_quat(quaternions)
         with catch_warnings(action="ignore"):  # in gimbal lock, where any outer angle is right
-            outer = Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
+            outer = scipy.spatial.transform.Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
         axis = outer.apply(np.eye(3)["XYZ".index(order[1])])
         derivative = multiply_quaternions(np.pad(axis, ((0, 0), (0, 1))), q)
         models.append(OffsetModel(zeros, np.stack([q, derivative], axis=2), 1))
@@ -87,8 +86,10 @@ def fit_smoothest_offset(
     for model in models:
         values = np.concatenate([known, model.fixed[used_samples]])
         slopes = np.concatenate([np.zeros((len(known), *model.basis.shape[1:])), model.basis[used_samples]])
-        white_values = solve_triangular(factor, values, lower=True).ravel()
-        white_slopes = solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True).reshape(len(white_values), -1)
+        white_values = scipy.linalg.solve_triangular(factor, values, lower=True).ravel()
+        white_slopes = scipy.linalg.solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True).reshape(
+            len(white_values), -1
+        )
         unknowns = np.linalg.lstsq(white_slopes, -white_values, rcond=None)[0]
         square = float(((white_slopes @ unknowns + white_values) ** 2).sum()) + MIN_RESIDUAL_SQUARE
         criterion = 3 * len(times_s) * np.log(square) + model.dof * np.log(3 * len(times_s))

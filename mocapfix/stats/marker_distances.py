@@ -11,11 +11,11 @@ Rigid groups are markers that keep their distances while they move against the o
 """
 
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtri
 
 from mocapfix.stats.sequences import sample_evenly
 
@@ -105,7 +105,7 @@ def estimate_distances_from(
     start_m, width_m = _find_shortest_intervals(distance[known], visible_count[known], min_correct_fraction)
     centre[known] = start_m + width_m / 2
     # the standard deviation of a normal distribution with the same central interval
-    sd[known] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
+    sd[known] = width_m / 2 / NormalDist().inv_cdf((1 + min_correct_fraction) / 2)
     return centre, sd
 
 

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels import rigid_registration
+from mocapfix.kernels import lie, rigid_registration
 
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
@@ -56,6 +57,20 @@ def _make_contiguous(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, float)
 
 
+def compute_rotation_vectors(rotations: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Return the rotation vectors of rotations in radians, at most half a turn long."""
+    vectors = np.empty(rotations.shape[:-1])
+    lie.store_rotation_vectors(_make_contiguous(rotations).reshape(-1, 3, 3), vectors.reshape(-1, 3))
+    return vectors
+
+
+def compute_rotations(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the rotations of rotation vectors in radians."""
+    rotations = np.empty((*vectors.shape, 3))
+    lie.store_vector_rotations(_make_contiguous(vectors).reshape(-1, 3), rotations.reshape(-1, 3, 3))
+    return rotations
+
+
 def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return the smallest rotation from the direction of `before` to that of `after`, which may have any length.
 
@@ -63,27 +78,21 @@ def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.nd
     """
     if not (np.linalg.norm(before) > 0 and np.linalg.norm(after) > 0):
         return np.eye(3)
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
+    return scipy.spatial.transform.Rotation.align_vectors(after[None], before[None])[0].as_matrix()
 
 
 def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
     """Return the smallest rotations from the directions of `before` to those of `after`; opposite directions are left."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     a, b = (each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), MIN_DIRECTION_M) for each in (before, after))
     quaternion = np.column_stack([np.cross(a, b), 1.0 + np.einsum("ti,ti->t", a, b)])
     quaternion[quaternion[:, 3] < MIN_DIRECTION_M] = [0.0, 0.0, 0.0, 1.0]
-    return Rotation.from_quat(quaternion).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
 
 
 def scale_rotations(rotations: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:
     """Return rotations about the same axes by a share of the angles, NaN where the rotations are."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
-    scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * share).as_matrix()
+    scaled[is_known] = compute_rotations(compute_rotation_vectors(rotations[is_known]) * share)
     return scaled
 
 

@@ -1,9 +1,11 @@
 """Statistics of sequences: runs, evenly spaced samples, rows that differ most, cheapest and smoothest paths, resolution."""
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import viterbi
+from mocapfix.kernels.small_matrices import solve_banded
 
 find_cheapest_states = viterbi.find_cheapest_states
 
@@ -77,10 +79,8 @@ def assign_points(costs: Float[np.ndarray, "V K"], max_cost: float) -> tuple[Int
 
     Returns the place of each point, -1 for none, and the costs of the points or places, whichever are fewer.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
     capped = np.minimum(costs, max_cost)
-    rows, columns = linear_sum_assignment(capped)
+    rows, columns = scipy.optimize.linear_sum_assignment(capped)
     found, indices = capped[rows, columns], np.full(len(costs), -1)
     is_near = found < FOUND_COST_SHARE * max_cost
     indices[rows[is_near]] = columns[is_near]
@@ -173,8 +173,6 @@ def minimise_acceleration(
         stiffness: k, of the second difference about each frame but the first and the last.
         speed_weight: w, of the step from each frame to the next.
     """
-    from scipy.linalg import solveh_banded  # slow to import
-
     frames, size = pull.shape[:2]
     if not frames:
         return pull
@@ -190,5 +188,6 @@ def minimise_acceleration(
         band[size, 1 + frame : 1 + frame + inner] -= 2.0 * bend
     band[size, 1:] -= speed_weight
     band[0, 2:] += bend
-    flat = pull.reshape(frames * size, *pull.shape[2:])
-    return solveh_banded(band.reshape(len(band), -1), flat, overwrite_ab=True, check_finite=False).reshape(pull.shape)
+    path = np.array(pull, float, order="C")
+    solve_banded(band.reshape(len(band), -1), path.reshape(frames * size, -1))
+    return path

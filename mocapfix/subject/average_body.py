@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
@@ -18,6 +17,7 @@ from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limi
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
+from mocapfix.stats.rigid_alignment import compute_rotations, scale_rotations
 
 MIN_PAIR_DISTANCE_M = 0.12  # of a pair that is used to estimate the size; nearer ones depend on marker placement
 MIN_PAIR_FRAMES = 10  # frames in which both markers of a pair must be visible
@@ -110,13 +110,12 @@ class PosedBody:
     def turn_around(self, heading_count: int) -> Float[np.ndarray, "H J 3 3"]:
         """Return the local rotations of the mean pose in all headings, with hanging, half raised and raised arms."""
         angles = np.linspace(0, 2 * np.pi, heading_count, endpoint=False)
-        headings = Rotation.from_euler("y", angles[:, None]).as_matrix()
+        headings = compute_rotations(angles[:, None] * [0.0, 1.0, 0.0])
         arms = [self.subject.skeleton.find_joint(s + bone) for s in ("Left", "Right") for bone in ("Shoulder", "Arm", "ForeArm")]
         poses: list[np.ndarray] = []
         for share in ARM_RAISE_SHARES:
             raised = np.tile(self.prior.mean_rotations, (heading_count, 1, 1, 1))
-            hanging = Rotation.from_matrix(self.prior.mean_rotations[arms])
-            raised[:, arms] = Rotation.from_rotvec((1 - share) * hanging.as_rotvec()).as_matrix()
+            raised[:, arms] = scale_rotations(self.prior.mean_rotations[arms], 1 - share)
             raised[:, 0] = headings
             poses.append(raised)
         return np.concatenate(poses)

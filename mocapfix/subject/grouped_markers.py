@@ -16,8 +16,8 @@ from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import Skeleton
@@ -82,7 +82,7 @@ def estimate_functional_joint(first: MovingGroup, second: MovingGroup) -> Functi
     normal = precision * design.T @ design + np.eye(6) / JOINT_PRIOR_SD_M**2
     places = prior + np.linalg.solve(normal, precision * design.T @ (gap - design @ prior))
     residual = (design @ places - gap).reshape(-1, 3)
-    relative = Rotation.from_matrix(np.swapaxes(a, 1, 2) @ b)
+    relative = scipy.spatial.transform.Rotation.from_matrix(np.swapaxes(a, 1, 2) @ b)
     angles = (relative.mean().inv() * relative).magnitude()
     return FunctionalJoint(places.reshape(2, 3), float(np.sqrt((residual**2).sum(1).mean())), float(np.sqrt((angles**2).mean())))
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import block_diag
 
 from mocapfix.model.skeleton import BodyModel, Skeleton
 from mocapfix.model.subject import Subject
@@ -96,7 +95,9 @@ def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPos
     sd = (BODY_SIZE_SD, *[1.0] * len(shapes), *length_sd, *lean_sd, *np.repeat(start.marker_spread, 3))
     free_below_root = np.flatnonzero(body.free_joints)[1:]
     mean_pose_information = np.linalg.inv(prior.between_take_covariance[free_below_root] + MEAN_POSE_SD_RAD**2 * np.eye(3))
-    information = np.asarray(block_diag(np.diag(1 / np.square(sd)), *mean_pose_information))
+    information = np.diag(np.concatenate([1 / np.square(sd), np.zeros(3 * len(mean_pose_information))]))
+    for first, block in zip(range(len(sd), len(information), 3), mean_pose_information, strict=True):
+        information[first : first + 3, first : first + 3] = block
     variance_ratio = np.ones(len(information))
     variance_ratio[len(joint_deformations) - len(firm_leans) : len(joint_deformations)] = (
         PEOPLE_LEAN_SD_RAD / FIRM_BONE_LEAN_SD_RAD

@@ -10,7 +10,8 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics, mean_pose, pose_problem
-from mocapfix.solve.window_solver import WorldPoses, compute_left_jacobian, compute_marker_equations, exponentiate_vectors
+from mocapfix.solve.window_solver import WorldPoses, compute_left_jacobian, compute_marker_equations
+from mocapfix.stats.rigid_alignment import compute_rotations
 from mocapfix.synthetic import compose_take
 
 BODY = load_cmu31_body()
@@ -28,7 +29,7 @@ def scene():
 def test_left_jacobian_is_the_derivative_of_the_exponential():
     rng = np.random.default_rng(1)
     vectors, step = rng.normal(size=(5, 1, 3)), 1e-6 * rng.normal(size=(5, 1, 3))
-    moved = exponentiate_vectors(vectors + step) @ np.swapaxes(exponentiate_vectors(vectors), -1, -2)
+    moved = compute_rotations(vectors + step) @ np.swapaxes(compute_rotations(vectors), -1, -2)
     expected = (compute_left_jacobian(vectors) @ step[..., None])[..., 0]
     np.testing.assert_allclose(Rotation.from_matrix(moved[:, 0]).as_rotvec(), expected[:, 0], atol=1e-10)
 
@@ -43,7 +44,7 @@ def test_marker_gradient_is_the_derivative_of_the_cost(scene):
 
     def build_pose(step):
         moved = local.copy()
-        moved[:, joints] = exponentiate_vectors(step) @ local[:, joints]
+        moved[:, joints] = compute_rotations(step) @ local[:, joints]
         return WorldPoses(*kinematics.compute_tree_poses(part.tree, root, moved), moved)
 
     def compute_cost(step):
