@@ -1,9 +1,10 @@
-"""Write mocapfix/kernels/kernel_signatures.json: the kernels that the demo calls, with the types of their arguments.
+"""Write mocapfix/kernels/kernel_signatures.json: the kernels that the demo and a preview call, with the types of their
+arguments.
 
     PYTHONPATH=. python docs/generate_kernel_signatures.py
 
 Run it when kernels or their arguments have changed. The demo's take is cleaned with nothing compiled, which takes a minute or
-two; then the compiled kernels are listed, also those that only other kernels call.
+two, and once more as a preview; then the compiled kernels are listed, also those that only other kernels call.
 """
 
 import json
@@ -83,11 +84,12 @@ def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def main() -> None:
-    """Clean the demo's take and write the list with one kernel or type a line."""
+    """Clean the demo's take, also as a preview, and write the list with one kernel or type a line."""
     with tempfile.TemporaryDirectory() as folder:
         take = Path(folder) / "demo.c3d"
         write_synthetic_take(take, compose_take(seed=0))
-        pipeline.clean(take).write(take.with_suffix(".mocapfix"))
+        for is_fast in (False, True):
+            pipeline.clean(take, is_fast=is_fast).write(take.with_suffix(".mocapfix"), overwrite=is_fast)
     content = describe_kernels(list_kernels())
     lines = {name: ",\n  ".join(json.dumps(entry) for entry in entries) for name, entries in content.items()}
     text = ",\n".join(f' "{name}": [\n  {entries}\n ]' for name, entries in lines.items())
