@@ -1,5 +1,4 @@
-"""Write mocapfix/kernels/kernel_signatures.json: the kernels that the demo and a preview call, with the types of their
-arguments.
+"""Write mocapfix/kernels/kernel_signatures.json: the kernels that the demo and a preview call, with the types of arguments.
 
     PYTHONPATH=. python docs/generate_kernel_signatures.py
 
