@@ -20,6 +20,8 @@ from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, Review, write_changes_file
 from mocapfix.io.contact_files import write_contacts, write_gait_events
 from mocapfix.io.files import get_source_suffixes
+from mocapfix.io.gltf import write_gltf
+from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
 from mocapfix.io.resampling import resample_motion
 from mocapfix.io.source_file import append_computed_points
@@ -193,15 +195,7 @@ def _write_amc(target: Path, content: OutputContent) -> None:
     write_asf_amc(target.with_suffix(".asf"), target, *content.motion.parts, first_frame)
 
 
-def _write_gltf(target: Path, content: OutputContent) -> None:
-    from mocapfix.io.gltf import write_gltf  # few cleanings need it
-
-    write_gltf(target, *content.motion.parts)
-
-
 def _write_npz(target: Path, content: OutputContent) -> None:
-    from mocapfix.io.npz import write_npz  # few cleanings need it
-
     take = content.points
     if content.exported is None:
         write_npz(target, take)
@@ -257,7 +251,7 @@ DEFAULT_FORMATS = (
 OPTIONAL_FORMATS = {
     "gltf": OutputFormat(
         "glb",
-        _write_gltf,
+        lambda target, content: write_gltf(target, *content.motion.parts),
         needs_body=True,
         usage_note="is binary glTF: metres, Y up.",
     ),

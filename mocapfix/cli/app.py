@@ -18,7 +18,7 @@ from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.markup import escape
@@ -248,13 +248,9 @@ def parse_command(name: str = "", *arguments: str) -> Callable[[], int] | None:
     if name not in COMMANDS:
         return None
     command = import_command(name)
-
-    @wraps(command)
-    def defer(*values: Any, **named_values: Any) -> Callable[[], int]:
-        return partial(command, *values, **named_values)
-
+    deferred = wraps(command)(lambda *values, **named_values: partial(command, *values, **named_values))
     with redirect_stderr(StringIO()), suppress(SystemExit):
-        return tyro.cli(defer, args=arguments, console_outputs=False)
+        return tyro.cli(deferred, args=arguments, console_outputs=False)
 
 
 def parse_all_commands(arguments: list[str]) -> int:

@@ -51,7 +51,8 @@ def build_options_argument(
             group.__doc__ = type(each.default).__doc__
             help_texts = {"help": group.__doc__}  # without it, tyro searches the source for comments, which takes long
             groups.append((each.name, tyro.conf.OmitArgPrefixes[group], field(default_factory=group, metadata=help_texts)))
-    return Annotated[tyro.conf.OmitArgPrefixes[make_dataclass("OptionArguments", groups)], tyro.conf.arg(name="")]
+    arguments = tyro.conf.OmitArgPrefixes[make_dataclass("OptionArguments", groups)]
+    return tyro.conf.arg(name="", prefix_name=False, constructor=arguments)
 
 
 def join_axis_arguments(arguments: Iterable[str]) -> list[str]:

@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     from mocapfix.batch.records import TakeRecord
     from mocapfix.batch.take_list import Session
 
-    BatchArguments = object
-else:
-    BatchArguments = build_options_argument(STAGES, without=("review_files",))
-
 
 @dataclass(frozen=True)
 class RunArguments:
@@ -89,7 +85,7 @@ def run_batch(
     output_folder: Annotated[
         Path, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="folder for outputs and records")
     ],
-    options: BatchArguments,
+    options: Annotated[object, build_options_argument(STAGES, without=("review_files",))],
     run: Annotated[tyro.conf.OmitArgPrefixes[RunArguments], tyro.conf.arg(name="")] = DEFAULT_RUN,
 ) -> int:
     """Clean all takes of a session, on all cores or on a cluster, and write a page on them.

@@ -50,16 +50,12 @@ CLIP_SUFFIXES = (".glb", ".vrm")  # files of characters that hold animations
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
 STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
-    from mocapfix.report.report import FillSection, Report, TakeSection
-
-    CleanArguments = object
-else:
-    CleanArguments = build_options_argument(STAGES)
+    from mocapfix.report.report import FaultEntry, FillSection, InspectionReport, Report, TakeSection
 
 
 def run_clean(
     takes: TakesArgument,
-    options: CleanArguments,
+    options: Annotated[object, build_options_argument(STAGES)],
     output_folder: Annotated[
         Path | None,
         describe_option("DIR", "folder for the output files", "TAKE.mocapfix/ beside the take", name="out", aliases=["-o"]),
@@ -276,17 +272,9 @@ def format_take_name(take: "TakeSection") -> str:
     return f"{take['file']} ({take['person']})" if "person" in take else take["file"]
 
 
-if TYPE_CHECKING:
-    from mocapfix.report.report import FaultEntry, InspectionReport
-
-    InspectArguments = object
-else:
-    InspectArguments = build_options_argument(("read", "subject"))
-
-
 def run_inspect(
     take: TakeArgument,
-    options: InspectArguments,
+    options: Annotated[object, build_options_argument(("read", "subject"))],
     as_json: Annotated[FlagOption, tyro.conf.arg(name="json", help="print JSON (an array for several subjects)")] = False,
 ) -> int:
     """List the faults of a take: all that clean would detect. Writes nothing."""

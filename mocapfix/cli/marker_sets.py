@@ -36,10 +36,6 @@ from mocapfix.errors import WriteError
 if TYPE_CHECKING:
     from mocapfix.model.marker_set import MarkerSet
 
-    ReadArguments = object
-else:
-    ReadArguments = build_options_argument(("read",))
-
 
 def run_marker_set_list() -> int:
     """List the shipped marker sets."""
@@ -71,7 +67,7 @@ def run_marker_set_show(
 
 def run_marker_set_learn(
     take: TakeArgument,
-    options: ReadArguments,
+    options: Annotated[object, build_options_argument(("read",))],
     output_path: Annotated[
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="NAME.yaml", help="the marker set to write")
     ],
@@ -130,12 +126,9 @@ MARKER_SET_COMMANDS = {"list": run_marker_set_list, "show": run_marker_set_show,
 
 SUBJECT_FILE_SUFFIXES = (".yaml", ".yml")
 
-if TYPE_CHECKING:
-    CalibrateArguments = object
-else:
-    CalibrateArguments = build_options_argument(
-        ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
-    )
+CALIBRATE_ARGUMENTS = build_options_argument(
+    ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
+)
 
 
 def run_calibrate(
@@ -143,7 +136,7 @@ def run_calibrate(
     output: Annotated[
         Path, tyro.conf.arg(aliases=["-o"], metavar="SUBJECT.yaml|DIR", help="subject file, or folder for a file for each person")
     ],
-    options: CalibrateArguments,
+    options: Annotated[object, CALIBRATE_ARGUMENTS],
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",
     overwrite: OverwriteOption = False,
 ) -> int:
@@ -191,15 +184,9 @@ def run_calibrate(
     return EXIT_FAILED if attempts.failed else EXIT_DONE
 
 
-if TYPE_CHECKING:
-    LabelArguments = object
-else:
-    LabelArguments = build_options_argument(("read", "subject"), without=("hierarchy", "subject_prefix"))
-
-
 def run_label(
     take: TakeArgument,
-    options: LabelArguments,
+    options: Annotated[object, build_options_argument(("read", "subject"), without=("hierarchy", "subject_prefix"))],
     output_path: Annotated[
         Path | None,
         describe_option("FILE", "the labelled file", "TAKE.labelled with the suffix of the take", name="output", aliases=["-o"]),

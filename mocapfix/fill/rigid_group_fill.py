@@ -18,6 +18,7 @@ from mocapfix.stats.rigid_alignment import (
     compute_lengths,
     compute_rotation_vectors,
     compute_rotations,
+    compute_shortest_rotations,
     fit_common_shape,
 )
 from mocapfix.stats.sequences import sample_evenly
@@ -197,13 +198,7 @@ def turn_about_line(
     """Return rotations at a share of the way from first to last, turned the shortest way that directs `line` along `seen`."""
     step = compute_rotation_vectors(last @ first.swapaxes(1, 2))
     turned = compute_rotations(share[:, None] * step) @ first
-    before = turned @ (line / np.linalg.norm(line))
-    after = seen / np.linalg.norm(seen, axis=1, keepdims=True)
-    axis, cosine = np.cross(before, after), np.einsum("ta,ta->t", before, after)
-    length = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(length, cosine)
-    shortest = axis * np.divide(angle, length, out=np.zeros(len(length)), where=length > 0)[:, None]
-    return compute_rotations(shortest) @ turned
+    return compute_shortest_rotations(turned @ line, seen) @ turned
 
 
 class TwistError(NamedTuple):

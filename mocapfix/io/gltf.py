@@ -17,8 +17,8 @@ from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int, Shaped
-from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.files import replace_atomically
@@ -296,13 +296,13 @@ def _read_local_transform(nodes: GltfNodes, node: int) -> tuple[Float[np.ndarray
         if np.linalg.norm(quaternion) < MIN_SCALE:
             problem = f"the rotation of {nodes.names[node]!r} is zero; the file is damaged, so export it again"
             raise ReadError(f"{nodes.path}: {problem}.")
-        rotation = Rotation.from_quat(quaternion).as_matrix()
+        rotation = scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
         scales = _read_numbers(nodes, node, "scale", np.ones(3))
     if (scales <= MIN_SCALE).any() or np.ptp(scales) > MAX_SCALE_DEVIATION * scales.max():
         shown = ", ".join(f"{scale:.4g}" for scale in scales)
         problem = f"has the scale ({shown}), but bones need one positive scale for all axes"
         raise ReadError(f"{nodes.path}: the bone {nodes.names[node]!r} {problem}; apply the scale before the export.")
-    return translation, Rotation.from_matrix(rotation).as_matrix(), float(np.cbrt(np.prod(scales)))
+    return translation, scipy.spatial.transform.Rotation.from_matrix(rotation).as_matrix(), float(np.cbrt(np.prod(scales)))
 
 
 def _read_numbers(nodes: GltfNodes, node: int, key: str, default: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -411,7 +411,7 @@ def build_skinned_document(skeleton: Skeleton, shown_parents: Int[np.ndarray, " 
     Args:
         shown_parents: From which joint a bone is shown to each, -1 for none.
     """
-    quaternions = Rotation.from_matrix(skeleton.rest_rotations).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(skeleton.rest_rotations).as_quat()
     is_turned = (skeleton.rest_rotations != np.eye(3)).any((1, 2))
     nodes: list[dict[str, Any]] = [
         {"name": name, "translation": offset.tolist()} | ({"rotation": quaternion.tolist()} if turned else {})

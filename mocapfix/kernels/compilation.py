@@ -158,14 +158,9 @@ class CachedLibrary(JITCodeLibrary):
 JITCPUCodegen._library_class = CachedLibrary
 
 
-def find_loaded_module(name: str) -> ModuleType:
-    """Return a module, or an empty one in place of one that is not loaded: cached kernels need nothing of Numba's own modules,
-    which take as long to import as all kernels to load.
-    """
-    return sys.modules.get(name) or ModuleType(name)
-
-
-cast(Any, environment).importlib = SimpleNamespace(import_module=find_loaded_module)
+# A kernel from the cache names the modules of Numba that it was compiled with. It needs nothing of them, but they take as long to
+# import as all kernels to load. Empty modules stand for those that are not loaded.
+cast(Any, environment).importlib = SimpleNamespace(import_module=lambda name: sys.modules.get(name) or ModuleType(name))
 
 
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

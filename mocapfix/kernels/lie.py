@@ -155,9 +155,6 @@ def store_vector_rotations(vectors, rotations):
         store_matrix(compute_exponential(vectors[n, 0], vectors[n, 1], vectors[n, 2]), rotations, n)
 
 
-MIN_VECTOR_LENGTH = 1e-12  # a quaternion's vector part shorter than this has no direction
-
-
 @compile_kernel
 def extract_joint_quaternions(rotations, joint, known):
     """Return (T, 4) quaternions of rotations[:, joint] (T, J, 3, 3), their signs chosen for continuity.

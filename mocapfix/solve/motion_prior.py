@@ -375,9 +375,8 @@ def _interpolate_tokens(
     knots, known = token_frames[used], quaternions[used].astype(float)
     products = (known[1:] * known[:-1]).sum(axis=-1, keepdims=True)
     known[1:] *= np.cumprod(np.where(products < 0, -1.0, 1.0), axis=0)
-    rotations = scipy.spatial.transform.Rotation.from_quat(
-        scipy.interpolate.CubicSpline(knots, known)(frames).reshape(-1, 4)
-    ).as_matrix()
+    between = scipy.interpolate.CubicSpline(knots, known)(frames).reshape(-1, 4)
+    rotations = scipy.spatial.transform.Rotation.from_quat(between).as_matrix()
     edge = np.zeros((1, sd.shape[1]))
     all_sd = np.concatenate([edge, sd, edge])
     frame_sd = np.stack([np.interp(frames, knots, values) for values in all_sd.T], axis=1)

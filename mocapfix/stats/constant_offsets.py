@@ -87,9 +87,8 @@ def fit_smoothest_offset(
         values = np.concatenate([known, model.fixed[used_samples]])
         slopes = np.concatenate([np.zeros((len(known), *model.basis.shape[1:])), model.basis[used_samples]])
         white_values = scipy.linalg.solve_triangular(factor, values, lower=True).ravel()
-        white_slopes = scipy.linalg.solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True).reshape(
-            len(white_values), -1
-        )
+        white_slopes = scipy.linalg.solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True)
+        white_slopes = white_slopes.reshape(len(white_values), -1)
         unknowns = np.linalg.lstsq(white_slopes, -white_values, rcond=None)[0]
         square = float(((white_slopes @ unknowns + white_values) ** 2).sum()) + MIN_RESIDUAL_SQUARE
         criterion = 3 * len(times_s) * np.log(square) + model.dof * np.log(3 * len(times_s))
