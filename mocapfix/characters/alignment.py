@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.characters.character_yaml import Rig
@@ -172,11 +173,9 @@ def _compute_axis_rotations(
     rotations: Float[np.ndarray, "J 3 3"],
 ) -> Float[np.ndarray, "31 3 3"]:
     """Compute A from places by joint and world rotations of an upright pose; the identity for joints without counterparts."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     model = load_cmu31_body().skeleton
     leftward = pose["LeftUpLeg"] - pose["RightUpLeg"]
-    facing = Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
+    facing = scipy.spatial.transform.Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
     rotation_world_model, rotation_file_model = (np.tile(each, (len(model.names), 1, 1)) for each in (facing, np.eye(3)))
     for joint, (name, file_joint) in enumerate(zip(model.names, file_joints.tolist(), strict=True)):
         if name.endswith(PARENT_ALIGNED_JOINTS):
@@ -320,10 +319,8 @@ def _prepend_pose(skeleton: Skeleton, motion: Motion, local_rotations: Float[np.
 
     Its angles are whole degrees, by which readers of CMU's files distinguish the pose from the motion.
     """
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    angles = np.round(Rotation.from_matrix(local_rotations).as_euler(order, degrees=True))
-    local_rotations = Rotation.from_euler(order, angles, degrees=True).as_matrix()
+    angles = np.round(scipy.spatial.transform.Rotation.from_matrix(local_rotations).as_euler(order, degrees=True))
+    local_rotations = scipy.spatial.transform.Rotation.from_euler(order, angles, degrees=True).as_matrix()
     posed = replace(skeleton, rest_rotations=local_rotations)
     lowest = min(posed.rest_positions[:, 1].min(), np.nanmin(posed.compute_rest_ends()[:, 1]))
     first = motion.select_frames(np.zeros(1, int))

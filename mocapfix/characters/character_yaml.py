@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 from pydantic import BeforeValidator, Field, FiniteFloat, PositiveFloat
 
@@ -212,9 +213,7 @@ def _read_limits(path: Path, model: _CharacterModel, names: tuple[str, ...]) -> 
 def _read_quaternion(path: Path, key: str, values: Quaternion) -> Float[np.ndarray, "3 3"]:
     if not np.linalg.norm(values) > 0.5:
         raise SceneError(f"{path}: {key}: is no rotation; give a quaternion of length 1, [w, x, y, z].")
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    return Rotation.from_quat(values, scalar_first=True).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat(values, scalar_first=True).as_matrix()
 
 
 MAPPING_FILE_HEADER = """\

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
@@ -355,18 +356,14 @@ def spread_push(push: Float[np.ndarray, " T"], rate: float, length_m: float) -> 
     The joint in the middle of a straight limb moves aside as the root of what the limb becomes shorter. So the root of the push
     is spread: dilated by a parabola and closed by it (Serra 1982), its acceleration is nowhere larger than PUSH_ACCELERATION.
     """
-    from scipy.ndimage import grey_dilation, grey_erosion  # slow to import
-
     root = np.sqrt(np.maximum(push, 0.0) / length_m)
     reach = int(np.ceil(2.0 * np.sqrt(root.max(initial=0.0) / PUSH_ACCELERATION) * rate)) + 1
     fall = -0.5 * PUSH_ACCELERATION * (np.arange(-reach, reach + 1) / rate) ** 2
-    dilated = np.maximum(grey_dilation(root, structure=fall / 2, mode="nearest"), 0.0)
-    return length_m * np.maximum(grey_erosion(dilated, structure=fall, mode="nearest"), 0.0) ** 2
+    dilated = np.maximum(scipy.ndimage.grey_dilation(root, structure=fall / 2, mode="nearest"), 0.0)
+    return length_m * np.maximum(scipy.ndimage.grey_erosion(dilated, structure=fall, mode="nearest"), 0.0) ** 2
 
 
 def smooth_values(values: Float[np.ndarray, "T ..."], rate: float) -> Float[np.ndarray, "T ..."]:
     """Return the weighted means of values over PUSH_S before and after each frame."""
-    from scipy.ndimage import convolve1d  # slow to import
-
     kernel = np.hanning(2 * round(PUSH_S * rate) + 3)[1:-1]
-    return convolve1d(values, kernel / kernel.sum(), axis=0, mode="nearest")
+    return scipy.ndimage.convolve1d(values, kernel / kernel.sum(), axis=0, mode="nearest")

@@ -18,7 +18,7 @@ from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.markup import escape
@@ -161,27 +161,26 @@ def run_status(folder: FolderArgument, as_json: JsonOption = False) -> int:
 
 DEBUG_FLAG = "--debug"
 
-# The commands, with the module of this package and the function of each: one command needs not those of the others.
+# The commands, with the module and the function of each: one command needs not those of the others.
 COMMANDS = {
-    "demo": "app.run_demo",
-    "inspect": "clean.run_inspect",
-    "label": "marker_sets.run_label",
-    "calibrate": "marker_sets.run_calibrate",
-    "clean": "clean.run_clean",
-    "batch": "batch.run_batch",
-    "view": "app.run_view",
-    "review": "app.run_review",
-    "status": "app.run_status",
-    "run": "clean.run_scene",
+    "demo": "cli.app.run_demo",
+    "inspect": "cli.clean.run_inspect",
+    "label": "cli.marker_sets.run_label",
+    "calibrate": "cli.marker_sets.run_calibrate",
+    "clean": "cli.clean.run_clean",
+    "batch": "cli.batch.run_batch",
+    "view": "cli.app.run_view",
+    "review": "cli.app.run_review",
+    "status": "cli.app.run_status",
+    "run": "cli.clean.run_scene",
 }
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
-# The groups of commands, with their help, their module and its table of them.
+# The groups of commands, with their help and their table. Only their own commands need the modules of `lab`.
 COMMAND_GROUPS = {
-    "marker-set": ("List and show marker sets, and learn new ones from takes.", "cli.marker_sets", "MARKER_SET_COMMANDS"),
-    "bench": ("Measure mocapfix against known truth.", "lab.command", "BENCH_COMMANDS"),
-    "train": ("Train the pose priors and the twist model on motion.", "lab.train_command", "TRAIN_COMMANDS"),
+    "marker-set": ("List and show marker sets, and learn new ones from takes.", "cli.marker_sets.MARKER_SET_COMMANDS"),
+    "bench": ("Measure mocapfix against known truth.", "lab.command.BENCH_COMMANDS"),
+    "train": ("Train the pose priors and the twist model on motion.", "lab.train_command.TRAIN_COMMANDS"),
 }
-LAB_GROUPS = ("bench", "train")  # the groups that measure and train: no other command needs their modules
 
 
 def _stop(_number: int, _frame: FrameType | None) -> None:
@@ -237,17 +236,17 @@ def run_command(arguments: list[str]) -> int:
     return console.EXIT_FAILED
 
 
-def import_command(name: str) -> Callable[..., int]:
-    """Return the function of a command."""
-    module, _, function = COMMANDS[name].partition(".")
-    return getattr(import_module(f"{__package__}.{module}"), function)
+def import_attribute(path: str) -> Any:
+    """Return a function or a table of this package."""
+    module, _, name = path.rpartition(".")
+    return getattr(import_module(f"mocapfix.{module}"), name)
 
 
 def parse_command(name: str = "", *arguments: str) -> Callable[[], int] | None:
     """Return the call of a command with its arguments; None for help and wrong usage, which the parser of all commands shows."""
     if name not in COMMANDS:
         return None
-    command = import_command(name)
+    command = import_attribute(COMMANDS[name])
     deferred = wraps(command)(lambda *values, **named_values: partial(command, *values, **named_values))
     with redirect_stderr(StringIO()), suppress(SystemExit):
         return tyro.cli(deferred, args=arguments, console_outputs=False)
@@ -256,12 +255,12 @@ def parse_command(name: str = "", *arguments: str) -> Callable[[], int] | None:
 def parse_all_commands(arguments: list[str]) -> int:
     """Run a command by the parser that knows all of them: it prints help, and which of them an argument is for."""
     app = tyro.extras.SubcommandApp()
-    for name in COMMANDS:
-        app.command(name=name)(import_command(name))
-    for group_name, (help_text, module, table) in COMMAND_GROUPS.items():
+    for name, function in COMMANDS.items():
+        app.command(name=name)(import_attribute(function))
+    for group_name, (help_text, table) in COMMAND_GROUPS.items():
         group = tyro.extras.SubcommandApp()
-        if group_name not in LAB_GROUPS or arguments[:1] == [group_name]:
-            for name, command in getattr(import_module(f"mocapfix.{module}"), table).items():
+        if not table.startswith("lab") or arguments[:1] == [group_name]:
+            for name, command in import_attribute(table).items():
                 group.command(name=name)(command)
         app.command(group, name=group_name, help=help_text)
     return app.cli(

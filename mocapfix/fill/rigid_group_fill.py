@@ -17,9 +17,9 @@ from mocapfix.stats.rigid_alignment import (
     align_to_shape,
     compute_lengths,
     compute_rotation_vectors,
-    compute_rotations,
     compute_shortest_rotations,
     fit_common_shape,
+    scale_rotations,
 )
 from mocapfix.stats.sequences import sample_evenly
 
@@ -196,8 +196,7 @@ def turn_about_line(
     seen: Float[np.ndarray, "N 3"],
 ) -> Float[np.ndarray, "N 3 3"]:
     """Return rotations at a share of the way from first to last, turned the shortest way that directs `line` along `seen`."""
-    step = compute_rotation_vectors(last @ first.swapaxes(1, 2))
-    turned = compute_rotations(share[:, None] * step) @ first
+    turned = scale_rotations(last @ first.swapaxes(1, 2), share[:, None]) @ first
     return compute_shortest_rotations(turned @ line, seen) @ turned
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from jaxtyping import Bool
 
 from mocapfix.contacts.contacts import BodyContacts
@@ -100,8 +101,6 @@ CHARACTER_NPZ_UNITS = "metres, seconds; Y up, right-handed; quaternions x, y, z,
 
 def write_character_npz(target: Path, character: "Character", motion: "CharacterMotion", moving_bones: Collection[int]) -> None:
     """Write the motion of a character, some of whose bones move. Raises WriteError if `target` is not writable."""
-    from scipy.spatial.transform import Rotation  # few cleanings need it
-
     bones, is_known = range(len(character.skeleton.names)), np.ones(motion.frame_count, bool)
     rotations = [lie.extract_joint_quaternions(motion.local_rotations, bone, is_known) for bone in bones]
     segments = [segment for segment, chain in character.mapping.bones.items() if chain]
@@ -115,7 +114,7 @@ def write_character_npz(target: Path, character: "Character", motion: "Character
         "scales": character.scales,
         "root_scale": np.array(float(character.root_scale)),
         "rest_positions": character.skeleton.offsets,
-        "rest_rotations": Rotation.from_matrix(character.skeleton.rest_rotations).as_quat(),
+        "rest_rotations": scipy.spatial.transform.Rotation.from_matrix(character.skeleton.rest_rotations).as_quat(),
         "tails": character.skeleton.ends,
         "pelvis": np.array(character.skeleton.names[character.mapping.bones["pelvis"][0]]),
         "pelvis_position": motion.pelvis_position,

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.point_linking import combine_links, link_in_order, number_tracklets
@@ -175,8 +176,6 @@ def assign_tracklets(
         squared_m2: The costs in m2, NaN where unknown.
         max_distance_m: The distance of each tracklet at which no label is as likely as a label.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
     marker_count, none_cost = squared_m2.shape[1], max_distance_m**2
     costs = np.where(np.isnan(squared_m2), 2 * none_cost[:, None], squared_m2)
     votes = np.zeros((len(costs), marker_count + 1), int)
@@ -188,7 +187,7 @@ def assign_tracklets(
     for visible, count in known.values():
         padded = np.repeat(none_cost[visible, None], marker_count + len(visible), axis=1)
         padded[:, :marker_count] = costs[visible]
-        rows, columns = linear_sum_assignment(padded)
+        rows, columns = scipy.optimize.linear_sum_assignment(padded)
         votes[visible[rows], np.minimum(columns, marker_count)] += count
     winners = votes.argmax(1)
     winners[votes.max(1) == 0] = marker_count

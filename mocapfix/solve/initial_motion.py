@@ -31,7 +31,7 @@ from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.solve.segment_registration import register_poses
-from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
+from mocapfix.stats.rigid_alignment import scale_rotations
 
 MIN_MARKER_SPREAD_M = 1e-7  # smallest marker spread, which bounds the weight of a marker
 MAX_JOINT_SD_M = 0.5  # standard deviation of a joint position above which it counts as unknown
@@ -225,7 +225,7 @@ def bend_unmarked_chains(motion: Motion, subject: Subject, prior: MeanPosePrior)
     for chain in find_unmarked_chains(subject):
         rotation = world_rotations[:, skeleton.parents[chain[0]]].swapaxes(1, 2) @ world_rotations[:, chain[-1]]
         mean = np.linalg.multi_dot(prior.mean_rotations[chain])
-        part = compute_rotations(compute_rotation_vectors(mean.T @ rotation) / len(chain))
+        part = scale_rotations(mean.T @ rotation, 1 / len(chain))
         product = np.eye(3)
         for j in chain[:-1]:
             local_rotations[:, j] = prior.mean_rotations[j] @ part

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
-from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotation_vectors, compute_rotations
+from mocapfix.stats.rigid_alignment import compute_lengths, scale_rotations
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
@@ -109,8 +109,8 @@ def yield_to_markers(
         share = smooth_share(limit, rate)
         frames, joints = np.nonzero((share < 1)[:, None] & (inferred.local_rotations != before.local_rotations).any((2, 3)))
         start = before.local_rotations[frames, joints]
-        turn = compute_rotation_vectors(start.swapaxes(1, 2) @ inferred.local_rotations[frames, joints])
+        turn = scale_rotations(start.swapaxes(1, 2) @ inferred.local_rotations[frames, joints], share[frames, None])
         local_rotations = inferred.local_rotations.copy()
-        local_rotations[frames, joints] = start @ compute_rotations(share[frames, None] * turn)
+        local_rotations[frames, joints] = start @ turn
         motion = replace(inferred, local_rotations=local_rotations)
     return motion

@@ -28,7 +28,8 @@ from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
+from mocapfix.stats.constant_offsets import multiply_quaternions
+from mocapfix.stats.rigid_alignment import scale_rotations
 
 MOTION_RATE_HZ = 30.0  # rate of the training data
 CONTEXT_DISTANCES_S = np.array([0, 1, 2, 4, 7, 12, 19, 29]) / MOTION_RATE_HZ
@@ -91,23 +92,6 @@ def count_outputs() -> int:
     return 4 * len(build_motion_tree().joints) + 4
 
 
-def multiply_unit_quaternions(
-    a: Float32[np.ndarray, "*batch 4"], b: Float32[np.ndarray, "*#batch 4"]
-) -> Float32[np.ndarray, "*batch 4"]:
-    """Return the quaternions of the rotations a b."""
-    ax, ay, az, aw = (a[..., i] for i in range(4))
-    bx, by, bz, bw = (b[..., i] for i in range(4))
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
-
-
 def compute_quaternion_vectors(quaternions: Float32[np.ndarray, "*batch 4"]) -> Float32[np.ndarray, "*batch 3"]:
     """Return the rotation vectors of quaternions, in radians, up to half a turn."""
     signed = np.where(quaternions[..., 3:] < 0, -quaternions, quaternions)
@@ -163,9 +147,9 @@ def interpolate_missing_values(
     span = to_start + to_end
     share = np.where(span > 0, to_start / np.where(span > 0, span, 1), 0.0).astype(np.float32)[:, None]
     start = quaternions[b, first, j]
-    turn = compute_quaternion_vectors(multiply_unit_quaternions(start * INVERSE_SIGNS, quaternions[b, last, j]))
+    turn = compute_quaternion_vectors(multiply_quaternions(start * INVERSE_SIGNS, quaternions[b, last, j]))
     filled = quaternions.copy()
-    filled[b, t, j] = multiply_unit_quaternions(start, compute_vector_quaternions(share * turn))
+    filled[b, t, j] = multiply_quaternions(start, compute_vector_quaternions(share * turn))
     edge_s = np.zeros(is_known.shape, np.float32)
     edge_s[b, t, j] = np.where(has_start & has_end, share[:, 0] * to_end, np.abs(to_start))
     filled_position, root = position.copy(), j == 0
@@ -192,7 +176,7 @@ def remove_window_heading(
     heading = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1).astype(np.float32)
     origin = windows.position[:, middle]
     quaternions = windows.quaternions.copy()
-    quaternions[:, :, 0] = multiply_unit_quaternions(
+    quaternions[:, :, 0] = multiply_quaternions(
         np.broadcast_to((heading * INVERSE_SIGNS)[:, None], quaternions[:, :, 0].shape), quaternions[:, :, 0]
     )
     position = (windows.position - origin[:, None]) @ compute_quaternion_matrices(heading)
@@ -314,7 +298,7 @@ class MotionPrior:
         relative, heading, _ = remove_window_heading(filled)
         outputs = self.evaluate(compute_window_features(relative, is_token_known[None], is_inside[None], times_s))[0]
         corrected, sd = _apply_outputs(relative, outputs)
-        corrected[:, 0] = multiply_unit_quaternions(np.broadcast_to(heading, (len(corrected), 4)), corrected[:, 0])
+        corrected[:, 0] = multiply_quaternions(np.broadcast_to(heading, (len(corrected), 4)), corrected[:, 0])
         position = filled.position[0].copy()
         scale = compute_output_scale(filled.edge_s[0, INNER_TOKENS, 0])
         joint_count = len(build_motion_tree().joints)
@@ -358,7 +342,7 @@ def _apply_outputs(
     edge_s = windows.edge_s[0, INNER_TOKENS]
     count, scale = edge_s.shape[1], compute_output_scale(edge_s)
     vectors = outputs[:, : 3 * count].reshape(len(outputs), count, 3) * scale[..., None]
-    quaternions = multiply_unit_quaternions(windows.quaternions[0, INNER_TOKENS], compute_vector_quaternions(vectors))
+    quaternions = multiply_quaternions(windows.quaternions[0, INNER_TOKENS], compute_vector_quaternions(vectors))
     log_sd = np.clip(outputs[:, 3 * count + 3 :] + INITIAL_LOG_SD, MIN_LOG_SD, MAX_LOG_SD)
     return quaternions, np.concatenate([scale, scale[:, :1]], axis=1) * np.exp(log_sd)
 
@@ -456,8 +440,9 @@ def combine_rotations(
     """Return an estimate of rotations combined with the prediction of the same joints, and its variance in rad^2."""
     weight = compute_prediction_weight(variance, prediction.variance)
     difference = np.swapaxes(rotations, -1, -2) @ prediction.rotations
-    turn = compute_rotations(weight[..., None] * compute_rotation_vectors(difference))
-    return rotations @ turn, compute_combined_variance(variance, prediction.variance, weight)
+    return rotations @ scale_rotations(difference, weight[..., None]), compute_combined_variance(
+        variance, prediction.variance, weight
+    )
 
 
 def compute_prediction_weight(

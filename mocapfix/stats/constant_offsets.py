@@ -56,9 +56,9 @@ def build_position_offset_models(positions: Float[np.ndarray, "T 3"]) -> tuple[O
 
 def multiply_quaternions(p: Float[np.ndarray, "*#batch 4"], q: Float[np.ndarray, "*#batch 4"]) -> np.ndarray:
     """Return the products (..., 4) of quaternions (x, y, z, w), the rotation q followed by the rotation p."""
-    a, b = p[..., :3], q[..., :3]
-    vector = p[..., 3:] * b + q[..., 3:] * a + np.cross(a, b)
-    return np.concatenate([vector, p[..., 3:] * q[..., 3:] - (a * b).sum(-1, keepdims=True)], axis=-1)
+    (ax, ay, az, aw), (bx, by, bz, bw) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw
+    return np.stack([x, y, z, aw * bw - ax * bx - ay * by - az * bz], axis=-1)
 
 
 def fit_smoothest_offset(

@@ -12,6 +12,7 @@ from functools import cache
 from itertools import combinations, product
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.kernels.function_screening import measure_pair_sds, screen_mean, screen_pairs, screen_places
@@ -57,13 +58,11 @@ def compare_points(points: Float[np.ndarray, "T P 3"]) -> PartnerDistances:
     count = points.shape[1]
     if count * (count - 1) <= MAX_COMPARED_PAIRS:
         return PartnerDistances(np.broadcast_to(np.arange(count), (count, count)), measure_distance_sd(points))
-    from scipy.spatial import KDTree  # few takes need it
-
     centre = compute_known_median(points)
     seen = np.flatnonzero(np.isfinite(centre[:, 0]))
     near = min(len(seen), MAX_COMPARED_PAIRS // count)
     partner = np.tile(np.arange(near), (count, 1))  # of points that are never seen: any
-    partner[seen] = np.sort(seen[KDTree(centre[seen]).query(centre[seen], near)[1].reshape(-1, near)], axis=1)
+    partner[seen] = np.sort(seen[scipy.spatial.KDTree(centre[seen]).query(centre[seen], near)[1].reshape(-1, near)], axis=1)
     rows = np.repeat(np.arange(count), near)
     sd_m = measure_pair_distance_sd(points, rows, partner.ravel()).reshape(count, near)
     return PartnerDistances(partner, np.where(partner == np.arange(count)[:, None], np.inf, sd_m))

@@ -89,11 +89,11 @@ def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np
     return scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
 
 
-def scale_rotations(rotations: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:
+def scale_rotations(
+    rotations: Float[np.ndarray, "*batch 3 3"], share: float | Float[np.ndarray, "*#batch 1"]
+) -> Float[np.ndarray, "*batch 3 3"]:
     """Return rotations about the same axes by a share of the angles, NaN where the rotations are."""
-    scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
-    scaled[is_known] = compute_rotations(compute_rotation_vectors(rotations[is_known]) * share)
-    return scaled
+    return compute_rotations(compute_rotation_vectors(rotations) * share)
 
 
 class CommonShape(NamedTuple):
