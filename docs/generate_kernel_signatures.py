@@ -50,6 +50,7 @@ def find_called_functions(code: CodeType, scope: dict[str, Any]) -> Iterator[Any
 
 def describe_type(described: Any, shared: dict[types.Type, tuple[int, object]]) -> Any:
     """Return the description of a type, and add the named tuples in it to `shared`, with a number and their description."""
+    described = types.unliteral(described)
     if isinstance(described, types.Array):
         readonly = "" if described.mutable else " readonly"
         return f"{describe_type(described.dtype, shared)}[{described.ndim}{described.layout}]{readonly}"
@@ -67,7 +68,7 @@ def describe_type(described: Any, shared: dict[types.Type, tuple[int, object]]) 
 
 def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the content of the file: those first that others call, then those that call most."""
-    names = {id(kernel): name for name, kernel in kernels.items()}
+    names = {id(kernel): name for name, kernel in kernels.items() if kernel.signatures}  # others are parts of their callers
     callees: dict[str, list[str]] = {}
     for name, kernel in kernels.items():
         called = find_called_functions(kernel.py_func.__code__, kernel.py_func.__globals__)
