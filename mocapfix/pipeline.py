@@ -254,7 +254,7 @@ def fit_body(
     """
     calibrated, body = previous or (None, None)
     with timer("calibrate") if subject is None else nullcontext():
-        calibrated = calibrate_body(detected, marker_set, subject, calibrated)
+        calibrated = calibrate_body(detected, marker_set, subject, calibrated, options.initialise.is_fast)
     body = initialise_and_solve(calibrated, body, options, conditioner, timer)
     if options.initialise.is_fast:
         return calibrated, body

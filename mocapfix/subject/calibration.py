@@ -98,6 +98,7 @@ MIN_CALIBRATION_MARKERS = 3  # visible markers that at least one frame must have
 MAX_CANDIDATE_FRAMES = 600  # posed to select the calibration frames from; all of them take a fraction of a second
 CANDIDATE_MARKER_SHARE = 0.9  # markers that a candidate frame must show, as a share of the 90th percentile over all frames
 MAX_CALIBRATION_FRAMES = 150  # frames that enter the refinement
+MAX_PREVIEW_FRAMES = 40  # the same of a preview: with them the joints of composed takes are as near as with 150
 MIN_MOVED_MARKER_FRAMES = 10  # frames in which a moved marker must be visible to get an offset of its own
 # Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
 # which a refinement ends.
@@ -176,11 +177,11 @@ def check_size_ratio(take: Take, ratio: float) -> None:
         raise TakeError(f"{take.name}: the markers lie too {problem} for a person; check the unit (--unit) and the labels.")
 
 
-def select_candidate_frames(markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " N"]:
-    """Return up to MAX_CANDIDATE_FRAMES frames, evenly spaced among those that show the most markers (NaN if not visible)."""
+def select_candidate_frames(markers: Float[np.ndarray, "T K 3"], max_count: int = MAX_CANDIDATE_FRAMES) -> Int[np.ndarray, " N"]:
+    """Return up to `max_count` frames, evenly spaced among those that show the most markers (NaN if not visible)."""
     count = (~np.isnan(markers[..., 0])).sum(1)
     enough = np.flatnonzero(count >= CANDIDATE_MARKER_SHARE * np.percentile(count, 90))
-    return enough[sample_evenly(len(enough), MAX_CANDIDATE_FRAMES)]
+    return enough[sample_evenly(len(enough), max_count)]
 
 
 def select_varied_poses(
@@ -265,12 +266,15 @@ class Calibrated(SubjectInTake):
     fit: CalibrationFit | None  # the calibration; None for a known subject
 
 
-def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject | None, previous: Calibrated | None) -> Calibrated:
+def calibrate_body(
+    detected: Detected, marker_set: MarkerSet, subject: Subject | None, previous: Calibrated | None, is_preview: bool = False
+) -> Calibrated:
     """Calibrate a subject from the inliers of a take.
 
     Args:
         subject: The subject if it is known: it is not calibrated.
         previous: The result of the round before. Its calibration goes on, unless labels were corrected since.
+        is_preview: Whether fewer frames are enough.
 
     Raises:
         TakeError: Where the markers do not allow a calibration.
@@ -288,7 +292,9 @@ def calibrate_body(detected: Detected, marker_set: MarkerSet, subject: Subject |
     body = restrict_body(load_cmu31_body(), set(visible.joints.tolist()))
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     goes_on = previous is not None and visible is marker_set and detected.label_faults == previous.detected.label_faults
-    fit = update_calibration(take, visible, body, prior, previous.fit if previous and goes_on else None)
+    few = take.markers[select_candidate_frames(take.markers, MAX_PREVIEW_FRAMES)] if is_preview else take.markers
+    sampled = replace(take.replace_markers(few), rate=take.rate * len(few) / take.frame_count)
+    fit = update_calibration(sampled, visible, body, prior, previous.fit if previous and goes_on else None)
     return Calibrated(fit.subject, fit.subject, columns, take, visible, detected, fit)
 
 
