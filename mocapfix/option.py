@@ -35,7 +35,6 @@ class Option:
         at_least: Lower limit, inclusive.
         at_most: Upper limit, inclusive.
         is_finite: Whether the value must be finite.
-        is_expert: Whether the option is hidden from the short help and the example job.
         is_file: Whether the value names a file, or something shipped.
         for_markers: Whether the option has no use for animations, and is refused for them.
         lab_default: The default with the purpose "lab", which differs from the usual one; None if it does not.
@@ -55,7 +54,6 @@ class Option:
     at_least: float | None = None
     at_most: float | None = None
     is_finite: bool = False
-    is_expert: bool = False
     is_file: bool = False
     for_markers: bool = False
     lab_default: Any = None

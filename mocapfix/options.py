@@ -132,19 +132,19 @@ class DetectOptions(StageOptions):
     )  # fmt: skip
     max_rounds: int = define_option(
         3, "--detect-max-rounds", "N", "repeat detection on the trajectories at most this many times",
-        job_key="detect.max_rounds", at_least=1, is_expert=True,
+        job_key="detect.max_rounds", at_least=1,
     )  # fmt: skip
     min_spike_m: float = define_option(
         0.02, "--detect-min-spike", "MM", "least distance of a spike from the marker's path",
-        job_key="detect.min_spike_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
+        job_key="detect.min_spike_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True,
     )  # fmt: skip
     max_spike_duration_s: float = define_option(
         0.05, "--detect-max-spike-duration", "SECONDS", "greatest duration of a spike",
-        job_key="detect.max_spike_duration_s", unit="s", above=0.0, is_finite=True, is_expert=True,
+        job_key="detect.max_spike_duration_s", unit="s", above=0.0, is_finite=True,
     )  # fmt: skip
     min_jitter_m: float = define_option(
         0.005, "--detect-min-jitter", "MM", "least amplitude of jitter",
-        job_key="detect.min_jitter_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
+        job_key="detect.min_jitter_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True,
     )  # fmt: skip
 
 
@@ -199,21 +199,21 @@ class SolveOptions(StageOptions):
     )  # fmt: skip
     max_solve_rounds: int = define_option(
         3, "--solve-max-rounds", "N", "solve the body at most this many times, with fault detection on it in between",
-        job_key="solve.max_rounds", at_least=1, is_expert=True,
+        job_key="solve.max_rounds", at_least=1,
     )  # fmt: skip
     marker_sd_m: float = define_option(
         0.010, "--solve-marker-sd", "MM", "standard deviation per axis of a marker without faults about its position on the body",
-        job_key="solve.marker_sd_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
+        job_key="solve.marker_sd_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True,
     )  # fmt: skip
     robust_scales_m: tuple[float, ...] = define_option(
         (0.1, 0.05), "--solve-robust-scales", "MM,...",
         "Geman-McClure scales, used in turn: markers farther from the body than the last one get little weight",
-        job_key="solve.robust_scales_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
+        job_key="solve.robust_scales_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True,
     )  # fmt: skip
     limit_sd_rad: float = define_option(
         0.1, "--solve-limit-sd", "RAD",
         "standard deviation of a rotation beyond its joint limits in a pose that lasts 1 s (times sqrt(rate) in one frame)",
-        job_key="solve.limit_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
+        job_key="solve.limit_sd_rad", unit="rad", above=0.0, is_finite=True,
     )  # fmt: skip
 
 

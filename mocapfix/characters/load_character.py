@@ -137,21 +137,16 @@ def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Charac
 YAML_SUFFIXES = (".yaml", ".yml")
 
 
-def read_character(path: str | Path) -> Character:
-    """Read a character: glTF 2.0 (.glb, .gltf), VRM 0.x and 1.0 (.vrm), FBX, BVH, or YAML of the form of the presets.
+def read_character_skeletons(path: str | Path) -> list[Character]:
+    """Read the skeletons of a character, the one with the most joints first.
 
-    A VRM or YAML gives the bones of the segments of the body. The mapping of another file is empty. Of several skeletons in a
-    glTF the one with the most joints is read.
+    The file is glTF 2.0 (.glb, .gltf), VRM 0.x and 1.0 (.vrm), FBX, BVH, or YAML of the form of the presets. A VRM or YAML gives
+    the bones of the segments of the body. The mapping of another file is empty.
 
     Raises:
         ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file.
         SceneError: If a YAML file is invalid. The message names the file and the key.
     """
-    return read_character_skeletons(path)[0]
-
-
-def read_character_skeletons(path: str | Path) -> list[Character]:
-    """Read all skeletons of a character's file, the one with the most joints first. Raises as `read_character` does."""
     path = Path(path)
     data = read_file_bytes(path)
     if is_bvh(extract_head(data)):

@@ -14,11 +14,11 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack, redirect_stderr, suppress
 from functools import partial, wraps
-from importlib import import_module
 from io import StringIO
 from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.markup import escape
@@ -163,23 +163,23 @@ DEBUG_FLAG = "--debug"
 
 # The commands, with the module and the function of each: one command needs not those of the others.
 COMMANDS = {
-    "demo": "cli.app.run_demo",
-    "inspect": "cli.clean.run_inspect",
-    "label": "cli.marker_sets.run_label",
-    "calibrate": "cli.marker_sets.run_calibrate",
-    "clean": "cli.clean.run_clean",
-    "batch": "cli.batch.run_batch",
-    "view": "cli.app.run_view",
-    "review": "cli.app.run_review",
-    "status": "cli.app.run_status",
-    "run": "cli.clean.run_scene",
+    "demo": "mocapfix.cli.app.run_demo",
+    "inspect": "mocapfix.cli.clean.run_inspect",
+    "label": "mocapfix.cli.marker_sets.run_label",
+    "calibrate": "mocapfix.cli.marker_sets.run_calibrate",
+    "clean": "mocapfix.cli.clean.run_clean",
+    "batch": "mocapfix.cli.batch.run_batch",
+    "view": "mocapfix.cli.app.run_view",
+    "review": "mocapfix.cli.app.run_review",
+    "status": "mocapfix.cli.app.run_status",
+    "run": "mocapfix.cli.clean.run_scene",
 }
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
 # The groups of commands, with their help and their table. Only their own commands need the modules of `lab`.
 COMMAND_GROUPS = {
-    "marker-set": ("List and show marker sets, and learn new ones from takes.", "cli.marker_sets.MARKER_SET_COMMANDS"),
-    "bench": ("Measure mocapfix against known truth.", "lab.command.BENCH_COMMANDS"),
-    "train": ("Train the pose priors and the twist model on motion.", "lab.train_command.TRAIN_COMMANDS"),
+    "marker-set": ("List and show marker sets, and learn new ones from takes.", "mocapfix.cli.marker_sets.MARKER_SET_COMMANDS"),
+    "bench": ("Measure mocapfix against known truth.", "mocapfix.lab.command.BENCH_COMMANDS"),
+    "train": ("Train the pose priors and the twist model on motion.", "mocapfix.lab.train_command.TRAIN_COMMANDS"),
 }
 
 
@@ -236,17 +236,11 @@ def run_command(arguments: list[str]) -> int:
     return console.EXIT_FAILED
 
 
-def import_attribute(path: str) -> Any:
-    """Return a function or a table of this package."""
-    module, _, name = path.rpartition(".")
-    return getattr(import_module(f"mocapfix.{module}"), name)
-
-
 def parse_command(name: str = "", *arguments: str) -> Callable[[], int] | None:
     """Return the call of a command with its arguments; None for help and wrong usage, which the parser of all commands shows."""
     if name not in COMMANDS:
         return None
-    command = import_attribute(COMMANDS[name])
+    command = resolve_name(COMMANDS[name])
     deferred = wraps(command)(lambda *values, **named_values: partial(command, *values, **named_values))
     with redirect_stderr(StringIO()), suppress(SystemExit):
         return tyro.cli(deferred, args=arguments, console_outputs=False)
@@ -256,11 +250,11 @@ def parse_all_commands(arguments: list[str]) -> int:
     """Run a command by the parser that knows all of them: it prints help, and which of them an argument is for."""
     app = tyro.extras.SubcommandApp()
     for name, function in COMMANDS.items():
-        app.command(name=name)(import_attribute(function))
+        app.command(name=name)(resolve_name(function))
     for group_name, (help_text, table) in COMMAND_GROUPS.items():
         group = tyro.extras.SubcommandApp()
-        if not table.startswith("lab") or arguments[:1] == [group_name]:
-            for name, command in import_attribute(table).items():
+        if not table.startswith("mocapfix.lab") or arguments[:1] == [group_name]:
+            for name, command in resolve_name(table).items():
                 group.command(name=name)(command)
         app.command(group, name=group_name, help=help_text)
     return app.cli(

@@ -11,16 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.gap_windows import MIN_FILL_SD_M, FillMethod, Gap, GapEstimate, MarkersInTake
-from mocapfix.stats.rigid_alignment import (
-    MIN_ALIGNMENT_MARKERS,
-    CommonShape,
-    align_to_shape,
-    compute_lengths,
-    compute_rotation_vectors,
-    compute_shortest_rotations,
-    fit_common_shape,
-    scale_rotations,
-)
+from mocapfix.stats import rigid_alignment
 from mocapfix.stats.sequences import sample_evenly
 
 MAX_SHAPE_FRAMES = 600  # evenly spread frames in which the shape of a group is measured
@@ -74,7 +65,7 @@ class _GroupShape:
         self.markers = markers
         self.shape, self.marker_sd = measure_group_shape(markers)
         self.is_used = ~np.isnan(markers[..., 0]) & np.isfinite(self.marker_sd)
-        rotation, origin, is_known = align_to_shape(markers, self.is_used, self.shape)
+        rotation, origin, is_known = rigid_alignment.align_to_shape(markers, self.is_used, self.shape)
         patterns, rows = np.unique(self.is_used, axis=0, return_inverse=True)
         members = np.flatnonzero(np.isfinite(self.marker_sd))
         is_determined = np.array([np.isfinite(self._compute_pose_sd(each, members)).all() for each in patterns], bool)
@@ -100,7 +91,7 @@ class _GroupShape:
             return position, sd
         is_used = is_used.copy()
         is_used[:, member] = False
-        rotation, origin, _ = align_to_shape(self.markers[frames], is_used, self.shape)
+        rotation, origin, _ = rigid_alignment.align_to_shape(self.markers[frames], is_used, self.shape)
         patterns, rows = np.unique(is_used, axis=0, return_inverse=True)
         for p, pattern in enumerate(patterns):
             n = np.flatnonzero(rows.ravel() == p)
@@ -141,15 +132,16 @@ class _GroupShape:
         return markers[:, pair].mean(1) + rotation @ arm, twist_sd * radius / np.sqrt(3)
 
 
-def measure_group_shape(markers: Float[np.ndarray, "T K 3"]) -> tuple[CommonShape, Float[np.ndarray, " K"]]:
+def measure_group_shape(markers: Float[np.ndarray, "T K 3"]) -> tuple[rigid_alignment.CommonShape, Float[np.ndarray, " K"]]:
     """Return the shape of a group and each marker's standard deviation per axis about it, NaN for a marker without a place."""
     is_visible = ~np.isnan(markers[..., 0])
     counts = is_visible.sum(1)
-    complete = np.flatnonzero(counts >= min(MIN_ALIGNMENT_MARKERS + 1, markers.shape[1]))
+    complete = np.flatnonzero(counts >= min(rigid_alignment.MIN_ALIGNMENT_MARKERS + 1, markers.shape[1]))
     frames = complete[sample_evenly(len(complete), MAX_SHAPE_FRAMES)]
     if len(frames) < MIN_SHAPE_FRAMES:
-        return CommonShape(np.full(markers.shape[1:], np.nan), np.ones(markers.shape[1])), np.full(markers.shape[1], np.nan)
-    shape = fit_common_shape(markers[frames])
+        unknown = np.full(markers.shape[1:], np.nan)
+        return rigid_alignment.CommonShape(unknown, np.ones(len(unknown))), unknown[:, 0]
+    shape = rigid_alignment.fit_common_shape(markers[frames])
     count = is_visible[frames].sum(0)
     coordinates = 3 * counts[frames].mean()
     freedom = coordinates / (coordinates - 6)  # of which six determine the pose
@@ -167,7 +159,7 @@ def compute_group_pose_sd(
 
     It is infinite if these do not determine a pose: fewer than three, or all on one line.
     """
-    if is_used.sum() < MIN_ALIGNMENT_MARKERS:
+    if is_used.sum() < rigid_alignment.MIN_ALIGNMENT_MARKERS:
         return np.full(len(missing), np.inf)
     centre = positions[is_used].mean(0)
     design = np.concatenate(
@@ -196,8 +188,8 @@ def turn_about_line(
     seen: Float[np.ndarray, "N 3"],
 ) -> Float[np.ndarray, "N 3 3"]:
     """Return rotations at a share of the way from first to last, turned the shortest way that directs `line` along `seen`."""
-    turned = scale_rotations(last @ first.swapaxes(1, 2), share[:, None]) @ first
-    return compute_shortest_rotations(turned @ line, seen) @ turned
+    turned = rigid_alignment.scale_rotations(last @ first.swapaxes(1, 2), share[:, None]) @ first
+    return rigid_alignment.compute_shortest_rotations(turned @ line, seen) @ turned
 
 
 class TwistError(NamedTuple):
@@ -219,7 +211,7 @@ def measure_twist_error(poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_o
             break
         true, last = poses.rotation[frames], poses.rotation[frames - lag if is_one_sided else frames + lag]
         turned = turn_about_line(poses.rotation[frames - lag], last, np.full(len(frames), 0.5), line, true @ line)
-        angle = compute_lengths(compute_rotation_vectors(np.swapaxes(true, 1, 2) @ turned))
+        angle = rigid_alignment.compute_lengths(rigid_alignment.compute_rotation_vectors(np.swapaxes(true, 1, 2) @ turned))
         lags.append(float(lag))
         errors.append(float(np.sqrt((angle**2).mean())))
     if len(lags) == 1:

@@ -16,7 +16,7 @@ import pytest
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
 from mocapfix.characters.character_files import write_character_bvh, write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, write_fbx
-from mocapfix.characters.load_character import load_character_preset, read_character
+from mocapfix.characters.load_character import load_character_preset, read_character_skeletons
 from mocapfix.characters.root_motion import carry_path, prepare_root_bone
 from mocapfix.io.gltf import GlbContent, GltfBuffer, add_animation, build_glb, parse_glb
 from mocapfix.options import CHARACTER_PRESETS, ROOT_BONE
@@ -85,7 +85,7 @@ def load(name: str, folder: Path) -> Character:
     if name == "figure":
         return build_figure_character()
     (folder / f"{name}.source").write_bytes(USER_FILES[name]())
-    character = read_character(folder / f"{name}.source")
+    character = read_character_skeletons(folder / f"{name}.source")[0]
     return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 

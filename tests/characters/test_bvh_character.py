@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from mocapfix.characters.load_character import read_character
+from mocapfix.characters.load_character import read_character_skeletons
 from mocapfix.errors import ReadError
 from mocapfix.io.bvh import write_bvh
 from mocapfix.model.motion import Motion
@@ -17,7 +17,7 @@ def motion() -> Motion:
 
 def test_the_rest_pose_is_that_of_the_offsets(tmp_path, motion):
     write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
-    character = read_character(tmp_path / "walk.bvh")
+    character = read_character_skeletons(tmp_path / "walk.bvh")[0]
     assert set(character.skeleton.names) == set(SKELETON.names)
     positions, rotations = character.skeleton.compute_rest_pose()
     expected = SKELETON.rest_positions - SKELETON.rest_positions[0]
@@ -70,7 +70,7 @@ Frame Time: 0.01
 
 def test_a_file_with_z_up_stands_with_y_up(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP, encoding="utf-8")
-    character = read_character(tmp_path / "figure.bvh")
+    character = read_character_skeletons(tmp_path / "figure.bvh")[0]
     positions, rotations = character.skeleton.compute_rest_pose()
     np.testing.assert_allclose(positions, [[0, 0.9, 0], [0.02, 1.5, 0], [0, 0.1, 0.1]], atol=1e-9)
     foot = character.skeleton.find_joint("Foot")
@@ -80,18 +80,18 @@ def test_a_file_with_z_up_stands_with_y_up(tmp_path):
 
 def test_repeated_names_become_unique(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"), encoding="utf-8")
-    assert read_character(tmp_path / "figure.bvh").skeleton.names == ("Hips", "Head", "Head#2")
+    assert read_character_skeletons(tmp_path / "figure.bvh")[0].skeleton.names == ("Hips", "Head", "Head#2")
 
 
 def test_a_damaged_file_is_refused(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP.replace("MOTION", "MOTI"), encoding="utf-8")
     with pytest.raises(ReadError, match=r"figure\.bvh"):
-        read_character(tmp_path / "figure.bvh")
+        read_character_skeletons(tmp_path / "figure.bvh")[0]
 
 
 def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
     write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
-    plain = read_character(tmp_path / "walk.bvh")
+    plain = read_character_skeletons(tmp_path / "walk.bvh")[0]
     text = (tmp_path / "walk.bvh").read_text(encoding="utf-8")
     knee = text.index("JOINT LeftLeg")
     offset = re.search(r"OFFSET (.*)\n", text[knee:])
@@ -104,6 +104,6 @@ def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
     rows = [" ".join([*row.split()[:column], offset[1], *row.split()[column:]]) for row in rows]
     lines = [(text[:knee] + changed).partition("Frame Time")[0] + "Frame Time" + header, *rows]
     (tmp_path / "positions.bvh").write_text("\n".join(lines), encoding="utf-8")
-    found = read_character(tmp_path / "positions.bvh")
+    found = read_character_skeletons(tmp_path / "positions.bvh")[0]
     np.testing.assert_allclose(found.skeleton.offsets, plain.skeleton.offsets, atol=1e-9)
     np.testing.assert_allclose(found.skeleton.ends, plain.skeleton.ends, atol=1e-9)

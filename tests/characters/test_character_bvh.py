@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.character_files import write_character_bvh
-from mocapfix.characters.load_character import read_character
+from mocapfix.characters.load_character import read_character_skeletons
 from mocapfix.errors import WriteError
 from mocapfix.model.skeleton import Skeleton
 from tests.characters.character_files import (
@@ -23,7 +23,7 @@ from tests.io.read_back import Bvh
 
 def read_figure(folder, data, name="figure.glb"):
     (folder / name).write_bytes(data)
-    character = read_character(folder / name)
+    character = read_character_skeletons(folder / name)[0]
     return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 
@@ -85,7 +85,7 @@ def test_in_the_rest_pose_all_angles_are_zero_and_offsets_are_the_figure(tmp_pat
     motion.pelvis_position[:] = character.skeleton.offsets[pelvis]
     bvh = write(tmp_path, character, motion)
     np.testing.assert_allclose(bvh.rows[:, 3:], 0, atol=1e-5)
-    read = read_character(tmp_path / "out.bvh")
+    read = read_character_skeletons(tmp_path / "out.bvh")[0]
     rest = read.skeleton.compute_rest_pose()[0]
     pelvis_shift = FIGURE.heads[0]  # the position of the root is in its channels
     ours = character.skeleton.compute_rest_pose()[0]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.character_files import write_character_glb, write_clips
-from mocapfix.characters.load_character import load_character_preset, read_character
+from mocapfix.characters.load_character import load_character_preset, read_character_skeletons
 from mocapfix.errors import WriteError
 from mocapfix.io.gltf import write_gltf
 from mocapfix.options import CHARACTER_PRESETS
@@ -51,7 +51,7 @@ const fs = require("fs");
 
 def read_figure(folder, data=GLB, name="figure.glb"):
     (folder / name).write_bytes(data)
-    character = read_character(folder / name)
+    character = read_character_skeletons(folder / name)[0]
     return character if character.mapping.bones else replace(character, mapping=map_figure(character.skeleton.names))
 
 
@@ -151,7 +151,7 @@ def test_side_files_become_one_glb(tmp_path):
     (tmp_path / "side.bin").write_bytes(split_glb(GLB)[1])
     document["buffers"][0]["uri"] = "side.bin"
     (tmp_path / "figure.gltf").write_text(json.dumps(document), encoding="utf-8")
-    character = read_character(tmp_path / "figure.gltf")
+    character = read_character_skeletons(tmp_path / "figure.gltf")[0]
     character = replace(character, mapping=map_figure(character.skeleton.names))
     (tmp_path / "side.bin").unlink()
     motion = build_motion(character)

@@ -13,7 +13,7 @@ from mocapfix.characters import fbx
 from mocapfix.characters.character_files import write_character_glb
 from mocapfix.characters.fbx import BLENDER_VARIABLE, find_blender, write_fbx
 from mocapfix.characters.fbx_export import find_difference, keep_rotations_exact, split_rate
-from mocapfix.characters.load_character import read_character
+from mocapfix.characters.load_character import read_character_skeletons
 from mocapfix.errors import ReadError, WriteError
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion
 
@@ -119,7 +119,7 @@ def test_an_fbx_is_read_as_the_glb_to_which_blender_converts_it(tmp_path, monkey
     text = "import sys, shutil; source, target = sys.argv[-2:]; assert source.endswith('hero.fbx'); "
     text += f"shutil.copy({str(tmp_path / 'figure.glb')!r}, target)"
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(tmp_path / "blender", text)))
-    character = read_character(tmp_path / "hero.fbx")
+    character = read_character_skeletons(tmp_path / "hero.fbx")[0]
     assert character.name == "hero"
     assert character.source is not None
     assert character.source.data == build_mixamo_glb()
@@ -130,13 +130,13 @@ def test_an_fbx_is_read_as_the_glb_to_which_blender_converts_it(tmp_path, monkey
     with pytest.raises(
         ReadError, match=r"hero\.fbx: cannot be read: Blender failed \(Error: version 6100\); export the character"
     ):
-        read_character(tmp_path / "hero.fbx")
+        read_character_skeletons(tmp_path / "hero.fbx")[0]
     monkeypatch.delenv(BLENDER_VARIABLE)
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
     with pytest.raises(
         ReadError, match=r"hero\.fbx: an FBX is read by Blender, and it was not found; install it, set MOCAPFIX_BL"
     ):
-        read_character(tmp_path / "hero.fbx")
+        read_character_skeletons(tmp_path / "hero.fbx")[0]
 
 
 @pytest.mark.parametrize("pitch_deg", [89.99, -89.999, 30.0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.load_character import read_character, read_character_skeletons
+from mocapfix.characters.load_character import read_character_skeletons
 from mocapfix.errors import ReadError
 from mocapfix.io.gltf import parse_glb
 from tests.characters.character_files import (
@@ -28,7 +28,7 @@ COUNT = len(FIGURE.names)
 
 def read(folder, data, name="figure.glb"):
     (folder / name).write_bytes(data)
-    return read_character(folder / name)
+    return read_character_skeletons(folder / name)[0]
 
 
 def check_rest_pose(character, names):
@@ -244,7 +244,7 @@ def test_side_files_are_packed_without_a_change_of_their_bytes(tmp_path):
     document["bufferViews"].append({"buffer": 1, "byteLength": 5})
     document["images"] = [{"uri": "skin.png"}, {"uri": "missing.png"}]
     (tmp_path / "figure.gltf").write_text(json.dumps(document), encoding="utf-8")
-    character = read_character(tmp_path / "figure.gltf")
+    character = read_character_skeletons(tmp_path / "figure.gltf")[0]
     check_rest_pose(character, [f"{PREFIX}{name}" for name in FIGURE.names])
     assert character.source is not None
     packed, data = json.loads(split_glb(character.source.data)[0]), split_glb(character.source.data)[1]
@@ -340,7 +340,7 @@ def test_bones_that_cannot_be_are_refused(tmp_path, edit, problem):
 
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(ReadError, match="no such file"):
-        read_character(tmp_path / "nothing.glb")
+        read_character_skeletons(tmp_path / "nothing.glb")[0]
 
 
 def test_few_nodes_without_skin_are_refused(tmp_path):

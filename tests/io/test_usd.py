@@ -10,7 +10,7 @@ import pytest
 
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.character_files import write_character_glb
-from mocapfix.characters.load_character import load_character_preset, read_character
+from mocapfix.characters.load_character import load_character_preset, read_character_skeletons
 from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
 from mocapfix.io.usd import write_usd
@@ -24,7 +24,7 @@ def build_character(name, folder):
     if name != "user":
         return load_character_preset(name)
     (folder / "user.glb").write_bytes(build_mixamo_glb())
-    character = read_character(folder / "user.glb")
+    character = read_character_skeletons(folder / "user.glb")[0]
     return replace(character, mapping=map_figure(character.skeleton.names))
 
 
