@@ -133,11 +133,9 @@ def build_leg_markers(
     joints = [subject.skeleton.names.index(joint) for thigh_and_shin in LEG_SEGMENTS for joint in thigh_and_shin]
     columns = np.flatnonzero(np.isin(subject.joints, joints))
     residual = markers[:, columns] - body_markers[:, columns]
-    visible = ~np.isnan(residual[..., 0])
-    weight = scipy.ndimage.gaussian_filter1d(visible.astype(float), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest")
-    total = scipy.ndimage.gaussian_filter1d(
-        np.where(visible[..., None], residual, 0.0), SHARE_SMOOTHING_S * rate, axis=0, mode="nearest"
-    )
+    visible, sd = ~np.isnan(residual[..., 0]), SHARE_SMOOTHING_S * rate
+    weight = scipy.ndimage.gaussian_filter1d(visible.astype(float), sd, axis=0, mode="nearest")
+    total = scipy.ndimage.gaussian_filter1d(np.where(visible[..., None], residual, 0.0), sd, axis=0, mode="nearest")
     position = body_markers[:, columns] + total / np.maximum(weight, MIN_KERNEL_WEIGHT)[..., None]
     share = np.stack([smooth_share(each.astype(float), rate) for each in visible.T], axis=1) if len(columns) else weight
     return LegMarkers(subject.joints[columns], subject.marker_offsets[columns], position, share)
