@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from typing import Annotated
 
 import pytest
 import tyro
@@ -136,9 +137,8 @@ def test_stages_that_are_built_keep_their_values_with_a_purpose():
 
 def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
     """Return the options that the command line reads from arguments."""
-    group = build_options_argument(STAGES)
 
-    def read(options: group) -> CleanOptions:  # pyright: ignore[reportInvalidTypeForm]
+    def read(options: Annotated[object, build_options_argument(STAGES)]) -> CleanOptions:
         return parse_options(options)
 
     return tyro.cli(read, args=arguments)
