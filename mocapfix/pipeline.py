@@ -4,13 +4,15 @@
 feet, fill, apply decisions. Each stage takes values and returns a value of its own type. Animations: `mocapfix.animations`.
 """
 
+import gc
+import tempfile
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from operator import call
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
@@ -24,17 +26,34 @@ from mocapfix.labels.multi_subject import split_corrected_subjects
 from mocapfix.labels.requested_labels import describe_missing_labels, label_capture
 from mocapfix.model.animation import Animation
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
+from mocapfix.model.changes import Filled
 from mocapfix.model.detected import Detected
-from mocapfix.model.faults import FaultReview
+from mocapfix.model.faults import FaultReview, Faults
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.stage_timer import ProgressCallback, StageTimer
+from mocapfix.model.stage_timer import PartTime, ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
+from mocapfix.model.windows import (
+    ARRAY_FOLDER,
+    MAX_PIECE_FRAMES,
+    MAX_WINDOWS_AT_ONCE,
+    Value,
+    Window,
+    build_survey,
+    crop_intervals,
+    extract_window,
+    is_stored,
+    map_arrays,
+    plan_windows,
+    select_frames,
+    select_marker_places,
+    write_rows,
+)
 from mocapfix.options import FEET_OFF, CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
-from mocapfix.report.notes import describe_computed_points, describe_up_axis
+from mocapfix.report.notes import SolvedBody, build_solved_body, describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
-from mocapfix.result import CleaningResult, merge_results
+from mocapfix.result import CleanedSubject, CleaningResult, join_windows, merge_results
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.solve.initial_motion import initialise_body, initialise_preview
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
@@ -72,7 +91,7 @@ def clean(
     options = options.change(**changed_options)
     timer = StageTimer(report_progress=progress)
     with timer("read"):
-        capture = read_capture(path, options.read)
+        capture = read_capture(path, options.read, has_windows=True)
     return clean_capture(capture, options, timer)
 
 
@@ -87,6 +106,8 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     reject_animation_options(capture, options)
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
+    if capture.frame_count > MAX_PIECE_FRAMES and (len(set(capture.labels)) < len(capture.labels) or not is_stored(capture)):
+        capture = select_frames(replace(capture, notes=(*capture.notes, ONE_PIECE_NOTE)), slice(0, None))
     check_take_options(capture, options)
     if options.initialise.is_fast:
         options = options.change(max_rounds=1, feet=FEET_OFF)
@@ -148,7 +169,7 @@ def clean_subjects(
             progress = timer.report_progress if len(takes) == 1 else None
             own_timer = StageTimer(dict(timer.stage_seconds), progress, dict(timer.part_times))
             calls.append(partial(clean_subject, take, reviews[index], options, own_timer))
-        for result in map_in_threads(call, calls, is_shared=True):
+        for result in map(call, calls) if is_stored(takes[0]) else map_in_threads(call, calls, is_shared=True):
             results.append(result)
             if timer.report_progress and len(takes) > 1:
                 timer.report_progress(f"{len(results)} of {len(takes)} subjects")
@@ -160,12 +181,38 @@ def clean_subjects(
 
 def clean_subject(take: Take, review: Review, options: CleanOptions, timer: StageTimer) -> CleaningResult:
     """Run all stages on the take of one subject. Raises TakeError if the take contradicts its body as a whole."""
-    choice = identify_subject(take, options.subject)
+    cleaned = clean_windows(take, review, options, timer) if is_stored(take) else None
+    if cleaned is None:
+        cleaned = run_stages(take, identify_subject(take, options.subject), review, options, timer)
+    (choice, body, decided), detected = cleaned, cleaned.decided.detected
+    return CleaningResult(
+        input_take=take,
+        relabelled_take=detected.take,
+        take=decided.take,
+        faults=detected.faults,
+        changes=decided.changes,
+        unfilled_runs=decided.unfilled_runs,
+        fragment_donors=detected.donor_markers,
+        subject=body.subject if body else None,
+        motion=body.motion if body else None,
+        joint_position_world=body.joint_positions if body else None,
+        contacts=body.contacts if body else None,
+        residual_m=body.residual_m if body else None,
+        report=build_report(take, choice, body, decided, options, timer),
+        review=review,
+    )
+
+
+def run_stages(
+    take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer, kept: slice | None = None
+) -> CleanedSubject:
+    """Run all stages on the take of one subject, or on a part of a long take, of which the frames `kept` are returned."""
     conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
     choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
-    check_contradictions(detected, body, options)
+    if take.part is None:
+        check_contradictions(detected, body, options)
     standing, marker_set = None, choice.marker_set
     if body:
         with timer("solve", "limbs and feet"):
@@ -176,25 +223,76 @@ def clean_subject(take: Take, review: Review, options: CleanOptions, timer: Stag
         body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
         filled = fill_gaps(detected, body, props, review.corrections, options.fill)
+        solved = build_solved_body(detected, standing) if standing else None
+        if kept is not None:
+            filled, solved = crop_stages(take, filled, solved, kept)
+            take, review = select_frames(take, kept), review.select_frames(kept)
         is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
         decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
         decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
-    return CleaningResult(
-        input_take=take,
-        relabelled_take=detected.take,
-        take=decided.take,
-        faults=detected.faults,
-        changes=decided.changes,
-        unfilled_runs=decided.unfilled_runs,
-        fragment_donors=detected.donor_markers,
-        subject=standing.fit.subject if standing else None,
-        motion=standing.fit.motion if standing else None,
-        joint_position_world=standing.fit.solved_joint_positions if standing else None,
-        contacts=standing.contacts if standing else None,
-        residual_m=detected.measure_residuals(standing.fit) if standing else None,
-        report=build_report(take, choice, standing, decided, options, timer),
-        review=review,
-    )
+    return CleanedSubject(choice, solved, decided)
+
+
+def crop_stages(take: Take, filled: Filled, body: SolvedBody | None, frames: slice) -> tuple[Filled, SolvedBody | None]:
+    """Return some frames of what the stages found in a window."""
+
+    def crop(value: Value) -> Value:
+        return map_arrays(value, take.frame_count, lambda _, array: array[frames])
+
+    faults = Faults(tuple(crop_intervals(filled.detected.sample_faults.items, frames)))
+    labels, filled = tuple(crop_intervals(filled.detected.label_faults, frames)), crop(filled)
+    if body:
+        contacts = body.contacts.move_events(-frames.start / take.rate, (frames.stop - frames.start) / take.rate)
+        parts = tuple(part for part in map(crop, body.lost_parts) if part.frame_count)
+        body = crop(replace(body, contacts=contacts, lost_parts=parts))
+    return replace(filled, detected=replace(filled.detected, label_faults=labels, sample_faults=faults)), body
+
+
+ONE_PIECE_NOTE = "Cleaned in one piece, which takes much memory for so long a take: it had no labels, or has some of them twice."
+WindowResult: TypeAlias = tuple[CleanedSubject, dict[str, PartTime]]
+
+
+def clean_windows(take: Take, review: Review, options: CleanOptions, timer: StageTimer) -> CleanedSubject:
+    """Clean a long take of one subject window by window, two at a time, with labels, marker set and body of the whole take."""
+    windows, folder = plan_windows(take.visible, take.rate), tempfile.TemporaryDirectory(**ARRAY_FOLDER)
+    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
+    with timer("survey"):
+        survey, frames = build_survey(take)
+        choice = identify_subject(survey, options.subject)
+        choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, conditioner, StageTimer())
+        check_contradictions(detected, body, options)
+    note = f"Cleaned in {len(windows)} windows, which overlap, with the body in {len(frames) / take.rate:.0f} s of the take."
+    choice, jobs = replace(choice, notes=(*choice.notes, note), is_learned=False), list[partial[WindowResult]]()
+    for window in windows:
+        subject = body and select_marker_places(detected, body, int((frames >= window.first).argmax()))
+        own, known = review.select_frames(slice(window.first, window.stop)), replace(choice, subject=subject)
+        jobs.append(partial(clean_window, window, replace(take), known, own, options, Path(folder.name)))
+    parts: list[CleanedSubject] = []
+    with timer("windows"):
+        for cleaned, times in map_in_threads(call, jobs, is_shared=True, most=MAX_WINDOWS_AT_ONCE):
+            parts.append(cleaned)
+            timer.add_part_times("windows", times)
+            if timer.report_progress:
+                timer.report_progress(f"window {len(parts)} of {len(windows)}")
+    with timer("join"):
+        joined = join_windows(take, review, list(zip(windows, parts, strict=True)), folder)
+        return CleanedSubject(choice, joined.body and body and replace(joined.body, subject=body.subject), joined.decided)
+
+
+@limit_blas_threads
+def clean_window(
+    window: Window, whole: Take, choice: SubjectChoice, review: Review, options: CleanOptions, folder: Path
+) -> WindowResult:
+    """Run all stages on a window. Arrays are written into a folder: the result has 0 frames."""
+    gc.collect()  # what earlier windows left: commands do without the collector, which takes a tenth of the time of a short take
+    take, timer, kept = extract_window(whole, window), StageTimer(), slice(window.start - window.first, window.end - window.first)
+    choice, body, decided = run_stages(take, choice, review, options, timer, kept)
+    relabelled = decided.detected.take
+    relabelled = replace(relabelled, relabelled_points=relabelled.source_points)  # in all windows, if labels change in one
+    decided = replace(decided, detected=replace(decided.detected, take=relabelled))
+    body = body and replace(body, contacts=body.contacts.add_other_joints())
+    cleaned, count = CleanedSubject(choice, body, decided), window.end - window.start
+    return map_arrays(cleaned, count, lambda path, array: write_rows(folder / path, window.start, array)), timer.part_times
 
 
 class FittedTake(NamedTuple):
@@ -218,7 +316,8 @@ def detect_and_fit(
     """
     with timer("detect", "trajectories"):
         detected = detect_on_trajectories(take, choice.marker_set, choice.subject, review, options)
-    check_visible_markers(detected)
+    if take.part is None:
+        check_visible_markers(detected)
     if choice.marker_set is None:
         return FittedTake(choice, detected, None)
     calibrated, body = fit_body(detected, choice.marker_set, choice.subject, None, options, conditioner, timer)

@@ -6,29 +6,34 @@ several subjects.
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, HeldFeet, estimate_floor
 from mocapfix.contacts.plate_contacts import is_file_event_wrong
+from mocapfix.detect.gaps import detect_gaps, detect_lost_segments
 from mocapfix.errors import WriteError
 from mocapfix.io.c3d_events import add_c3d_events
 from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.io.resampling import is_frame_subset
 from mocapfix.labels.subject_exchanges import SubjectExchanges
-from mocapfix.model.changes import Change, UnfilledRun, serialize_changes
-from mocapfix.model.faults import Fault, Faults, Fragment
+from mocapfix.model.changes import Change, Decided, UnfilledRun, serialize_changes
+from mocapfix.model.detected import find_namesakes
+from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment
 from mocapfix.model.motion import Motion
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take
-from mocapfix.options import CleanOptions, OutputOptions, format_arguments
+from mocapfix.model.windows import Window, crop_intervals, join_at_cuts, map_arrays, open_array
+from mocapfix.options import FEET_OFF, CleanOptions, OutputOptions, format_arguments
 from mocapfix.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
@@ -41,10 +46,13 @@ from mocapfix.output_formats import (
     write_cleaned_copy,
 )
 from mocapfix.report.build_report import build_fill_section
+from mocapfix.report.notes import SolvedBody
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.terms import get_point_terms
+from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.solve.parallel import compute_beside, map_in_threads
+from mocapfix.subject.library import SubjectChoice
 
 
 def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
@@ -399,6 +407,114 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
         report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
         subject_results=subject_results,
     )
+
+
+class CleanedSubject(NamedTuple):
+    """What the stages return: the subject and marker set that were used, the body (None without a marker set), the take."""
+
+    choice: SubjectChoice
+    body: SolvedBody | None
+    decided: Decided
+
+
+def join_windows(
+    take: Take, review: Review, parts: Sequence[tuple[Window, CleanedSubject]], folder: TemporaryDirectory[str]
+) -> CleanedSubject:
+    """Return what was found in the windows of a long take, in order, as what was found in the take.
+
+    Args:
+        take: As it was read.
+        parts: What was found in each window, with 0 frames.
+        folder: The arrays of the whole take, in files with the names of their fields.
+    """
+    whole = map_arrays(parts[0][1], 0, lambda path, array: open_array(folder, path, array, take.frame_count))
+    cuts, count = {window.start for window, _ in parts[1:]}, take.frame_count
+
+    def gather(get: Callable[[Decided], Iterable[Any]]) -> list[Any]:
+        spans = ((get(each.decided), slice(-window.start, count - window.start)) for window, each in parts)
+        return [item for items, span in spans for item in crop_intervals(items, span)]
+
+    label_faults: list[Fault] = gather(lambda each: each.detected.label_faults)
+    relabelled = replace(whole.decided.detected.take, part=None) if label_faults else take
+    found: list[Fault] = gather(lambda each: each.detected.sample_faults.items)
+    donors, marker_set = find_namesakes(relabelled), whole.choice.marker_set
+    gaps = [fault for fault in detect_gaps(relabelled) if fault.marker not in donors]
+    if marker_set and any(fault.kind == "segment lost" for fault in found):
+        gaps += detect_lost_segments(relabelled, marker_set)
+    others = [fault for fault in found if fault.kind not in (*MISSING_KINDS, "segment lost")]
+    detected = replace(
+        whole.decided.detected,
+        take=relabelled,
+        label_faults=tuple(join_at_cuts(label_faults, cuts, _identify_fault)),
+        sample_faults=Faults().add_faults((*gaps, *join_at_cuts(others, cuts, _identify_fault))),
+        notes=tuple(dict.fromkeys(note for _, each in parts for note in each.decided.detected.notes)),
+    )
+    runs: list[UnfilledRun] = gather(lambda each: each.unfilled_runs)
+    joined_runs = sorted(join_at_cuts(runs, cuts, lambda run: (run.marker, run.reason)), key=lambda run: (run.marker, run.first))
+    decided = Decided(
+        detected=detected,
+        take=replace(whole.decided.take, part=None),
+        changes=_join_changes(take, review, [change for _, each in parts for change in each.decided.changes], gaps, cuts),
+        unfilled_runs=tuple(joined_runs),
+        rigid_groups=tuple({group.markers: group for _, each in parts for group in each.decided.rigid_groups}.values()),
+    )
+    bodies = [(window, each.body) for window, each in parts if each.body]
+    return CleanedSubject(whole.choice, whole.body and _join_bodies(take, bodies, whole.body), decided)
+
+
+def _join_changes(
+    take: Take, review: Review, changes: list[Change], gaps: Sequence[Fault], cuts: Collection[int]
+) -> tuple[Change, ...]:
+    """Return the changes of windows as those of the take, in the order of its markers; those of gaps are named by these."""
+    not_found = {each.to_change() for each in review.declined}
+    numbers = {take.get_frame_number(cut) for cut in cuts}
+    joined = join_at_cuts(
+        (each for each in changes if each not in not_found), numbers, lambda each: (each.kind, each.markers, each.decision)
+    )
+    reasons = {(take.get_label(gap.marker), take.get_frame_number(gap.first), gap.kind): gap.reason for gap in gaps}
+    joined = [replace(each, why=reasons.get((each.markers[0], each.first, each.kind), each.why)) for each in joined]
+    end = take.get_frame_number(take.frame_count - 1)
+    joined = [replace(each, last=end) if each.kind in SHIFT_KINDS else each for each in joined]
+    found = {(each.kind, each.markers[0]) for each in joined if each.decision != "accept"}
+    joined += [each for each in dict.fromkeys(changes) if each in not_found and (each.kind, each.markers[0]) not in found]
+    order = {label: m for m, label in reversed(list(enumerate(take.labels)))}
+    return tuple(sorted(joined, key=lambda each: (order.get(each.markers[0], len(order)), each.first)))
+
+
+def _join_bodies(take: Take, bodies: Sequence[tuple[Window, SolvedBody]], whole: SolvedBody) -> SolvedBody:
+    names, (count, marker_count) = whole.subject.skeleton.names, take.visible.shape
+    toes = [joint for joint in CONTACT_JOINTS if "Toe" in joint]
+    position = np.asarray(whole.joint_positions[:, [names.index(joint) for joint in toes]], float)
+    is_standing = whole.contacts.is_contact[:, [CONTACT_JOINTS.index(joint) for joint in toes]]
+    moved = [body.contacts.move_events(window.start / take.rate, count / take.rate) for window, body in bodies]
+    held = [each.held_feet for each in moved]
+    contacts = replace(
+        whole.contacts,
+        floor=estimate_floor(position, is_standing, take.rate),
+        events=tuple(event for each in moved for event in each.events),
+        event_disagreements=tuple(pair for each in moved for pair in each.event_disagreements),
+        held_feet=HeldFeet(
+            next((each.mode for each in held if each.mode != FEET_OFF), FEET_OFF),
+            max(each.largest_displacement_m for each in held),
+            sum(each.yielded_s for each in held),
+        ),
+    )
+    lost: dict[str, LostPart] = {}
+    for window, part in ((window, part) for window, body in bodies for part in body.lost_parts):
+        nothing = LostPart(part.name, np.zeros(count, bool), np.full(count, np.nan), np.zeros((count, marker_count), bool))
+        joined, frames = lost.setdefault(part.name, nothing), slice(window.start, window.end)
+        joined.frames[frames], joined.distance_m[frames], joined.markers[frames] = part.frames, part.distance_m, part.markers
+    return replace(
+        whole,
+        contacts=contacts,
+        lost_parts=tuple(lost.values()),
+        is_observed=np.any([body.is_observed for _, body in bodies], axis=0),
+        carried_markers=tuple(sorted({marker for _, body in bodies for marker in body.carried_markers})),
+    )
+
+
+def _identify_fault(fault: Fault) -> Hashable:
+    return fault.kind, fault.markers, fault.donor if isinstance(fault, Fragment) else -1
 
 
 def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " _"], Take]]) -> Take:

@@ -21,7 +21,6 @@ from mocapfix.errors import (
 from mocapfix.io.capture import read_capture
 from mocapfix.labels import multi_subject
 from mocapfix.labels.label_summary import describe_labelling
-from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.take import Take
 from mocapfix.options import SubjectOptions, build_clean_options, check_take_options
 from mocapfix.report import notes
@@ -84,14 +83,13 @@ def list_long_messages() -> dict[str, str]:
     take, residual_m = build_take(), np.full((FRAMES, MARKERS), 0.09)
     scattered = np.where(np.arange(FRAMES)[:, None] % 12 < 6, 0.15, 0.01) + np.zeros(MARKERS)
     part = LostPart("right lower leg", np.arange(FRAMES) % 2 == 0, np.full(FRAMES, 0.3), np.ones((FRAMES, MARKERS), bool))
-    epochs, columns = split_moved_markers(take, ()), np.arange(MARKERS)
     groups = [RigidGroupEntry(name=f"group {n}", markers=list(LABELS[:50]), spread_mm=1.0) for n in range(40)]
     several = replace(take, labels=tuple(f"Person{m % 40}:{m}" for m in range(MARKERS)))
     return {
-        "unassigned": " ".join(notes.describe_unassigned_markers(take, columns[:2])),
+        "unassigned": " ".join(notes.describe_unassigned_markers(take, (0, 1))),
         "misplaced": " ".join(notes.describe_stray_markers(take, residual_m)),
         "strays": " ".join(notes.describe_stray_markers(take, scattered)),
-        "lost part": notes.describe_lost_part(take, part, columns, epochs, np.ones((FRAMES, MARKERS), bool)),
+        "lost part": notes.describe_lost_part(take, part, np.ones((FRAMES, MARKERS), bool)),
         "groups": " ".join(notes.describe_rigid_groups(groups, has_body=True)),
         "uncertain": " ".join(notes.describe_uncertain_fills(take)),
         "no set": choose_marker_set(LABELS).reason,

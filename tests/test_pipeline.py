@@ -6,6 +6,7 @@ import re
 import warnings
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from mocapfix import pipeline
 from mocapfix.errors import OptionError, TakeError, WriteError
 from mocapfix.io import capture, changes_file
 from mocapfix.io.patches import patch_c3d
+from mocapfix.model import windows
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.option import FRAME_LIMIT
 from mocapfix.options import CleanOptions, FillOptions
@@ -552,3 +554,56 @@ def test_subject_before_another_separator_is_known_and_kept_in_the_file(brief, t
     assert {change.markers for change in result.changes} == {("Jim_RELB",), ("Jim_STRN",)}
     result.write(tmp_path / "out")
     assert capture.read_take(tmp_path / "out" / "jim.c3d").labels == tuple(f"Jim_{label}" for label in brief.labels)
+
+
+@pytest.fixture(scope="module")
+def windowed(cleaned, tmp_path_factory):
+    """Return the result of cleaning the take of `cleaned` in windows of 2 s, the output files, and the frames of the cuts."""
+    folder = tmp_path_factory.mktemp("windowed")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("OVERLAP_S", 1.0), ("MIN_SHOWN_S", 1.0), ("CUT_SEARCH_S", 0.3)):
+            patch.setattr(windows, name, value)
+        patch.setattr(capture, "MAX_PIECE_FRAMES", 300)
+        patch.setattr(pipeline, "plan_windows", partial(windows.plan_windows, window_frames=240))
+        result = pipeline.clean(cleaned.path)
+        plan = pipeline.plan_windows(result.input_take.visible, result.input_take.rate)
+        return result, result.write(folder), [window.start for window in plan[1:]]
+
+
+def test_a_take_in_windows_is_cleaned_as_in_one_piece(cleaned, windowed):
+    one, many = cleaned.result, windowed[0]
+    (note,) = [note for note in many.report["notes"] if note.startswith("Cleaned in 3 windows")]
+    assert "6 s of the take" in note
+    assert np.array_equal(one.take.visible, many.take.visible)
+    assert np.allclose(one.take.markers, many.take.markers, atol=0.02, equal_nan=True)
+    fills = one.take.sample_sd > 0
+    errors_mm = [1e3 * np.linalg.norm(each.take.markers - cleaned.truth.marker_positions, axis=-1)[fills] for each in (one, many)]
+    assert errors_mm[1].mean() < 1.1 * errors_mm[0].mean()
+    assert np.linalg.norm(one.joint_position_world - many.joint_position_world, axis=-1).mean() < 0.001
+    of_one, of_many = ([(each.id, each.samples, each.why) for each in result.changes] for result in (one, many))
+    assert of_many == of_one
+    for key in ("missing_before", "filled", "replaced", "relabelled", "left_empty"):
+        assert many.report["fill"][key] == one.report["fill"][key]
+    assert len(many.report["faults"]) == len(one.report["faults"])
+
+
+def test_motion_and_fills_go_on_over_the_cuts_of_windows(windowed):
+    result, _, cuts = windowed
+    assert len(cuts) == 2
+    for positions in (result.joint_position_world, np.where(result.take.visible[..., None], result.take.markers, 0.0)):
+        step = np.linalg.norm(np.diff(positions, 2, axis=0), axis=-1).max(1)
+        at_cuts = np.zeros(len(step), bool)
+        for cut in cuts:
+            at_cuts[cut - 3 : cut + 1] = True
+        assert step[at_cuts].max() < 1.5 * np.percentile(step[~at_cuts], 99)
+
+
+def test_the_files_of_a_take_in_windows_are_complete(cleaned, windowed):
+    result, files, _ = windowed
+    assert set(files) == OUTPUT_SUFFIXES
+    copy = capture.read_take(files["c3d"])
+    assert np.allclose(copy.markers, result.take.markers, atol=1e-5, equal_nan=True)
+    kept = ~find_changed_samples(cleaned.result.input_take, cleaned.result.take)
+    assert np.array_equal(copy.markers[kept], cleaned.result.input_take.markers[kept], equal_nan=True)
+    motion = capture.read_capture(files["bvh"])
+    assert motion.frame_count == copy.frame_count

@@ -140,7 +140,7 @@ def clean_takes(
                 with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
                     timer = StageTimer(report_progress=progress)
                     with timer("read"):
-                        capture = read_capture(take, options.read)
+                        capture = read_capture(take, options.read, has_windows=True)
                     from mocapfix import pipeline  # after a bad file is refused: this takes longer than reading it
                     from mocapfix.result import check_outputs_free
 

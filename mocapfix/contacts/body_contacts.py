@@ -10,6 +10,7 @@ that of the body, whose feet yield where visible markers contradict, and one wit
 filled.
 """
 
+import mmap
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -325,8 +326,11 @@ def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.nda
     """
     recorded, plates = (), []
     if isinstance(take.layout, C3dLayout) and take.path is not None:
-        data = take.labelled_file or take.path.read_bytes()
-        plates = read_force_plates(data, take.layout, take.rate)
+        with take.path.open("rb") as file:  # mapped: it may be larger than what is needed of it
+            data = take.labelled_file or mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        first_s = take.part.first / take.rate if take.part else 0.0
+        whole = read_force_plates(data, take.layout, take.rate)
+        plates = [each.select_interval(first_s, take.frame_count / take.rate) for each in whole]
         last_s = (take.frame_count - 1) / take.rate
         recorded = read_gait_events(data[: take.layout.data_start_byte], take.main_subject, (take.first_frame, take.rate), last_s)
     if not all(body.subject.solved_joints[body.subject.skeleton.names.index(joint)] for joint in CONTACT_JOINTS):

@@ -170,6 +170,25 @@ class BodyContacts:
         levels = tuple(level - height_m for level in self.floor.level_heights_m)
         return replace(self, floor=replace(self.floor, level_heights_m=levels)) if levels else self
 
+    def add_other_joints(self) -> "BodyContacts":
+        """Return the contacts of all joints that can be in contact, with none of those that were not looked for."""
+        others = OTHER_CONTACT_JOINTS if len(self.joints) == len(CONTACT_JOINTS) else ()
+        nothing = np.zeros((len(self.is_contact), len(others)), bool)
+        is_contact, is_known = np.hstack([self.is_contact, nothing]), np.hstack([self.is_known, ~nothing])
+        return replace(self, joints=(*self.joints, *others), is_contact=is_contact, is_known=is_known)
+
+    def move_events(self, delay_s: float, duration_s: float) -> "BodyContacts":
+        """Return the contacts with the events at a later time, those within a duration from the first frame on."""
+
+        def move(event: GaitEvent) -> GaitEvent:
+            return event._replace(time_s=event.time_s + delay_s)
+
+        half_s = 0.5 / self.rate
+        kept = [move(each) for each in self.events if -half_s <= each.time_s + delay_s < duration_s - half_s]
+        pairs = [EventDisagreement(move(each.event), move(each.other)) for each in self.event_disagreements]
+        pairs = [each for each in pairs if -half_s <= each.event.time_s < duration_s - half_s]
+        return replace(self, events=tuple(kept), event_disagreements=tuple(pairs))
+
     def list_intervals(self, joint: str) -> list[tuple[int, int]]:
         """Return the contacts of a joint as (first, last) frames."""
         return find_runs(self.is_contact[:, self.joints.index(joint)])

@@ -35,7 +35,7 @@ def detect_gaps(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
 
 def _build_gap_faults(take: Take, marker: int) -> list[Fault]:
     gaps = find_runs(~take.visible[:, marker])
-    kinds: list[FaultKind] = [_classify_gap(take, first, last) for first, last in gaps]
+    kinds: list[FaultKind] = [_classify_gap(take, marker, first, last) for first, last in gaps]
     label, flicker_count = take.bare_labels[marker], kinds.count("flicker")
     faults: list[Fault] = []
     for kind, (first, last), travel_m in zip(kinds, gaps, _measure_travel(take, [marker], gaps), strict=True):
@@ -44,8 +44,9 @@ def _build_gap_faults(take: Take, marker: int) -> list[Fault]:
     return faults
 
 
-def _classify_gap(take: Take, first: int, last: int) -> FaultKind:
-    match first == 0, last == take.frame_count - 1:
+def _classify_gap(take: Take, marker: int, first: int, last: int) -> FaultKind:
+    is_seen_before, is_seen_after = take.part.is_seen[:, marker].tolist() if take.part else (False, False)
+    match first == 0 and not is_seen_before, last == take.frame_count - 1 and not is_seen_after:
         case True, True:
             return "absent"
         case True, False:

@@ -4,6 +4,7 @@ The estimates and their weights: `gap_estimates`.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, compute_editable_mask
 from mocapfix.model.detected import Detected, MarkerEpochs
-from mocapfix.model.take import Take
+from mocapfix.model.take import Take, TakePart
 from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
@@ -58,13 +59,13 @@ def fill_gaps(
         corrections: those of a reviewer, who may request the fills of samples.
     """
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
-    gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
+    gap_durations_s = compute_gap_durations(inliers, take.rate, take.part)[:, epochs.column_marker]
     groups = find_rigid_groups_outside(detected, body, props)
     filled = fill_take(
         epochs.take,
         epochs.split_mask(inliers),
         gap_durations_s,
-        find_ends(inliers)[:, epochs.column_marker],
+        find_ends(inliers, take.part)[:, epochs.column_marker],
         body,
         options,
         rigid_groups=groups,
@@ -79,7 +80,8 @@ def fill_gaps(
     reasons = epochs.merge_columns(filled.unfilled_reasons)
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
-    return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, groups)
+    of_take = [replace(each, markers=tuple(dict.fromkeys(epochs.column_marker[list(each.markers)].tolist()))) for each in groups]
+    return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, tuple(of_take))
 
 
 def locate_requested_fills(corrections: Sequence[Correction], epochs: MarkerEpochs) -> list[FillRequest]:
@@ -148,16 +150,24 @@ def fill_take(
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
     reasons[~is_editable] = EXCLUDED_REASON
-    reasons[:, ~take.visible.any(0)] = NEVER_VISIBLE_REASON
+    reasons[:, ~take.is_ever_visible] = NEVER_VISIBLE_REASON
     return FilledTake(after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1))
 
 
-def compute_gap_durations(is_inlier: Bool[np.ndarray, "T M"], rate: float) -> Float[np.ndarray, "T M"]:
-    """Return the duration in seconds of the gap that each sample lies in, 0 for inliers. `rate` is in hertz."""
-    durations_s = np.zeros(is_inlier.shape)
+def compute_gap_durations(
+    is_inlier: Bool[np.ndarray, "T M"], rate: float, part: TakePart | None = None
+) -> Float[np.ndarray, "T M"]:
+    """Return the duration in seconds of the gap that each sample lies in, 0 for inliers. `rate` is in hertz.
+
+    Args:
+        part: the part of a longer take of which these are the samples: gaps go on beyond its ends.
+    """
+    durations_s, last_frame = np.zeros(is_inlier.shape), len(is_inlier) - 1
+    beyond = np.zeros((2, is_inlier.shape[1]), int) if part is None else part.missing
     for m in np.flatnonzero(~is_inlier.all(0)):
         for first, last in find_runs(~is_inlier[:, m]):
-            durations_s[first : last + 1, m] = (last - first + 1) / rate
+            count = last - first + 1 + (first == 0) * beyond[0, m] + (last == last_frame) * beyond[1, m]
+            durations_s[first : last + 1, m] = count / rate
     return durations_s
 
 
@@ -174,15 +184,21 @@ def explain_unfilled_samples(
     is_uncertain = is_wanted & (sd_m > options.max_sd_m)
     reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:.0f} mm"
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
-    reasons[is_wanted & ~take.visible.any(0)] = NEVER_VISIBLE_REASON
+    reasons[is_wanted & ~take.is_ever_visible] = NEVER_VISIBLE_REASON
     return reasons
 
 
-def find_ends(is_measured: Bool[np.ndarray, "T M"]) -> Int8[np.ndarray, "T M"]:
+def find_ends(is_measured: Bool[np.ndarray, "T M"], part: TakePart | None = None) -> Int8[np.ndarray, "T M"]:
     """Return -1 for the samples before each marker is first measured, 1 for those after it is last measured, 0 for the others.
 
     A marker that is never measured has no ends.
+
+    Args:
+        part: the part of a longer take of which these are the samples: markers may be measured before and after it.
     """
+    if part is not None:
+        padded = np.concatenate([part.is_seen[:1], is_measured, part.is_seen[1:]])
+        return find_ends(padded)[1:-1]
     is_begun = np.logical_or.accumulate(is_measured, axis=0)
     is_ended = ~np.logical_or.accumulate(is_measured[::-1], axis=0)[::-1]
     return np.where(is_measured.any(0), is_ended.astype(np.int8) - ~is_begun, 0).astype(np.int8)

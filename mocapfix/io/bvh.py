@@ -38,6 +38,7 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 
 # Separators of the items of a line, of which there may be several.
+MAX_BLOCK_FRAMES = 8192  # that are written at once: a long motion would take several times its memory
 ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)
 CHANNEL_PATTERN = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 
@@ -354,19 +355,25 @@ def write_bvh_tree(
         positions: Joint to its positions (T, 3) in metres in its parent's axes; the root, joint 0, must have them.
     """
     joints = list(_iterate_depth_first(skeleton))
-    angles = np.degrees(compute_euler_angles(local_rotations[:, [joint for joint, _ in joints]], rotation_order))
-    columns: list[np.ndarray] = []
-    for index, (joint, _) in enumerate(joints):
-        columns += [positions[joint] * (1 / unit_m)] if joint in positions else []
-        columns.append(angles[:, index])
+    order, angles = [joint for joint, _ in joints], np.zeros((1, len(joints), 3))
     header = "".join(_build_hierarchy(target, skeleton, joints, positions, unit_m, rotation_order))
     header += f"MOTION\nFrames: {len(local_rotations)}\nFrame Time: {1 / rate:.10f}\n"
-    with replace_atomically(Path(target)) as part:
-        part.write_bytes(header.encode("utf-8") + format_rows(np.hstack(columns), BVH_DECIMALS))
+    with replace_atomically(Path(target)) as part, part.open("wb") as file:
+        file.write(header.encode("utf-8"))
+        for first in range(0, len(local_rotations), MAX_BLOCK_FRAMES):
+            frames = slice(first, first + MAX_BLOCK_FRAMES)
+            angles = compute_euler_angles(local_rotations[frames][:, order].astype(float, copy=False), rotation_order, angles[-1])
+            columns: list[np.ndarray] = []
+            for index, joint in enumerate(order):
+                columns += [positions[joint][frames] * (1 / unit_m)] if joint in positions else []
+                columns.append(np.degrees(angles[:, index]))
+            file.write(format_rows(np.hstack(columns), BVH_DECIMALS))
 
 
-def compute_euler_angles(rotations: Float[np.ndarray, "T J 3 3"], rotation_order: str = "ZYX") -> Float[np.ndarray, "T J 3"]:
-    """Return the Euler angles (rad) of rotations, each joint continuous over time.
+def compute_euler_angles(
+    rotations: Float[np.ndarray, "T J 3 3"], rotation_order: str = "ZYX", before: Float[np.ndarray, "J 3"] | None = None
+) -> Float[np.ndarray, "T J 3"]:
+    """Return the Euler angles (rad) of rotations, each joint continuous over time, from those `before` the first frame on.
 
     A rotation is the product of the three rotations about the axes in `rotation_order`. A step is at most a right angle plus the
     rotation of the motion itself. It comes close to that only if the motion passes gimbal lock at a smaller angle than it
@@ -374,7 +381,9 @@ def compute_euler_angles(rotations: Float[np.ndarray, "T J 3 3"], rotation_order
     """
     axes = np.array(["XYZ".index(axis) for axis in rotation_order])
     by_joint = np.ascontiguousarray(np.swapaxes(rotations, 0, 1))
-    return np.stack([euler_angles.compute_continuous_euler_angles(joint, axes, np.zeros(3)) for joint in by_joint], axis=1)
+    starts = np.zeros((len(by_joint), 3)) if before is None else before
+    pairs = zip(by_joint, starts, strict=True)
+    return np.stack([euler_angles.compute_continuous_euler_angles(joint, axes, start) for joint, start in pairs], axis=1)
 
 
 def _iterate_depth_first(skeleton: Skeleton, joint: int = 0, depth: int = 0) -> Iterator[tuple[int, int]]:

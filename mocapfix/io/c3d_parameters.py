@@ -9,6 +9,7 @@ import struct
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from mmap import mmap
 from typing import NamedTuple
 
 from mocapfix.model.take import C3D_BLOCK_BYTES, DEC_PROCESSOR, INTEL_PROCESSOR, MAX_C3D_WORD, SGI_PROCESSOR
@@ -51,7 +52,7 @@ class C3dParameter(NamedTuple):
 class C3dHead:
     """The bytes of a C3D file, or those before its data. Damaged ones raise ValueError, struct.error or IndexError."""
 
-    data: bytes
+    data: bytes | mmap
 
     @property
     def section_start_byte(self) -> int:
@@ -224,7 +225,7 @@ def _parse_parameter(content: bytes) -> C3dParameter:
     return C3dParameter(kind, dimensions, content[start:stop])
 
 
-def _measure_content(data: bytes, at: int, group: int) -> int:
+def _measure_content(data: bytes | mmap, at: int, group: int) -> int:
     """Return the number of bytes of the content of the last record, which gives no offset to a next one."""
     if group < 0:
         return 1 + data[at]

@@ -13,6 +13,7 @@ from mocapfix.io import asf_amc, bvh, c3d, keypoint_json, trc_csv, vendor_tables
 from mocapfix.io.file_content import BYTE_ORDER_MARK, LEADING_COMMENTS_PATTERN, decode_text, read_file_bytes
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
+from mocapfix.model.windows import MAX_PIECE_FRAMES, store_take
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 
 HEAD_BYTES = 1 << 16  # beginning of a file from which its format is detected
@@ -47,11 +48,12 @@ FILE_FORMATS = (
 )
 
 
-def read_capture(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Take | Animation:
+def read_capture(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS, *, has_windows: bool = False) -> Take | Animation:
     """Read a file of any supported format.
 
     Args:
         options: What is known about the file; what is not is taken from the file, its markers or its joints.
+        has_windows: Store a take that is too long to be cleaned in one piece, as `store_take` does.
 
     Returns:
         A take for marker formats, an animation for BVH and AMC.
@@ -60,7 +62,9 @@ def read_capture(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) 
         ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file and the
             remedy.
     """
-    return read_capture_bytes(Path(path), read_file_bytes(Path(path)), options)
+    capture = read_capture_bytes(Path(path), read_file_bytes(Path(path)), options)
+    is_stored = has_windows and isinstance(capture, Take) and capture.frame_count > MAX_PIECE_FRAMES
+    return store_take(capture) if is_stored and isinstance(capture, Take) else capture
 
 
 def read_capture_bytes(path: Path, data: bytes, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Take | Animation:

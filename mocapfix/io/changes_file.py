@@ -5,7 +5,7 @@ It is written by a cleaning, edited by hand or in the browser, and read by the n
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,6 +19,7 @@ from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, read_
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, FaultReview, Fragment
 from mocapfix.model.take import Take
+from mocapfix.model.windows import crop_intervals
 
 CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
 RequestedFill = Literal["spline", "cluster", "body", "empty"]
@@ -246,6 +247,11 @@ class Review:
     corrections: tuple[Correction, ...] = ()  # the reviewer's own, in the order in which they are applied
     reviewed_ids: frozenset[str] = frozenset()  # ids of the changes on which a person has decided
     notes: Mapping[str, str] = field(default_factory=dict[str, str])  # the reviewer's notes by id of the change
+
+    def select_frames(self, frames: slice) -> "Review":
+        """Return the review of a part of the take."""
+        declined, corrections = (crop_intervals(each, frames) for each in (self.declined, self.corrections))
+        return replace(self, declined=tuple(declined), corrections=tuple(corrections))
 
 
 NO_REVIEW = Review()

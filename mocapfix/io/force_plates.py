@@ -1,7 +1,8 @@
 """Read the vertical forces of the force plates in a C3D file (C3D User Guide, "The FORCE_PLATFORM Group")."""
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from mmap import mmap
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +23,13 @@ class ForcePlate:
     rate: float
     corners: Float[np.ndarray, "4 3"]  # m, Y up
 
+    def select_interval(self, start_s: float, duration_s: float) -> "ForcePlate":
+        """Return the plate from a time after the first frame on, for a duration."""
+        start, count = round(start_s * self.rate), round(duration_s * self.rate)
+        return replace(self, vertical_force_n=self.vertical_force_n[start : start + count])
 
-def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
+
+def read_force_plates(data: bytes | mmap, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
     """Return the force plates in the bytes of a C3D file, none where they are described incompletely; the rate is the take's."""
     if b"FORCE_PLATFORM" not in data[: layout.data_start_byte]:
         return []
@@ -33,7 +39,7 @@ def read_force_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list
         return []
 
 
-def _read_plates(data: bytes, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
+def _read_plates(data: bytes | mmap, layout: C3dLayout, frame_rate: float) -> list[ForcePlate]:
     head = C3dHead(data)
     analog = read_analog(head, layout)
     types = np.array(head.read_numbers("FORCE_PLATFORM:TYPE"), int)

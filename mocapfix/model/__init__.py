@@ -9,6 +9,7 @@
 - `faults`: what is wrong with samples and labels; detected, the take with its labels corrected and its faults
 - `body_fit`: a calibrated subject in a take, with its motion
 - `changes`: what was changed, with its reason; the filled and the decided take
+- `windows`: long takes: their windows, the files of their arrays
 - `stage_timer`: the seconds of each stage
 - `system`: what the operating system is and has, and names of files that all systems allow
 """

@@ -279,7 +279,7 @@ class Filled:
         unfilled_reasons: The reason why each sample stays empty, else "".
         methods: For each filled sample the name of its fill method, else "".
         body_markers: Metres: where the solved body carries the markers; None without a body.
-        rigid_groups: Groups of markers that are not on the body, such as props, as columns of `Detected.epochs`.
+        rigid_groups: Groups of markers that are not on the body, such as props.
     """
 
     detected: Detected
@@ -294,7 +294,8 @@ class Filled:
 class Decided:
     """A cleaned take, with every change that was considered and its decision, and the runs of samples that stay empty."""
 
-    filled: Filled
+    detected: Detected
     take: Take
     changes: tuple[Change, ...]
     unfilled_runs: tuple[UnfilledRun, ...]
+    rigid_groups: tuple[RigidGroup, ...]  # those of `Filled`

@@ -101,6 +101,7 @@ def split_moved_markers(take: Take, faults: Iterable[Fault]) -> MarkerEpochs:
         uncaptured=uncaptured,
         point_columns=columns,
         relabelled_points=None,
+        part=take.part and take.part.select(columns),
     )
     return MarkerEpochs(split, columns, np.stack(is_active, 1))
 

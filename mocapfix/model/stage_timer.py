@@ -3,7 +3,7 @@
 Lines by which a command reports its stages to a program that has started it.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -56,6 +56,13 @@ class StageTimer:
         time["processor_seconds"] = round(time["processor_seconds"] + process_time() - processor_start, 3)
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + seconds, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)
+
+    def add_part_times(self, stage: str, times: Mapping[str, PartTime]) -> None:
+        """Add the times of the parts of a stage, which may have run side by side."""
+        for part, (added) in times.items():
+            time = self.part_times.setdefault(f"{stage}/{part}", {"seconds": 0.0, "processor_seconds": 0.0})
+            time["seconds"] = round(time["seconds"] + added["seconds"], 3)
+            time["processor_seconds"] = round(time["processor_seconds"] + added["processor_seconds"], 3)
 
 
 STAGE_LINES_VARIABLE = "MOCAPFIX_STAGE_LINES"

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from mmap import mmap
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex
 
@@ -72,13 +73,13 @@ class C3dLayout:
             return np.dtype({INTEL_PROCESSOR: "<f4", DEC_PROCESSOR: "<u4", SGI_PROCESSOR: ">f4"}[self.processor_type])
         return np.dtype({INTEL_PROCESSOR: "<i2", DEC_PROCESSOR: "<i2", SGI_PROCESSOR: ">i2"}[self.processor_type])
 
-    def view_words(self, data: bytes | bytearray | memoryview) -> Shaped[np.ndarray, "T P 4"]:
+    def view_words(self, data: bytes | bytearray | memoryview | mmap) -> Shaped[np.ndarray, "T P 4"]:
         """Return the stored words of all frames and points as a view of `data`, which is writable if `data` is."""
         shape = (self.frame_count, self.point_count, 4)
         strides = (self.frame_stride_bytes, 4 * self.word_size_bytes, self.word_size_bytes)
         return np.ndarray(shape, self.word_dtype, data, self.data_start_byte, strides)
 
-    def view_analog_words(self, data: bytes | bytearray | memoryview) -> Shaped[np.ndarray, "T A"]:
+    def view_analog_words(self, data: bytes | bytearray | memoryview | mmap) -> Shaped[np.ndarray, "T A"]:
         """Return the stored analog words of all frames as a view of `data`."""
         size, shape = self.word_size_bytes, (self.frame_count, self.analog_word_count)
         start = self.data_start_byte + 4 * self.point_count * size
@@ -127,6 +128,8 @@ class TableLayout:
         return format(coordinate, self.number_format).replace(".", self.decimal_sign)
 
 
+SAMPLE_ARRAYS = ("sample_sd", "computed", "uncaptured", "relabelled_points", "label_confidence")
+"""the fields of a take with a value for each sample, besides the positions"""
 SUBJECT_SEPARATORS = re.compile(r"[._-]")  # characters, besides the colon, that may follow the name of a subject in a label
 
 
@@ -137,6 +140,19 @@ class UpAxis:
     letter: str  # "X", "Y" or "Z", with "-" before it if the axis points down
     basis: str  # from what it is known, in a few words
     is_certain: bool = True  # whether other axes are far less likely
+
+
+@dataclass(frozen=True)
+class TakePart:
+    """Some frames of a longer take, which are cleaned alone, and how its M markers are seen in the frames around them."""
+
+    first: int  # index in the longer take of the first frame
+    missing: Int[np.ndarray, "2 M"]  # number of frames for which each marker is missing directly before and after the part
+    is_seen: Bool[np.ndarray, "2 M"]  # whether it is seen anywhere before and after
+
+    def select(self, markers: Int[np.ndarray, " K"]) -> "TakePart":
+        """Return the part for some of the markers."""
+        return TakePart(self.first, self.missing[:, markers], self.is_seen[:, markers])
 
 
 @dataclass(frozen=True)
@@ -167,6 +183,7 @@ class Take:
         notes: Sentences about assumptions and irregularities found when the file was read.
         up_axis: The axis of the file that points up; None if there is no file.
         point_kind: "joint" if the points are the joints of an animation (see mocapfix.model.animation).
+        part: Which part of a longer take this is; None for a whole take.
     """
 
     markers: Float[np.ndarray, "T M 3"]
@@ -191,6 +208,7 @@ class Take:
     notes: tuple[str, ...] = ()
     up_axis: UpAxis | None = None
     point_kind: Literal["marker", "joint"] = "marker"
+    part: TakePart | None = None
 
     @property
     def frame_count(self) -> int:
@@ -212,6 +230,12 @@ class Take:
         measured = self.visible & ~self.computed
         measured.flags.writeable = False
         return measured
+
+    @property
+    def is_ever_visible(self) -> Bool[np.ndarray, " M"]:
+        """Whether each marker is visible in any frame, also of the longer take of which this is a part."""
+        here = np.any(self.visible, axis=0)
+        return here if self.part is None else here | np.any(self.part.is_seen, axis=0)
 
     @property
     def name(self) -> str:
@@ -257,7 +281,9 @@ class Take:
     @property
     def source_points(self) -> Int[np.ndarray, "T M"]:
         """Index of the file's point that each sample comes from."""
-        return np.tile(self.point_indices, (self.frame_count, 1)) if self.relabelled_points is None else self.relabelled_points
+        if self.relabelled_points is not None:
+            return self.relabelled_points
+        return np.broadcast_to(self.point_indices, (self.frame_count, len(self.labels)))
 
     def get_label(self, index: SupportsIndex) -> str:
         """Return the label of a marker or, for an index beyond the markers, of an unlabelled trajectory."""
@@ -283,8 +309,7 @@ class Take:
 
     def extract_markers(self, marker_indices: Int[np.ndarray, " K"], subject_name: str) -> "Take":
         """Return some markers as a take of the same file. Writing it changes the samples of these markers only."""
-        names = ("sample_sd", "computed", "uncaptured", "relabelled_points", "label_confidence")
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in SAMPLE_ARRAYS}
         return replace(
             self,
             markers=self.markers[:, marker_indices],

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent, StandingBody
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
 from mocapfix.errors import join_words
 from mocapfix.labels.label_summary import build_labelling_section
 from mocapfix.model.changes import Decided, UnfilledRun, serialize_changes
@@ -314,40 +314,37 @@ def build_fill_section(
 
 
 def build_report(
-    take: Take, subject: SubjectChoice, standing: StandingBody | None, decided: Decided, options: CleanOptions, timer: StageTimer
+    take: Take, subject: SubjectChoice, body: notes.SolvedBody | None, decided: Decided, options: CleanOptions, timer: StageTimer
 ) -> json_report.Report:
     """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
 
     Args:
         take: The take as it was read.
-        standing: The body that was solved; None without a marker set.
+        body: The body that was solved; None without a marker set.
         decided: The cleaned take, its faults and its changes.
         timer: The times of all stages before.
     """
-    detected, solve, body_notes = decided.filled.detected, None, list[str]()
-    if standing:
-        body, residual_m = standing.fit, detected.measure_residuals(standing.fit)
-        lost_parts = notes.find_lost_body_parts(detected, body)
+    detected, solve, body_notes = decided.detected, None, list[str]()
+    if body:
         prior, start = options.prior.name_used, options.initialise.method_used
         prior = NO_TRAINED_PRIOR if options.initialise.is_fast else prior, options.solve.prior_scale
-        solve = build_solve_section(take, body.subject, body.motion, residual_m, *prior, start, lost_parts=lost_parts)
+        solve = build_solve_section(take, body.subject, body.motion, body.residual_m, *prior, start, lost_parts=body.lost_parts)
         body_notes += [PREVIEW_NOTE] * options.initialise.is_fast
-        body_notes += notes.build_body_notes(detected, body, residual_m, lost_parts)
+        body_notes += notes.build_body_notes(detected, body)
         floor_m = options.output.floor_height_m
-        body_notes += describe_contacts(standing.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
+        body_notes += describe_contacts(body.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:
         body_notes.append(notes.NO_PREVIEW_NOTE)
     rigid_groups: list[json_report.RigidGroupEntry] = []
-    for group in decided.filled.rigid_groups:
-        markers = dict.fromkeys(detected.epochs.column_marker[list(group.markers)].tolist())
-        labels = [take.labels[m] for m in markers]
+    for group in decided.rigid_groups:
+        labels = [take.labels[m] for m in group.markers]
         rigid_groups.append({"name": group.name, "markers": labels, "spread_mm": round(group.spread_m * 1e3, 2)})
     marker_set = subject.marker_set
     report: json_report.Report = {
         "take": build_take_section(take, marker_set.name if marker_set else None, decided.take),
         "faults": build_fault_entries(take, detected.faults),
         "changes": serialize_changes(decided.changes),
-        "subject": build_subject_section(standing.fit.subject) if standing else None,
+        "subject": build_subject_section(body.subject) if body else None,
         "solve": solve,
         "fill": build_fill_section(take, detected.take, decided.take, decided.unfilled_runs, detected.donor_markers),
         "seconds": timer.stage_seconds,
@@ -359,14 +356,14 @@ def build_report(
             *subject.notes,
             *detected.notes,
             *body_notes,
-            *notes.describe_rigid_groups(rigid_groups, has_body=standing is not None),
+            *notes.describe_rigid_groups(rigid_groups, has_body=body is not None),
             *notes.describe_uncertain_fills(decided.take),
         ],
     }
-    if standing and marker_set:
-        if evidence := notes.find_laboratory_evidence(marker_set, standing):
+    if body and marker_set:
+        if evidence := notes.find_laboratory_evidence(marker_set, body):
             report["take"]["laboratory"] = evidence
-        report["contacts"] = build_contact_section(standing.contacts, take)
+        report["contacts"] = build_contact_section(body.contacts, take)
     if rigid_groups:
         report["rigid_groups"] = rigid_groups
     return report

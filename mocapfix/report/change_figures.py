@@ -172,7 +172,7 @@ CURVE_ORDER = ("was", "kept", "now")  # later curves are drawn over earlier ones
 def draw_change_figure(curves: ChangeCurves, first: int, last: int, first_frame: int) -> Markup:
     """Return the SVG of a change over the frame indices first..last; `first_frame` is the file's number of frame 0."""
     low, high = _compute_axis_ranges(curves)
-    scale = (CHANGE_FIGURE_HEIGHT - AXIS_SPACING * (len(low) - 1)) / (high - low).sum()
+    scale = float((CHANGE_FIGURE_HEIGHT - AXIS_SPACING * (len(low) - 1)) / (high - low).sum())
     tops = np.concatenate([[0], np.cumsum((high - low) * scale + AXIS_SPACING)[:-1]])
     frame_span = max(1, curves.frames[-1] - curves.frames[0])
 

@@ -1,14 +1,15 @@
 """Notes of a report: sentences on unobserved joints, unassigned markers, large residuals, lost limbs and uncertain fills."""
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from mocapfix.contacts.contacts import PLATE_SOURCE, StandingBody
+from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
 from mocapfix.model.body_fit import BodyFit
-from mocapfix.model.detected import Detected, MarkerEpochs
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
     LABEL_KINDS,
@@ -18,6 +19,7 @@ from mocapfix.model.faults import (
     build_fault_mask,
 )
 from mocapfix.model.marker_set import ARMS, MarkerSet
+from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BODY_SECTIONS
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -40,33 +42,61 @@ MAX_STRAY_NOTES = 4  # notes on single markers that are far from the body; more 
 NO_PREVIEW_NOTE = "Preview without a skeleton: gaps are filled as in a full clean, and faults are detected in one round."
 
 
-def build_body_notes(
-    detected: Detected, body: BodyFit, residual_m: Float[np.ndarray, "T M"], lost_parts: tuple[LostPart, ...]
-) -> list[str]:
-    """Return the notes on where the body fits poorly or is unknown, by the distances of its inliers in metres, NaN elsewhere."""
-    columns, epochs = body.marker_columns, detected.epochs
-    marker_set_take = detected.select_columns(columns, detected.inlier_take.visible)
+@dataclass(frozen=True)
+class SolvedBody:
+    """What results, reports and files need of the body of a take."""
+
+    subject: Subject
+    motion: Motion
+    joint_positions: Float[np.ndarray, "T J 3"]  # metres; NaN for joints that the markers do not show
+    contacts: BodyContacts
+    residual_m: Float[np.ndarray, "T M"]  # metres, the distance of each inlier from its place on the body; NaN elsewhere
+    lost_parts: tuple[LostPart, ...]  # parts that the solve lost in sight, with the samples of the M markers of the take
+    is_observed: Bool[np.ndarray, " J"]  # whether an inlier of any marker on a joint is visible
+    carried_markers: tuple[int, ...]  # the markers of the take that the body carries
+
+
+def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
+    """Return what outputs need of a body whose standing feet are held."""
+    body, columns, epochs = standing.fit, standing.fit.marker_columns, detected.epochs
+    carried, seen = columns[columns >= 0], np.any(epochs.split_mask(detected.inlier_mask), axis=0)
+    joints = body.extended_subject.joints[columns >= 0][seen[carried]]
+    return SolvedBody(
+        subject=body.subject,
+        motion=body.motion,
+        joint_positions=body.solved_joint_positions,
+        contacts=standing.contacts,
+        residual_m=detected.measure_residuals(body),
+        lost_parts=find_lost_body_parts(detected, body),
+        is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
+        carried_markers=tuple(epochs.column_marker[carried].tolist()),
+    )
+
+
+def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
+    """Return the notes on where the body fits poorly or is unknown."""
     names, is_solved = body.subject.skeleton.names, body.subject.solved_joints
-    lost_samples = merge_lost_samples(lost_parts, columns, epochs)
+    lost_samples = np.zeros(body.residual_m.shape, bool)
+    for part in body.lost_parts:
+        lost_samples |= part.markers
     unsolved = format_name_list([name for name, is_shown in zip(names, is_solved, strict=True) if not is_shown])
     return [
         *[f"Not shown by any marker, so not solved and kept at rest: {unsolved}."] * (not is_solved.all()),
-        *describe_unobserved_joints(marker_set_take, body.extended_subject),
-        *describe_unassigned_markers(detected.take, epochs.column_marker[columns[columns >= 0]], detected.donor_markers),
-        *(describe_lost_part(detected.take, part, columns, epochs, detected.inlier_mask) for part in lost_parts),
-        *describe_stray_markers(detected.take, residual_m, detected.faults.items, lost_samples),
-        *describe_imported_fills(detected, residual_m),
+        *describe_unobserved_joints(body.subject, body.is_observed),
+        *describe_unassigned_markers(detected.take, body.carried_markers, detected.donor_markers),
+        *(describe_lost_part(detected.take, part, detected.inlier_mask) for part in body.lost_parts),
+        *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
+        *describe_imported_fills(detected, body.residual_m),
     ]
 
 
-def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[str]:
-    """Return a note on the joints whose markers are never visible; `marker_set_take` has the markers of the subject."""
-    observed = set(subject.joints[marker_set_take.visible.any(0)].tolist())
-    names = [subject.skeleton.names[j] for j in dict.fromkeys(subject.joints.tolist()) if j not in observed]
+def describe_unobserved_joints(subject: Subject, is_observed: Bool[np.ndarray, " J"]) -> list[str]:
+    """Return a note on the joints whose markers are never visible."""
+    names = [subject.skeleton.names[j] for j in dict.fromkeys(subject.joints.tolist()) if not is_observed[j]]
     return [f"No visible marker on {format_name_list(names)}: the mean pose is used there."] if names else []
 
 
-def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], fragment_donors: Collection[int] = ()) -> list[str]:
+def describe_unassigned_markers(take: Take, columns: Sequence[int], fragment_donors: Collection[int] = ()) -> list[str]:
     """Return a note on the visible markers that are not in the marker set, without those that are fragments of others."""
     is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])
     unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
@@ -121,13 +151,11 @@ def describe_stray_markers(
     return notes + strays
 
 
-def describe_lost_part(
-    take: Take, part: LostPart, columns: Int[np.ndarray, " K"], epochs: MarkerEpochs, inlier_mask: Bool[np.ndarray, "T M"]
-) -> str:
+def describe_lost_part(take: Take, part: LostPart, inlier_mask: Bool[np.ndarray, "T M"]) -> str:
     """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
 
     Args:
-        columns: The epoch column of each of the subject's markers, -1 where it has none.
+        part: The part, with the samples of the take's markers.
         inlier_mask: The samples of the take that are not taken for faults.
     """
     numbers = ((take.get_frame_number(frame) for frame in run) for run in find_runs(part.frames))
@@ -135,30 +163,28 @@ def describe_lost_part(
     more = f" and {len(ranges) - MAX_LISTED_RANGES:,} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
     listed = ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
     frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
-    lost_samples = merge_lost_samples((part,), columns, epochs)
-    labels = format_name_list([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))], MAX_LISTED_PART_LABELS)
+    labels = format_name_list([take.labels[m] for m in np.flatnonzero(part.markers.any(0))], MAX_LISTED_PART_LABELS)
     distance = _format_mm(float(np.nanmean(part.distance_m)))
-    replaced_count = int((lost_samples & ~inlier_mask).sum())
+    replaced_count = int((part.markers & ~inlier_mask).sum())
     replaced = f"{replaced_count:,} {'sample was' if replaced_count == 1 else 'samples were'} taken for faults"
     outcome = f"They are plausible and {replaced if replaced_count else 'left unchanged'}; do not use it there."
     return f"The solved {part.name} is {distance} from its markers ({labels}) in {frames} ({listed}). {outcome}"
 
 
-def merge_lost_samples(
-    parts: Iterable[LostPart], columns: Int[np.ndarray, " K"], epochs: MarkerEpochs
-) -> Bool[np.ndarray, "T M"]:
-    """Return the samples of the take that show lost parts of the body; `columns` are epoch columns, -1 for none."""
-    mask = np.zeros(epochs.take.visible.shape, bool)
-    for part in parts:
-        mask[:, columns[columns >= 0]] |= part.markers[:, columns >= 0]
-    return epochs.merge_columns(mask)
-
-
 def find_lost_body_parts(detected: Detected, body: BodyFit) -> tuple[LostPart, ...]:
-    """Return the parts of the body that the solve lost in sight, judged by everything that was measured under correct labels."""
-    measured = detected.select_columns(body.marker_columns, detected.take.measured)
-    inlier_take = detected.select_columns(body.marker_columns, detected.inlier_mask)
-    return find_lost_parts(measured.markers, inlier_take.visible, body.extended_subject, body.marker_positions)
+    """Return the parts of the body that the solve lost in sight, with the samples of the take's markers.
+
+    They are judged by everything that was measured under correct labels.
+    """
+    columns, epochs = body.marker_columns, detected.epochs
+    measured = detected.select_columns(columns, detected.take.measured)
+    is_inlier = np.take(epochs.split_mask(detected.inlier_mask), columns, axis=1) & (columns >= 0)
+    lost: list[LostPart] = []
+    for part in find_lost_parts(measured.markers, is_inlier, body.extended_subject, body.marker_positions):
+        mask = np.zeros(epochs.take.visible.shape, bool)
+        mask[:, columns[columns >= 0]] = part.markers[:, columns >= 0]
+        lost.append(replace(part, markers=epochs.merge_columns(mask)))
+    return tuple(lost)
 
 
 def describe_imported_fills(detected: Detected, residual_m: Float[np.ndarray, "T M"]) -> list[str]:
@@ -177,16 +203,16 @@ def describe_imported_fills(detected: Detected, residual_m: Float[np.ndarray, "T
     ]
 
 
-def find_laboratory_evidence(marker_set: MarkerSet, standing: StandingBody) -> str:
+def find_laboratory_evidence(marker_set: MarkerSet, body: SolvedBody) -> str:
     """Return in a few words what suggests that a take is that of a laboratory; "" if nothing does.
 
     It is force plates, a marker set of laboratories, or a body of which only legs are shown.
     """
-    if any(event.source == PLATE_SOURCE for event in standing.contacts.events):
+    if any(event.source == PLATE_SOURCE for event in body.contacts.events):
         return "force plates"
     if marker_set.is_laboratory:
         return f"the marker set {marker_set.name}"
-    subject = standing.fit.subject
+    subject = body.subject
     names = {name for name, is_solved in zip(subject.skeleton.names, subject.solved_joints, strict=True) if is_solved}
     upper = {joint for section in ("head", *ARMS) for joint in BODY_SECTIONS[section]}
     return "legs only" if "Hips" in names and not names & upper else ""

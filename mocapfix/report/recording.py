@@ -21,7 +21,7 @@ markers is a row without points; without such a row rerun keeps showing the prev
 
 import errno
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from mocapfix.contacts.contacts import BodyContacts, Floor
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
+from mocapfix.model.windows import map_arrays
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
@@ -151,6 +152,7 @@ CLEANED_POINT_RADIUS_M = 0.013
 BONE_RADIUS_M = 0.007
 
 FIELD_OF_VIEW_RAD = np.radians(55)  # rerun's vertical field of view
+MAX_BLOCK_FRAMES = 14_400  # that are logged at once: rerun's columns take several times the memory of the positions
 MAX_CAMERA_FRAMES = 1000  # frames used to place the camera
 CAMERA_MARGIN_FACTOR = 1.12  # space around the body at the edges of the picture
 RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 95th percentile
@@ -163,19 +165,34 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
         try:
             recording.save(part, default_blueprint=build_blueprint(comparison))
             recording.send_recording_name(comparison.input_take.name)
-            writer = _RecordingWriter(recording, comparison.input_take)
-            writer.log_markers(comparison)
-            if comparison.skeleton is not None and comparison.joint_position_world is not None:
-                writer.log_skeleton(comparison.skeleton, comparison.joint_position_world)
-            writer.log_sample_states(comparison.sample_states)
-            writer.log_missing_counts(comparison.input_take, comparison.cleaned_take)
-            if comparison.residual_m is not None:
-                writer.log_residuals(comparison.residual_m)
-            if comparison.contacts is not None and (contact_position := comparison.locate_contacts()) is not None:
-                log_contacts(writer, comparison.contacts, contact_position)
+            log_comparison(recording, comparison)
         finally:
             recording.disconnect()
         check_recording_complete(part)
+
+
+def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison) -> None:
+    """Log a take before and after cleaning, a long one block by block."""
+    writer, states, residual_m = (
+        _RecordingWriter(recording, comparison.input_take),
+        comparison.sample_states,
+        comparison.residual_m,
+    )
+    lanes, worst = writer.prepare_state_lanes(states), [] if residual_m is None else writer.prepare_residual_curves(residual_m)
+    count = comparison.input_take.frame_count
+    for first in range(0, count, MAX_BLOCK_FRAMES):
+        writer.block = frames = slice(first, min(first + MAX_BLOCK_FRAMES, count))
+        block = map_arrays(comparison, count, lambda _, array, frames=frames: array[frames])
+        writer.log_markers(block, states[frames])
+        if block.skeleton is not None and block.joint_position_world is not None:
+            writer.log_skeleton(block.skeleton, block.joint_position_world)
+        writer.log_sample_states(states[frames], lanes)
+        writer.log_missing_counts(block.input_take, block.cleaned_take)
+        if block.residual_m is not None:
+            writer.log_residuals(block.residual_m, worst)
+    writer.block = slice(0, count)
+    if comparison.contacts is not None and (contact_position := comparison.locate_contacts()) is not None:
+        log_contacts(writer, comparison.contacts, contact_position)
 
 
 def check_recording_complete(path: Path) -> None:
@@ -191,7 +208,7 @@ class _RecordingWriter:
     """A recording with the time columns of a take and unique names of its trajectories."""
 
     def __init__(self, recording: rr.RecordingStream, take: Take):
-        self.recording = recording
+        self.recording, self.block = recording, slice(0, take.frame_count)  # the frames that are logged
         self.time_s = np.arange(take.frame_count) / take.rate
         self.frame_numbers = take.first_frame + np.arange(take.frame_count)
         labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
@@ -201,12 +218,14 @@ class _RecordingWriter:
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
     def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
-        times = [rr.TimeColumn("time", duration=self.time_s[frames]), rr.TimeColumn("frame", sequence=self.frame_numbers[frames])]
+        """Send columns of some frames of the block."""
+        time_s, numbers = self.time_s[self.block][frames], self.frame_numbers[self.block][frames]
+        times = [rr.TimeColumn("time", duration=time_s), rr.TimeColumn("frame", sequence=numbers)]
         rr.send_columns(path, times, columns, recording=self.recording)
 
-    def log_markers(self, comparison: CleaningComparison) -> None:
+    def log_markers(self, comparison: CleaningComparison, outcome: Int[np.ndarray, "T M"]) -> None:
         """Log input markers, unlabelled trajectories and cleaned markers."""
-        before, after, outcome = comparison.input_take, comparison.cleaned_take, comparison.sample_states
+        before, after = comparison.input_take, comparison.cleaned_take
         input_state = classify_input_samples(before.visible, outcome)
         is_faulty, is_relabelled = (input_state == each for each in (SampleOutcome.SUSPECT, SampleOutcome.RELABELLED))
         colours = _select_colours(INPUT_COLOUR, {FAULTY_COLOUR: is_faulty, RELABELLED_COLOUR: is_relabelled})
@@ -239,17 +258,20 @@ class _RecordingWriter:
         columns = rr.LineStrips3D.columns(strips=_build_strips(bones))
         self.send_columns("world/skeleton", columns.partition(known.sum(axis=1)))
 
-    def log_sample_states(self, outcome: Int[np.ndarray, "T M"]) -> None:
-        """Log the changes of state of the markers with the most samples that are not simply measured."""
+    def prepare_state_lanes(self, outcome: Int[np.ndarray, "T M"]) -> dict[str, int]:
+        """Return the paths of the lanes of the markers with the most samples that are not simply measured."""
+        count = (outcome != SampleOutcome.MEASURED).sum(axis=0)
+        markers = sorted(m for m in np.argsort(-count, kind="stable")[:MAX_STATE_LANES].tolist() if count[m])
+        return {rr.new_entity_path(["state", self.point_names[m]]): m for m in markers}
+
+    def log_sample_states(self, outcome: Int[np.ndarray, "T M"], lanes: Mapping[str, int]) -> None:
+        """Log the changes of state of markers."""
         names = [each.label for each in SampleOutcome]
         style = rr.StateConfiguration(
             values=names, labels=(" ", *names[1:]), colors=[_convert_to_rgba(colour) for colour in STATE_COLOURS]
         )
-        count = (outcome != SampleOutcome.MEASURED).sum(axis=0)
-        for m in sorted(np.argsort(-count, kind="stable")[:MAX_STATE_LANES]):
-            if count[m]:
-                path = rr.new_entity_path(["state", self.point_names[m]])
-                self.log_states(path, outcome[:, m], names, style)
+        for path, m in lanes.items():
+            self.log_states(path, outcome[:, m], names, style)
 
     def log_states(self, path: str, state: Int[np.ndarray, " T"], names: Sequence[str], style: rr.StateConfiguration) -> None:
         """Log the changes of a state, given by its index among the names."""
@@ -264,11 +286,15 @@ class _RecordingWriter:
             self.recording.log(f"missing/{name}", style, static=True)
             self.send_columns(f"missing/{name}", rr.Scalars.columns(scalars=(~take.visible).sum(axis=1).astype(float)))
 
-    def log_residuals(self, residual_m: Float[np.ndarray, "T M"]) -> None:
-        """Log the distance from the body of the markers with the largest 95th percentiles."""
+    def prepare_residual_curves(self, residual_m: Float[np.ndarray, "T M"]) -> list[int]:
+        """Return the markers with the largest 95th percentiles of the distance from the body."""
         known = np.flatnonzero(np.isfinite(residual_m).any(axis=0))
-        worst = known[np.argsort(-np.nanpercentile(residual_m[:, known], 95, axis=0))]
-        for m, colour in zip(worst, RESIDUAL_CURVE_COLOURS, strict=False):
+        percentiles = [np.nanpercentile(residual_m[:, m], 95) for m in known]
+        return known[np.argsort(-np.array(percentiles))][: len(RESIDUAL_CURVE_COLOURS)].tolist()
+
+    def log_residuals(self, residual_m: Float[np.ndarray, "T M"], markers: Sequence[int]) -> None:
+        """Log the distance from the body of markers."""
+        for m, colour in zip(markers, RESIDUAL_CURVE_COLOURS, strict=False):
             path = rr.new_entity_path(["error", self.point_names[m]])
             style = rr.SeriesLines(colors=_convert_to_rgba(colour), widths=1, names=self.point_names[m])
             self.recording.log(path, style, static=True)
@@ -277,9 +303,10 @@ class _RecordingWriter:
 
 def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
     """Return the blueprint of the recording: a 3-D view of the whole take beside plots of its markers."""
-    position_world = comparison.cleaned_take.markers
+    step = -(-comparison.cleaned_take.frame_count // MAX_CAMERA_FRAMES)
+    position_world = comparison.cleaned_take.markers[::step]
     if comparison.joint_position_world is not None:
-        position_world = np.concatenate([position_world, comparison.joint_position_world], axis=1)
+        position_world = np.concatenate([position_world, comparison.joint_position_world[::step]], axis=1)
     eye, target = _compute_eye_position(position_world)
     controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0))
     body = rrb.Spatial3DView(origin="world", name=f"{comparison.input_take.name}: before and after", eye_controls=controls)
@@ -308,7 +335,6 @@ def _compute_eye_position(position_world: Float[np.ndarray, "T N 3"]) -> tuple[F
 
     The view is perpendicular to the main direction of travel and slightly from above.
     """
-    position_world = position_world[:: -(-len(position_world) // MAX_CAMERA_FRAMES)]
     points = position_world[np.isfinite(position_world).all(axis=-1)]
     if not len(points):
         return np.array([0.0, 1.5, 4.0]), np.array([0.0, 1.0, 0.0])

@@ -64,7 +64,7 @@ def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take
         (faults.compute_faulty_mask(relabelled_take), SampleOutcome.SUSPECT),
     )
     conditions, values = zip(*outcomes, strict=True)
-    return np.select(conditions, values, SampleOutcome.MEASURED)
+    return np.select(conditions, [np.int8(value) for value in values], np.int8(SampleOutcome.MEASURED))
 
 
 def _find_reassigned_samples(

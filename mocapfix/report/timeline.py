@@ -124,7 +124,7 @@ def build_residual_plot(residual_m: Float[np.ndarray, "T M"]) -> ResidualPlot | 
     median_mm, percentile_mm = np.array([np.percentile(part, (50, 95)) if part.size else (np.nan, np.nan) for part in bins]).T
     if np.isnan(median_mm).all():
         return None
-    limit_mm = compute_round_step(np.nanmax(percentile_mm) or 1.0)
+    limit_mm = compute_round_step(float(np.nanmax(percentile_mm)) or 1.0)
     return ResidualPlot(limit_mm, _draw_line(median_mm / limit_mm), _draw_line(percentile_mm / limit_mm))
 
 

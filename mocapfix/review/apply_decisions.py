@@ -86,7 +86,8 @@ def apply_decisions(original: Take, filled: Filled, review: Review, options: Cle
     found = {id(each) for _, fault in declined_changes for each in reviewed.find_matches(fault)}
     not_found = [each.to_change() for each in review.declined if id(each) not in found]
     reasons = np.where(filled.take.visible, "its change was not applied", filled.unfilled_reasons)
-    return Decided(filled, cleaned, (*(change for change, _ in changes), *not_found), find_unfilled_runs(cleaned, reasons))
+    all_changes, runs = (*(change for change, _ in changes), *not_found), find_unfilled_runs(cleaned, reasons)
+    return Decided(detected, cleaned, all_changes, runs, filled.rigid_groups)
 
 
 def revert_samples(repaired: Take, original: Take, revert_mask: Bool[np.ndarray, "T M"]) -> Take:

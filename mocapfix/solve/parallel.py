@@ -108,16 +108,20 @@ def get_thread_pool(workers: int) -> ThreadPoolExecutor:
 
 
 Value = TypeVar("Value")
+MAX_THREADS = 1000
 second_process: ContextVar[Executor | None] = ContextVar("second_process", default=None)
 
 
-def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part], *, is_shared: bool = False) -> Generator[Value]:
+def map_in_threads(
+    function: Callable[[Part], Value], parts: Iterable[Part], *, is_shared: bool = False, most: int = MAX_THREADS
+) -> Generator[Value]:
     """Yield function(part) of each part in order, computed in as many threads at a time as there are cores.
 
     Half of the time of a clean passes in kernels, beside which the other threads run. Parts that have not begun when the caller
     stops are left out. Those that have begun do not delay the end of the program.
 
     Args:
+        most: Threads at a time, at most.
         is_shared: Whether the second process takes the place of one thread. Function, parts and values can be pickled then.
 
     Raises:
@@ -151,7 +155,7 @@ def map_in_threads(function: Callable[[Part], Value], parts: Iterable[Part], *, 
                 future.set_exception(error)
 
     try:
-        for thread in range(min(count_cores(), len(remaining))):
+        for thread in range(min(count_cores(), len(remaining), most)):
             arguments = compute_remaining, function if thread else compute_beside_threads
             threading.Thread(target=copy_context().run, args=arguments, daemon=True).start()
         for each in futures:

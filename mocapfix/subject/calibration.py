@@ -281,6 +281,7 @@ def calibrate_body(
     """
     columns = marker_set.find_columns(detected.epochs.take.labels)
     is_visible = (columns >= 0) & detected.epochs.split_mask(detected.solver_mask)[:, columns].any(0)
+    is_visible |= (columns >= 0) & (detected.take.part is not None)  # the subject is that of the whole take
     shown = marker_set.select_shown_part([label for label, each in zip(marker_set.labels, is_visible, strict=True) if each])
     visible = shown if shown.labels else marker_set  # without joints that no sample shows: labels may have no samples at all
     columns = visible.find_columns(detected.epochs.take.labels)

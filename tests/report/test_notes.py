@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.model.detected import split_moved_markers
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (
@@ -68,28 +67,24 @@ def test_samples_that_another_note_describes_are_not_listed():
 
 
 def build_lost_arm(*frames):
-    lost, markers = np.zeros(FRAMES, bool), np.zeros((FRAMES, 4), bool)
+    lost, markers = np.zeros(FRAMES, bool), np.zeros((FRAMES, 3), bool)
     lost[list(frames)] = True
-    markers[np.ix_(list(frames), [0, 1, 3])] = True
+    markers[list(frames)] = True
     return LostPart("left arm", lost, np.where(lost, 0.31, NAN), markers)
 
 
 def test_a_lost_limb_is_described_with_its_frames_markers_and_what_was_assumed():
-    take, columns = (
-        build_take("A", "B", "C"),
-        np.array([2, 0, -1, 1]),
-    )  # the order of the subject, with one marker not in the take
-    epochs, inliers = split_moved_markers(take, ()), np.ones((FRAMES, 3), bool)
-    note = describe_lost_part(take, build_lost_arm(5, 6, 7, 20), columns, epochs, inliers)
+    take, inliers = build_take("A", "B", "C"), np.ones((FRAMES, 3), bool)
+    note = describe_lost_part(take, build_lost_arm(5, 6, 7, 20), inliers)
     assert note == (
         "The solved left arm is 310 mm from its markers (A, B and 1 more) in 4 frames (106–108 and 121). They are plausible "
         "and left unchanged; do not use it there."
     )
     inliers[5] = False
     assert "They are plausible and 3 samples were taken for faults; do not use" in describe_lost_part(
-        take, build_lost_arm(5, 6), columns, epochs, inliers
+        take, build_lost_arm(5, 6), inliers
     )
-    many = describe_lost_part(take, build_lost_arm(*range(0, 40, 2)), columns, epochs, inliers)
+    many = describe_lost_part(take, build_lost_arm(*range(0, 40, 2)), inliers)
     assert "20 frames (101, 103 and 18 more intervals)" in many
 
 
@@ -112,19 +107,16 @@ def test_markers_near_the_body_or_without_residuals_have_no_note():
     ],
 )
 def test_markers_outside_the_marker_set_are_listed(labels, columns, notes):
-    assert describe_unassigned_markers(build_take(*labels), np.array(columns)) == notes
+    assert describe_unassigned_markers(build_take(*labels), columns) == notes
 
 
 def test_joints_without_visible_markers_are_listed_once(cleaned):
     subject = cleaned.result.subject
-    take = Take(np.ones((FRAMES, len(subject.labels), 3)), subject.labels, RATE)
-    assert describe_unobserved_joints(take, subject) == []
-    is_on_joint = subject.joints == subject.skeleton.find_joint("LeftHand")
-    is_last = np.arange(len(is_on_joint)) == np.flatnonzero(is_on_joint)[-1]
-    assert describe_unobserved_joints(take.masked(take.visible & (~is_on_joint | is_last)), subject) == []
-    without_hand = take.masked(take.visible & ~is_on_joint)
+    is_observed = np.isin(np.arange(len(subject.skeleton.names)), subject.joints)
+    assert describe_unobserved_joints(subject, is_observed) == []
+    is_observed[subject.skeleton.find_joint("LeftHand")] = False
     note = "No visible marker on LeftHand: the mean pose is used there."
-    assert describe_unobserved_joints(without_hand, subject) == [note]
+    assert describe_unobserved_joints(subject, is_observed) == [note]
 
 
 def test_uncertain_fills_are_counted_with_their_markers():
