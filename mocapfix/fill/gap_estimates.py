@@ -101,8 +101,9 @@ def estimate_missing_samples(
     known[is_settled] = settled.position[is_settled]
     changes = measure_distance_changes(markers)
     take = MarkersInTake(markers, known, settled, changes, rate, body, rigid_groups)
-    gaps = _estimate_gaps(take)
-    _add_later_estimates(take, gaps)
+    surroundings = _Surroundings(take)
+    gaps = _estimate_gaps(take, surroundings)
+    _add_later_estimates(take, gaps, surroundings)
     for request in requests:
         _use_request(take, gaps, request)
     return take.estimate
@@ -127,11 +128,10 @@ class _EstimatedMarker(NamedTuple):
     similarity: Float[np.ndarray, " K"]
 
 
-def _estimate_gaps(take: MarkersInTake) -> list[_EstimatedMarker]:
+def _estimate_gaps(take: MarkersInTake, surroundings: "_Surroundings") -> list[_EstimatedMarker]:
     """Estimate every gap, the shortest first."""
     is_preview = take.body is not None and take.body.evidence is None  # which guesses the segments that no marker shows
     estimators = [build(take) for build in ESTIMATORS if not (is_preview and build is BodyPlacement)]
-    surroundings = _Surroundings(take)
     estimated: list[_EstimatedMarker] = []
     has_ends = take.is_common.copy()
     if take.body:
@@ -147,13 +147,13 @@ def _estimate_gaps(take: MarkersInTake) -> list[_EstimatedMarker]:
     return estimated
 
 
-def _add_later_estimates(take: MarkersInTake, gaps: Sequence[_EstimatedMarker]) -> None:
+def _add_later_estimates(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], surroundings: "_Surroundings") -> None:
     """Estimate the gaps that are uncertain by the estimators that need the estimates of all others."""
     is_settled = take.estimate.sd < MAX_SETTLED_SD_M
     uncertain = [each for each in gaps if not is_settled[each.gap.window.gap_frames, each.gap.marker].all()]
     if not uncertain:
         return
-    estimators, surroundings = [build(take) for build in LATER_ESTIMATORS], _Surroundings(take)
+    estimators = [build(take) for build in LATER_ESTIMATORS]
     for each in uncertain:
         later = surroundings.select_plausible([e for estimate in estimators for e in estimate(each.gap)], each.gap)
         if later:

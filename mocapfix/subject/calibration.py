@@ -98,7 +98,7 @@ MIN_CALIBRATION_MARKERS = 3  # visible markers that at least one frame must have
 MAX_CANDIDATE_FRAMES = 600  # posed to select the calibration frames from; all of them take a fraction of a second
 CANDIDATE_MARKER_SHARE = 0.9  # markers that a candidate frame must show, as a share of the 90th percentile over all frames
 MAX_CALIBRATION_FRAMES = 150  # frames that enter the refinement
-MAX_PREVIEW_FRAMES = 40  # the same of a preview: with them the joints of composed takes are as near as with 150
+MAX_PREVIEW_FRAMES = 24  # the same of a preview: with them the joints of composed takes are as near as with 150
 MIN_MOVED_MARKER_FRAMES = 10  # frames in which a moved marker must be visible to get an offset of its own
 # Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
 # which a refinement ends.
