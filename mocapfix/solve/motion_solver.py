@@ -293,7 +293,7 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
 
 PREVIEW_NOTE = (
     "Preview: first estimates of poses and gaps. On composed takes short gaps are 10 mm off (after a full clean 1.5 mm), joints "
-    "13 mm (11 mm); faults that only the body shows are missed. For the final result, clean without --fast."
+    "14 mm (11 mm); faults that only the body shows are missed. For the final result, clean without --fast."
 )
 
 
