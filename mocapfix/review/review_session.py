@@ -91,14 +91,13 @@ class CleaningRun:
 def build_clean_command(
     take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake], formats: Sequence[str], rigs: Sequence[str]
 ) -> list[str]:
-    """Return the command that cleans a take again in its folder, with the changes files of all its subjects."""
+    """Return the command that cleans a take in its folder in full, with the changes files of all its subjects."""
     for names, known in ((formats, EXTRA_FORMAT_NAMES), (rigs, RIG_NAMES)):
         if unknown := [name for name in names if name not in known]:
             raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(known)}.")
     output = take.options.output
-    options = take.options.change(
-        extra_formats=tuple(dict.fromkeys((*output.extra_formats, *formats))), rigs=tuple(dict.fromkeys((*output.rigs, *rigs)))
-    )
+    extra_formats, rigs = (tuple(dict.fromkeys(each)) for each in ((*output.extra_formats, *formats), (*output.rigs, *rigs)))
+    options = take.options.change(extra_formats=extra_formats, rigs=rigs, is_fast=False)
     command = [sys.executable, "-P", "-m", "mocapfix", "clean", take.arguments[0], *format_arguments(options)]
     command += [argument for each in subjects for argument in ("--changes", each.changes_path.name)]
     return [*command, "--out", ".", "--overwrite"]
