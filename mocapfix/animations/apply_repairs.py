@@ -49,10 +49,12 @@ def apply_repairs(
     tips = build_tip_take(animation)
     is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
     before = tips.masked(~is_absent)
-    selected = [fault for fault in faults if _is_selected(fault, options.detect.repair_kinds, reviewed)]
-    editable = build_fault_mask(selected, is_absent.shape)
-    editable &= _compute_editable_tracks(before, animation.moving_joint, options.fill)
-    editable &= repair.method != RepairMethod.UNCHANGED
+    is_rejected = [any(each.rejects(fault) for each in reviewed) for fault in faults]
+    kinds = options.detect.repair_kinds or {fault.kind for fault in faults}
+    selected = [fault for fault, rejected in zip(faults, is_rejected, strict=True) if fault.kind in kinds and not rejected]
+    editable = compute_editable_mask(before, options.fill)
+    editable[:, -1] &= editable[:, animation.moving_joint]  # to keep the joint that moves the figure also keeps its position
+    editable &= build_fault_mask(selected, is_absent.shape) & (repair.method != RepairMethod.UNCHANGED)
     rejection_reasons = _find_rejection_reasons(animation, before, repair, faults, editable, options.fill)
     is_repaired = editable & (rejection_reasons == "")
     repaired = insert_repairs(animation, repair, is_repaired)
@@ -61,7 +63,11 @@ def apply_repairs(
     after = _add_sd(repaired, after, variance, is_repaired | ~before.visible).masked(is_repaired | ~is_absent)
     joint_take = build_joint_take(repaired)
     joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
-    applied = _list_changes(before, after, selected, repair, is_repaired)
+    # a change covers the joints of its fault and not those below them
+    own_points = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
+    repaired_faults = [fault for fault in selected if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
+    methods = np.where(is_repaired, np.array([REPAIR_DESCRIPTIONS[method] for method in RepairMethod], object)[repair.method], "")
+    applied = [each for each, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]
     unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
     return RepairedAnimation(
         repaired, before, after, joint_take, Faults(tuple(faults)), (*applied, *(each.to_change() for each in reviewed)), unfilled
@@ -77,18 +83,6 @@ def insert_repairs(animation: Animation, repair: AnimationRepair, is_repaired: B
     if not len(frames):
         return animation
     return animation.replace_positions(np.array([animation.moving_joint]), frames, repair.root_position[frames][:, None])
-
-
-def _is_selected(fault: Fault, kinds: Sequence[str], reviewed: Sequence[ReviewedChange]) -> bool:
-    """Return True if faults of this kind are repaired and this one's change was not rejected."""
-    return (not kinds or fault.kind in kinds) and not any(each.rejects(fault) for each in reviewed)
-
-
-def _compute_editable_tracks(before: Take, moving_joint: int, fill_options: FillOptions) -> Bool[np.ndarray, "T N"]:
-    """Return the values that the options allow to change. To keep the joint that moves the figure also keeps its position."""
-    editable = compute_editable_mask(before, fill_options)
-    editable[:, -1] &= editable[:, moving_joint]
-    return editable
 
 
 def _find_rejection_reasons(
@@ -118,13 +112,3 @@ def _add_sd(
     """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
     sd = compute_joint_point_sd(animation, points, variance)
     return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
-
-
-def _list_changes(
-    before: Take, after: Take, faults: Sequence[Fault], repair: AnimationRepair, is_repaired: Bool[np.ndarray, "T N"]
-) -> list[Change]:
-    """Return a change for every fault that was repaired. It covers the fault's joints and not the joints below them."""
-    own_points = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
-    repaired_faults = [fault for fault in faults if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
-    methods = np.where(is_repaired, np.array([REPAIR_DESCRIPTIONS[method] for method in RepairMethod], object)[repair.method], "")
-    return [change for change, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]

@@ -23,12 +23,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.animations import offsets
-from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
+from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset, multiply_quaternions
 from mocapfix.kernels import lie
 from mocapfix.model.animation import AXIS_LETTERS, Animation, list_track_names
 from mocapfix.model.faults import Fault, FaultKind
-from mocapfix.stats import constant_offsets
-from mocapfix.stats.constant_offsets import multiply_quaternions
 from mocapfix.stats.sequences import find_runs
 
 MIN_HELD_DURATION_S = 0.1  # of one value in one track; if several tracks are held together, one frame is enough
@@ -95,7 +93,9 @@ def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"
 
     for (first, last), tracks in _group_tracks(is_zero, is_moving, is_zero_gap):
         gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
-    is_held &= ~is_zero & ~_build_gap_mask(gaps, is_zero.shape)
+    is_held &= ~is_zero
+    for gap in gaps:  # and the frame after each
+        is_held[gap.first : gap.last + 2, list(gap.tracks)] = False
     for (first, last), tracks in _group_tracks(is_held, is_moving, is_held_gap):
         if first > 1 and _detect_jumps(steps[first - 2 :: -1], tracks).any():
             first -= 1  # the frame to which it jumps: it does not hold the last sound value
@@ -131,14 +131,6 @@ def _group_tracks(
             if not is_whole_figure[first : last + 1].any():
                 tracks_by_run.setdefault((first, last), []).append(track)
     yield from ((run, tuple(tracks)) for run, tracks in sorted(tracks_by_run.items()) if is_gap(*run, tracks))
-
-
-def _build_gap_mask(gaps: list[AnimationGap], shape: tuple[int, ...]) -> Bool[np.ndarray, "T N"]:
-    """Return a mask (T, N) of the gaps and of the frame after each."""
-    mask = np.zeros(shape, bool)
-    for gap in gaps:
-        mask[gap.first : gap.last + 2, list(gap.tracks)] = True
-    return mask
 
 
 POWER_WINDOW_S = 0.2  # over which the size of jitter is measured
@@ -315,7 +307,7 @@ def detect_pose_faults(
         if np.ptp(joint_quaternions, axis=0).max() > MIN_QUATERNION_RANGE:
             faults += _detect_joint_faults(joint, names[joint], joint_quaternions, ~is_lost[:, joint], orders[joint], rate)
     position = np.where(is_lost[:, -1:], 0.0, root_position)
-    models = constant_offsets.build_position_offset_models(position)
+    models = offsets.build_position_offset_models(position)
     for offset in offsets.detect_offsets(position, models, ~is_lost[:, -1], rate, POSITION_THRESHOLDS):
         reason = f"{track_names[-1]} is off by {offset.amount * 1e3:.0f} mm {_format_duration(offset.first, offset.last, rate)}."
         faults.append(Fault("spike", joint_count, offset.first, offset.last, offset.amount, reason, _compute_confidence(offset)))
@@ -350,7 +342,7 @@ def _detect_joint_faults(
     """Return the pops, flips and jitter bursts of one joint."""
     faults, is_steady = [], is_usable.copy()
     track = 2 * joint_quaternions
-    models = constant_offsets.build_rotation_offset_models(joint_quaternions, order)
+    models = offsets.build_rotation_offset_models(joint_quaternions, order)
     for offset in offsets.detect_offsets(track, models, is_usable, rate, ROTATION_THRESHOLDS):
         kind: FaultKind = "flip" if offset.amount > MIN_FLIP_ANGLE_RAD else "pop"
         verb = "is flipped" if kind == "flip" else "is off"

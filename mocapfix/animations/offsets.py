@@ -1,32 +1,52 @@
 """Detection of pops and flips: a track is offset by a constant from one frame to another, and returns by the same amount.
 
 The third differences of a body's motion are small, and a step makes three of them large. Two steps belong to the same offset if
-removing one constant between them removes both (see `stats.constant_offsets`). The steps of lively motion are distinguished by
-comparison with the third differences in a window around them.
+removing one constant between them removes both. The steps of lively motion are distinguished by comparison with the third
+differences in a window around them.
 
 All pairs of steps are fitted at once, by normal equations. Those of two steps without a common third difference are sums of the
 equations of each step.
+
+A rotation can have a constant offset in the parent's axes (d R), in the joint's own (R d) or in the middle one of its three
+angles. In each case the corrected quaternion is linear in the correction: q = B(q') c, with c the conjugate of d where B has
+four columns, and (cos, sin) of half the angle where it has two. A position has an offset vector: p = p' + c. So the correction
+that makes the signal smoothest is a linear least squares problem.
 """
 
 from typing import NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import median_filter
 
-from mocapfix.stats.constant_offsets import OffsetModel
+from mocapfix.stats.gaussian_process import compute_matern_52
 
 FrameIndices = Int[np.ndarray, " n"]
 Track = Float[np.ndarray, "T C"]
 Differences = Float[np.ndarray, " D"]
 Rows = Int[np.ndarray, "n R"]
-Models = tuple[OffsetModel, ...]
 
+OFFSET_TIME_SCALE_S = 0.3  # of the signal's correlation
+OFFSET_NOISE_VARIANCE_RATIO = 1e-4  # variance of a sample's noise, relative to the signal's power
+OFFSET_MEAN_VARIANCE_RATIO = 100.0  # variance of the signal's unknown mean, likewise
+MIN_RESIDUAL_SQUARE = 1e-12  # added to a sum of squares, so that its logarithm is finite
 THIRD_DIFFERENCE_STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
 MIN_REDUCTION_RATIO = 15.0  # of the mean square that is removed to the usual one
 MAX_RESIDUAL_SHARE = 0.05  # of the squares that may remain
 MIN_SEPARATE_STEPS = 3  # frames from one step to another without which a third difference spans both
 RELATIVE_RIDGE = 1e-13  # added to normal equations, relative to their trace, so that they have a solution
+
+
+class OffsetModel(NamedTuple):
+    """A linear model of a correction: T samples of C numbers are fixed + basis times P unknowns."""
+
+    fixed: Float[np.ndarray, "T C"]
+    basis: Float[np.ndarray, "T C P"]
+    dof: int  # degrees of freedom of the unknowns
+
+
+Models = tuple[OffsetModel, ...]
 
 
 class ThirdDifferences(NamedTuple):
@@ -172,7 +192,10 @@ def detect_offsets(
         return []
     difference = np.linalg.norm(np.diff(track, 3, axis=0), axis=1)
     is_known = is_usable[3:] & is_usable[2:-1] & is_usable[1:-2] & is_usable[:-3]
-    background = _estimate_background(np.where(is_known, difference, 0.0), rate, thresholds.min_difference)
+    known = np.where(is_known, difference, 0.0)
+    usual = scipy.ndimage.median_filter(known, 2 * round(BACKGROUND_HALF_WINDOW_S * rate) + 1, mode="nearest")
+    background = BACKGROUND_MEDIAN_FACTOR * np.maximum(usual, np.quantile(known, BACKGROUND_QUANTILE))
+    background = np.maximum(background, thresholds.min_difference)
     starts, stops = _list_step_pairs(*_find_steps(np.where(is_known, difference / background, 0.0)), rate)
     candidates = [
         each
@@ -241,8 +264,71 @@ def _select_offsets(
     return [TemporaryOffset(*values) for values in zip(*columns, strict=True)]
 
 
-def _estimate_background(difference: Differences, rate: float, min_difference: float) -> Differences:
-    """Estimate the usual size of third differences around each of them."""
-    least = max(min_difference, BACKGROUND_MEDIAN_FACTOR * float(np.quantile(difference, BACKGROUND_QUANTILE)))
-    window = 2 * round(BACKGROUND_HALF_WINDOW_S * rate) + 1
-    return np.maximum(BACKGROUND_MEDIAN_FACTOR * median_filter(difference, window, mode="nearest"), least)
+def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: str) -> tuple[OffsetModel, ...]:
+    """Return the models of quaternions (x, y, z, w) without sign changes, each times two.
+
+    They are an offset in the parent's axes, in the joint's own and, if the joint has three axes, in the middle angle of an
+    `order` of intrinsic rotations such as "ZYX".
+    """
+    q, zeros, units = 2 * quaternions, np.zeros_like(quaternions), np.eye(4)
+    products = multiply_quaternions(units[:, None], units)
+    in_parent, in_joint = (np.swapaxes(np.tensordot(q, products, (1, axis)), 1, 2) for axis in (1, 0))
+    models = [OffsetModel(zeros, basis, 3) for basis in (in_parent, in_joint)]
+    if len(order) == 3:
+        rotations = scipy.spatial.transform.Rotation.from_quat(quaternions)
+        with catch_warnings(action="ignore"):  # in gimbal lock, where any outer angle is right
+            outer = scipy.spatial.transform.Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
+        axis = outer.apply(np.eye(3)["XYZ".index(order[1])])
+        derivative = multiply_quaternions(np.pad(axis, ((0, 0), (0, 1))), q)
+        models.append(OffsetModel(zeros, np.stack([q, derivative], axis=2), 1))
+    return tuple(models)
+
+
+def build_position_offset_models(positions: Float[np.ndarray, "T 3"]) -> tuple[OffsetModel, ...]:
+    """Return the only model of positions: an offset vector."""
+    return (OffsetModel(positions, np.broadcast_to(np.eye(3), (len(positions), 3, 3)), 3),)
+
+
+def multiply_quaternions(p: Float[np.ndarray, "*#batch 4"], q: Float[np.ndarray, "*#batch 4"]) -> np.ndarray:
+    """Return the products (..., 4) of quaternions (x, y, z, w), the rotation q followed by the rotation p."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw
+    return np.stack([x, y, z, aw * bw - ax * bx - ay * by - az * bz], axis=-1)
+
+
+def fit_smoothest_offset(
+    known: Float[np.ndarray, "N C"],
+    known_times_s: Float[np.ndarray, " N"],
+    models: tuple[OffsetModel, ...],
+    span_times_s: Float[np.ndarray, " n"],
+    used_samples: Int[np.ndarray, " U"],
+) -> tuple[Float[np.ndarray, "n C"], float]:
+    """Return the corrected samples inside a span that continue the known samples most smoothly, and the correction's variance per
+    axis.
+
+    The signal is a Gaussian process (Matern-5/2) about an unknown mean. Models are compared by their least squares and, as they
+    differ in the number of unknowns, by Schwarz's criterion.
+
+    Args:
+        known: Samples beside the span, at `known_times_s`.
+        models: Of the span's samples, at `span_times_s`; the most likely one is used.
+        used_samples: Indices of the span's samples that are fitted: samples far from both edges contain no information.
+    """
+    times_s = np.r_[known_times_s, span_times_s[used_samples]]
+    covariance = OFFSET_MEAN_VARIANCE_RATIO + compute_matern_52(times_s[:, None] - times_s, OFFSET_TIME_SCALE_S)
+    factor = np.linalg.cholesky(covariance + OFFSET_NOISE_VARIANCE_RATIO * np.eye(len(times_s)))
+    best_criterion, best = np.inf, (np.zeros((len(span_times_s), known.shape[1])), np.inf)
+    for model in models:
+        values = np.concatenate([known, model.fixed[used_samples]])
+        slopes = np.concatenate([np.zeros((len(known), *model.basis.shape[1:])), model.basis[used_samples]])
+        white_values = scipy.linalg.solve_triangular(factor, values, lower=True).ravel()
+        white_slopes = scipy.linalg.solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True)
+        white_slopes = white_slopes.reshape(len(white_values), -1)
+        unknowns = np.linalg.lstsq(white_slopes, -white_values, rcond=None)[0]
+        square = float(((white_slopes @ unknowns + white_values) ** 2).sum()) + MIN_RESIDUAL_SQUARE
+        criterion = 3 * len(times_s) * np.log(square) + model.dof * np.log(3 * len(times_s))
+        if criterion < best_criterion:
+            variance = square / (3 * len(times_s)) * np.trace(np.linalg.pinv(white_slopes.T @ white_slopes)) / 3
+            is_rotation = model.dof < known.shape[1]  # a variance of quaternions, a quarter of the rotation vectors'
+            best_criterion, best = criterion, (model.fixed + model.basis @ unknowns, 4 * variance if is_rotation else variance)
+    return best

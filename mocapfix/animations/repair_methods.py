@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from mocapfix.animations import offsets
+from mocapfix.animations.offsets import OffsetModel
 from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
 from mocapfix.solve import occluded_joints
-from mocapfix.stats import constant_offsets
-from mocapfix.stats.constant_offsets import OffsetModel
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
 from mocapfix.stats.sequences import sample_evenly, select_training_frames
 
@@ -125,7 +125,7 @@ def remove_rotation_offset(
     inside = make_quaternions_continuous(quaternions[span.first : span.last + 1])
     context = find_context_frames(is_sound, span, _count_context_frames(span))
     known = make_quaternions_continuous(quaternions[context])
-    models = constant_offsets.build_rotation_offset_models(inside, rotation_order)
+    models = offsets.build_rotation_offset_models(inside, rotation_order)
     corrected, variance = _solve_offset(2 * known, context, models, span)
     return corrected / np.linalg.norm(corrected, axis=1, keepdims=True), variance
 
@@ -135,7 +135,7 @@ def remove_position_offset(
 ) -> tuple[Float[np.ndarray, "n 3"], float]:
     """Return the root positions over a span without their offset, and its variance in m^2 per axis."""
     context = find_context_frames(is_sound, span, _count_context_frames(span))
-    models = constant_offsets.build_position_offset_models(positions[span.first : span.last + 1])
+    models = offsets.build_position_offset_models(positions[span.first : span.last + 1])
     return _solve_offset(positions[context], context, models, span)
 
 
@@ -149,7 +149,7 @@ def _solve_offset(
     """Return the corrected samples (n, C) and the variance of the offset, given the samples (N, C) in the context."""
     count, length = _count_context_frames(span), span.last - span.first + 1
     near_edges = np.unique(np.r_[: min(count, length), max(0, length - count) : length])
-    return constant_offsets.fit_smoothest_offset(known, context_frames / span.rate, models, span.frames / span.rate, near_edges)
+    return offsets.fit_smoothest_offset(known, context_frames / span.rate, models, span.frames / span.rate, near_edges)
 
 
 INTERPOLATION_TIMESCALE_S = 0.45  # time scale of the interpolated signals
@@ -343,7 +343,7 @@ def _measure_gap_bias(
     context[1:] *= np.cumprod(signs[: context_count - 1], axis=0)
     interpolated = np.einsum("gn,njc->gjc", weights, context)
     interpolated /= np.linalg.norm(interpolated, axis=-1, keepdims=True)
-    error = constant_offsets.multiply_quaternions(interpolated * [-1, -1, -1, 1], actual)
+    error = offsets.multiply_quaternions(interpolated * [-1, -1, -1, 1], actual)
     rotation_vectors = 2 * error[..., :3] * np.where(error[..., 3:] < 0, -1.0, 1.0)
     displacement = root_position[start : start + length] - weights @ root_position[start + context_offsets]
     displacement = displacement @ extract_heading(world_rotations[start - 1, 0])

@@ -371,7 +371,7 @@ def run_session(
                     progress.show_dashboard(clients[0].dashboard_link)
             return clients[0]
 
-        requests = build_requests(takes, settings)
+        requests = [CleanRequest(take.id, take.path, settings.output_folder, settings.options) for take in takes]
         check_same_inputs(requests)
         try:
             if knows_people(settings) and len(requests) > 1:
@@ -393,11 +393,6 @@ def knows_people(settings: BatchSettings) -> bool:
     subject = settings.options.subject
     is_named = subject.subject is not None or subject.like is not None or subject.subject_prefix is not None
     return not settings.each_take_alone and not is_named and not settings.options.initialise.is_fast
-
-
-def build_requests(takes: Sequence[BatchTake], settings: BatchSettings) -> list[CleanRequest]:
-    """Return what is to be done for each take."""
-    return [CleanRequest(take.id, take.path, settings.output_folder, settings.options) for take in takes]
 
 
 def check_same_inputs(requests: Sequence[CleanRequest]) -> None:

@@ -212,13 +212,15 @@ def _format_hours(duration_s: float) -> str:
 def _build_take_row(record: TakeRecord, figures: SubjectFigures | None) -> TakeRow:
     outputs = select_subject_outputs(record, figures.subject if figures else "")
     links = {suffix: quote_address(path) for suffix, path in outputs.items()}
+    fault_count = sum(figures.fault_counts.values()) if figures else 0
+    kinds = f": {format_fault_counts(figures.fault_counts)}" if figures and fault_count else ""
     return TakeRow(
         take=record.take,
         subject=figures.subject if figures else "",
         status=record.status,
         status_text=record.status if record.reason is None else f"{record.status}: {record.reason}",
         numbers=(*_format_figures(figures), format_number(record.seconds)),
-        faults=_format_faults(figures.fault_counts) if figures else "–",
+        faults=f"{fault_count:,}{kinds}" if figures else "–",
         picture=check_picture(figures.picture_svg if figures else ""),
         report=next((address for suffix, address in links.items() if suffix.endswith(REPORT_SUFFIX)), ""),
         notes=figures.notes if figures else (record.error,),
@@ -243,12 +245,6 @@ def _format_figures(figures: SubjectFigures | None) -> tuple[str, ...]:
         format_number(figures.worst_predicted_error_mm),
         format_number(figures.residual_mm),
     )
-
-
-def _format_faults(counts: Mapping[str, int]) -> str:
-    """Return the number of faults, by which the column is sorted, and what they are."""
-    total = sum(counts.values())
-    return f"{total:,}" + (f": {format_fault_counts(counts)}" if total else "")
 
 
 def select_subject_outputs(record: TakeRecord, subject: str) -> dict[str, str]:

@@ -62,6 +62,7 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
     report, take = result.subject_report, result.input_take
     fill, solve = report["fill"], report["solve"]
     frame = find_worst_moment(result) if take.visible.size else None
+    sample_sd = np.zeros(0) if result.take.sample_sd is None else result.take.sample_sd[np.isfinite(result.take.sample_sd)]
     return SubjectFigures(
         subject=take.subject_name,
         marker_set=report["take"]["marker_set"],
@@ -75,19 +76,13 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
         replaced=fill["replaced"],
         relabelled=fill["relabelled"],
         fault_counts=dict(Counter(entry["kind"] for entry in report["faults"])),
-        worst_predicted_error_mm=_compute_worst_error_mm(result),
+        worst_predicted_error_mm=round(float(AXIS_COUNT**0.5 * sample_sd.max()) * 1e3, 1) if len(sample_sd) else None,
         worst_frame=None if frame is None else take.get_frame_number(frame),
         residual_mm=solve["marker_residual_mm"]["mean"] if solve else None,
         picture_svg="" if frame is None else draw_worst_moment(result, frame),
         laboratory=report["take"].get("laboratory", ""),
         notes=tuple(report["notes"]),
     )
-
-
-def _compute_worst_error_mm(result: "CleaningResult") -> float | None:
-    sample_sd = result.take.sample_sd
-    known = np.zeros(0) if sample_sd is None else sample_sd[np.isfinite(sample_sd)]
-    return round(float(AXIS_COUNT**0.5 * known.max()) * 1e3, 1) if known.size else None
 
 
 MAX_TITLE_MARKERS = 4  # labels of lost markers in the title of a picture

@@ -4,7 +4,7 @@ Inside the program lengths are metres, Y is up and axes are right-handed. A bone
 and includes the rest rotation: in the rest pose the local rotations are `rest_rotations`, not the identity.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -233,7 +233,9 @@ def build_bone_mapping(
         indices.setdefault(name, bone)
     _check_segment_names(segments, twists, source)
     uses: dict[str, str] = {}
-    for key, name in _iterate_uses(segments, twists):
+    groups = {f"segments.{each}": bones for each, bones in segments.items()}
+    groups |= {f"twists.{each}": bones for each, bones in twists.items()}
+    for key, name in ((key, name) for key, bones in groups.items() for name in bones):
         if name not in indices:
             raise SceneError(f"{source}: {key}: there is no bone {name!r} in this character; check its spelling.")
         if name in uses:
@@ -262,14 +264,6 @@ def _check_segment_names(segments: Mapping[str, Sequence[str]], twists: Mapping[
             raise SceneError(
                 f"{source}: twists.{segment}: there are no such twist bones; they are those of {', '.join(TWISTING_SEGMENTS)}."
             )
-
-
-def _iterate_uses(segments: Mapping[str, Sequence[str]], twists: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
-    """Yield each key of the file with each name of a bone in it."""
-    for title, group in (("segments", segments), ("twists", twists)):
-        for segment, bones in group.items():
-            for name in bones:
-                yield f"{title}.{segment}", name
 
 
 def _check_order(names: Sequence[str], parents: Int[np.ndarray, " J"], mapping: BoneMapping, source: str) -> None:

@@ -230,7 +230,10 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
     skeleton = Skeleton(tuple(names), parents, offsets, _choose_ends(parents, offsets, tails))
     moved = (place[bone] + len(names) - len(bones) for bone in (character.mapping.bones["pelvis"][0], *motion.positions))
     positioned = {joint: local_positions[:, joint] for joint in (0, *moved)}
-    unit_m = _choose_unit(character)
+    # that in which the character's file gives the position of the pelvis
+    above = int(character.skeleton.parents[character.mapping.bones["pelvis"][0]])
+    scale = float(character.scales[above]) if above >= 0 else character.root_scale
+    unit_m = next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
     write_bvh_tree(target, skeleton, positioned, np.ascontiguousarray(local_rotations), motion.rate, unit_m)
 
 
@@ -259,13 +262,6 @@ def _choose_ends(
             direction = offsets[joint] / length if length > 0 else np.array([0.0, 1.0, 0.0])
             ends[joint] = direction * max(DEFAULT_END_FRACTION * length, MIN_END_M)
     return ends
-
-
-def _choose_unit(character: Character) -> float:
-    """Return the metres in a unit of the BVH: the one in which the character's file gives the position of the pelvis."""
-    above = int(character.skeleton.parents[character.mapping.bones["pelvis"][0]])
-    scale = float(character.scales[above]) if above >= 0 else character.root_scale
-    return next((unit for unit in BVH_UNITS_M if abs(scale / unit - 1) < UNIT_TOLERANCE), CENTIMETRE_M)
 
 
 OTHER_SUFFIXES = ("bvh", "npz", "map.yaml")  # of the files beside the GLB

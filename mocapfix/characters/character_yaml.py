@@ -247,8 +247,9 @@ def write_mapping_file(target: str | Path, character: Character) -> None:
         "twists": {segment: _list_names(names, mapping.twists, segment) for segment in mapping.twists},
         "feet_flat": bool(character.has_feet_flat),
     }
+    required = dict.fromkeys(segment.removeprefix("left_").removeprefix("right_") for segment in REQUIRED_SEGMENTS)
     header = MAPPING_FILE_HEADER.format(
-        name=_flatten(character.name), reason=_flatten(mapping.reason), required=_describe_required_segments()
+        name=_flatten(character.name), reason=_flatten(mapping.reason), required=", ".join(required)
     )
     with replace_atomically(Path(target)) as new_file:
         text = header + dump_yaml(data) + _comment_unmapped_bones(names, mapping)
@@ -287,12 +288,6 @@ def apply_mapping_file(path: str | Path, character: Character) -> Character:
 
 def _list_names(names: tuple[str, ...], group: Mapping[str, tuple[int, ...]], segment: str) -> InlineSequence:
     return InlineSequence(names[bone] for bone in group.get(segment, ()))
-
-
-def _describe_required_segments() -> str:
-    """Return the segments that are needed, those of both sides in one."""
-    both = dict.fromkeys(segment.removeprefix("left_").removeprefix("right_") for segment in REQUIRED_SEGMENTS)
-    return ", ".join(both)
 
 
 def _comment_unmapped_bones(names: tuple[str, ...], mapping: BoneMapping) -> str:

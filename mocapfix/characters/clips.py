@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion, compute_character_poses
-from mocapfix.characters.root_motion import CycleStep, FloorPath, measure_floor_path
+from mocapfix.characters.root_motion import CycleStep, measure_floor_path
 from mocapfix.io.resampling import FRAME_TOLERANCE
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import LegPath
@@ -55,7 +55,10 @@ def close_loop(
     if motion.frame_count < MIN_LOOP_FRAMES:
         return motion, f"A loop has at least {MIN_LOOP_FRAMES} frames, and the motion {motion.frame_count}: it is left as it is."
     floor_path = measure_floor_path(character, motion)
-    step, start = _measure_step(floor_path), floor_path.position[0]
+    step, start = floor_path.measure_step(), floor_path.position[0]
+    returns = np.linalg.norm(floor_path.position[-1] - start) < MAX_STANDING_TRAVEL_M
+    if returns and abs(np.sin(step.yaw_rad / 2)) < np.sin(MAX_STANDING_TURN_RAD / 2):
+        step = CycleStep(0.0, np.zeros(3))  # its place is the same
     blended = _blend_poses(character, motion, step)
     closed = _place_feet(character, motion, blended, step, is_standing)
     before, after = (_describe_seam(character, each, step) for each in (motion, closed))
@@ -87,13 +90,6 @@ def name_whole_stride(character: Character, motion: CharacterMotion, frames: sli
     return (
         f"The last frame is less like the first than the one {when}, where a whole stride may end; move the end of --trim there."
     )
-
-
-def _measure_step(path: FloorPath) -> CycleStep:
-    """Return the step of a body that moves on, none for one that returns to its place."""
-    step, travel_m = path.measure_step(), np.linalg.norm(path.position[-1] - path.position[0])
-    returns = travel_m < MAX_STANDING_TRAVEL_M and abs(np.sin(step.yaw_rad / 2)) < np.sin(MAX_STANDING_TURN_RAD / 2)
-    return CycleStep(0.0, np.zeros(3)) if returns else step
 
 
 def _describe_seam(character: Character, motion: CharacterMotion, step: CycleStep) -> str:
@@ -212,7 +208,11 @@ def _place_feet(
         target = _close_places(place, step, fades, rate)
         turned = _close_rotations(axes, step.rotation.T[None], fades, rate)[:, 0]
         leg = LegPath.build(blended_positions[:, [thigh, shin, foot]], blended_rotations[:, thigh])
-        _, thigh_turn, shin_turn = leg.pose(leg.hip, target, _reach_ankle(leg, target))
+        # the ankle is as far from the hip as the target needs, less where the leg would be too straight
+        distance, longest = np.linalg.norm(leg.ankle - leg.hip, axis=1), np.sum(leg.lengths_m, axis=0)
+        longer, reserve = np.linalg.norm(target - leg.hip, axis=1) - distance, np.maximum(longest - distance, MIN_RESERVE_M)
+        reach = distance + np.where(longer > 0, -reserve * np.expm1(-np.maximum(longer, 0.0) / reserve), longer)
+        _, thigh_turn, shin_turn = leg.pose(leg.hip, target, reach)
         above_thigh, above_shin, above_foot = (blended_rotations[:, parents[bone]] for bone in (thigh, shin, foot))
         local[:, thigh] = above_thigh.swapaxes(1, 2) @ thigh_turn @ blended_rotations[:, thigh]
         local[:, shin] = (thigh_turn @ above_shin).swapaxes(1, 2) @ shin_turn @ blended_rotations[:, shin]
@@ -238,10 +238,3 @@ def _find_fade(stands: Bool[np.ndarray, " T"], rate: float) -> FadeFrames:
         return FadeFrames(0, last_frame, duration)
     swing = int(np.argmax(stands)) or duration
     return FadeFrames(held, min(duration, following - held), min(duration, swing))
-
-
-def _reach_ankle(leg: LegPath, target: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
-    """Return the distances of a leg's ankle from its hip that a target needs, less where the leg would be too straight."""
-    distance, longest = np.linalg.norm(leg.ankle - leg.hip, axis=1), np.sum(leg.lengths_m, axis=0)
-    longer, reserve = np.linalg.norm(target - leg.hip, axis=1) - distance, np.maximum(longest - distance, MIN_RESERVE_M)
-    return distance + np.where(longer > 0, -reserve * np.expm1(-np.maximum(longer, 0.0) / reserve), longer)

@@ -57,9 +57,11 @@ def write_fbx(target: Path, glb_path: Path, rate: float) -> str | None:
         return f"{target.name} was not written, because FBX needs Blender and it was not found; {remedy}."
     with make_scratch_folder() as folder:
         source, exported = folder / "character.glb", folder / "character.fbx"
-        data, name = _select_first_animation(glb_path)
-        source.write_bytes(data)
-        problem = _run_blender(command, [str(source), str(exported), repr(float(rate)), name])
+        content = parse_glb(glb_path, glb_path.read_bytes())
+        animation = content.document["animations"][0]  # alone, so that Blender does not choose another one
+        document = content.document | {"animations": [animation]}
+        source.write_bytes(build_glb(GlbContent(document, content.binary, content.other_chunks)))
+        problem = _run_blender(command, [str(source), str(exported), repr(float(rate)), animation["name"]])
         if problem is None and not exported.exists():
             problem = "Blender wrote no file"
         if problem:
@@ -86,14 +88,6 @@ def convert_fbx(path: Path) -> bytes:
         if problem or not converted.exists():
             raise ReadError(f"{path}: cannot be read: {problem or 'Blender wrote no file'}; export the character as .glb.")
         return converted.read_bytes()
-
-
-def _select_first_animation(glb_path: Path) -> tuple[bytes, str]:
-    """Return the bytes of a GLB with its first animation alone, so that Blender does not choose another one, and its name."""
-    content = parse_glb(glb_path, glb_path.read_bytes())
-    animation = content.document["animations"][0]
-    document = content.document | {"animations": [animation]}
-    return build_glb(GlbContent(document, content.binary, content.other_chunks)), animation["name"]
 
 
 def _run_blender(command: Sequence[str], arguments: Sequence[str]) -> str | None:

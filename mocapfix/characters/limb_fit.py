@@ -327,12 +327,16 @@ def compute_pushes(
         rises[end] = np.maximum(rises.get(end, 0.0), lift * share + np.maximum(lift * (1.0 - share) - reserve, 0.0))
     pushes = {name: spread_push(rise, rate, leg_m)[:, None] * UPWARD for name, rise in rises.items()}
     pushes["pelvis"] = lift[:, None] * UPWARD
+    push_weights = np.hanning(2 * round(PUSH_S * rate) + 3)[1:-1]
+    push_weights /= push_weights.sum()
     for side, (ends, resting) in product(SIDES, RESTING_DISTANCES.items()):
         if all(f"{side}_palm" in body for body in bodies):
             vectors = [find_nearest_points(body[f"{side}_palm"], *(body[end] for end in ends))[1] for body in bodies]
             distance, reached = (np.linalg.norm(vector, axis=1) for vector in vectors)
             missing = trunk_scale * np.minimum(distance, resting * source.trunk_length_m) - reached
-            outward = smooth_values(vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None], rate)
+            outward = scipy.ndimage.convolve1d(
+                vectors[0] / np.maximum(distance, MIN_LENGTH_M)[:, None], push_weights, axis=0, mode="nearest"
+            )
             outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_LENGTH_M)
             push = spread_push(missing, rate, leg_m)[:, None] * outward
             pushes[f"{side}_hand"] = pushes.get(f"{side}_hand", 0.0) + push
@@ -361,9 +365,3 @@ def spread_push(push: Float[np.ndarray, " T"], rate: float, length_m: float) -> 
     fall = -0.5 * PUSH_ACCELERATION * (np.arange(-reach, reach + 1) / rate) ** 2
     dilated = np.maximum(scipy.ndimage.grey_dilation(root, structure=fall / 2, mode="nearest"), 0.0)
     return length_m * np.maximum(scipy.ndimage.grey_erosion(dilated, structure=fall, mode="nearest"), 0.0) ** 2
-
-
-def smooth_values(values: Float[np.ndarray, "T ..."], rate: float) -> Float[np.ndarray, "T ..."]:
-    """Return the weighted means of values over PUSH_S before and after each frame."""
-    kernel = np.hanning(2 * round(PUSH_S * rate) + 3)[1:-1]
-    return scipy.ndimage.convolve1d(values, kernel / kernel.sum(), axis=0, mode="nearest")

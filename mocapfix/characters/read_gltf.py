@@ -350,7 +350,11 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
     content, packed_data = read_packed_gltf(path, data)
     nodes = read_gltf_nodes(path, content.document)
     vrm_bones = read_vrm_bones(path, content.document, len(nodes.entries))
-    skeletons = _group_joints(nodes, _read_skins(path, content.document, len(nodes.entries))) or [_find_body_nodes(nodes)]
+    skins = [
+        read_indices(path, f"skins[{index}].joints", skin.get("joints"), len(nodes.entries))
+        for index, skin in enumerate(content.document.get("skins", []))
+    ]
+    skeletons = _group_joints(nodes, skins) or [_find_body_nodes(nodes)]
     if vrm_bones:
         humanoid = set(vrm_bones.values())
         skeletons = [max(skeletons, key=lambda joints: len(humanoid & joints)) | humanoid]
@@ -359,12 +363,6 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
         return characters
     springs = list_spring_nodes(content.document)
     return [_add_vrm_twists(character, springs) for character in characters]
-
-
-def _read_skins(path: Path, document: Mapping[str, Any], node_count: int) -> list[list[int]]:
-    """Return the joints of each skin."""
-    skins = document.get("skins", [])
-    return [read_indices(path, f"skins[{index}].joints", skin.get("joints"), node_count) for index, skin in enumerate(skins)]
 
 
 def _group_joints(nodes: GltfNodes, skins: Sequence[Sequence[int]]) -> list[set[int]]:

@@ -158,11 +158,13 @@ def solve_segments(tree: SolveTree, targets: SegmentTargets) -> Poses:
     """Return positions of the pelvis in metres and local rotations of the joints that reach the targets."""
     local = compute_local_rotations(targets.rotation, tree.skeleton.parents)
     low, high = np.ascontiguousarray(np.moveaxis(tree.skeleton.limits_rad, 2, 0))
+    sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.skeleton.names])
+    weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
     terms = (
         _build_point_term(tree, targets),
         _build_direction_term(tree, targets.rotation),
         _build_orientation_term(tree, targets.rotation),
-        _build_tracking_term(tree, local, targets.pelvis),
+        TrackingTerm(local, weight, targets.pelvis, np.full(len(targets.pelvis), (PELVIS_SD * tree.leg_length_m) ** -2)),
         JointLimitTerm(tree.skeleton.rest_rotations, low, high, JOINT_LIMIT_SD_RAD**-2),
     )
     return minimise(tree.kernel_tree, terms, (targets.pelvis, local), SolverSettings(max_iterations=30)).poses
@@ -203,12 +205,6 @@ def _build_orientation_term(tree: SolveTree, rotation: JointRotations) -> Orient
     known = {k: each for k, each in sd.items() if each is not None}
     joints, weight = np.array(list(known)), np.array(list(known.values())) ** -2
     return OrientationTerm(joints, np.ascontiguousarray(rotation[:, joints]), np.tile(weight, (len(rotation), 1)))
-
-
-def _build_tracking_term(tree: SolveTree, local: JointRotations, pelvis: Points) -> TrackingTerm:
-    sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.skeleton.names])
-    weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
-    return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), (PELVIS_SD * tree.leg_length_m) ** -2))
 
 
 NEIGHBOUR_SEGMENTS = {"upper_arm": "clavicle", "thigh": "pelvis", "forearm": "hand", "shin": "foot"}

@@ -79,7 +79,7 @@ class BodyPlacement:
             return []
         on_body, rate = self.markers[gap.marker], self.rate
         axes, residual = on_body.axes, on_body.residual
-        w = gap.window.keep_known_context(~np.isnan(residual[:, 0]))
+        w = gap.window.keep_known_context(~np.isnan(residual[gap.window.context_frames, 0]))
         excess, inside = on_body.pose_excess[w.gap_frames], np.arange(w.length)
         edges = np.concatenate([np.zeros(len(w.before), int), np.full(len(w.after), w.length - 1)])
         beside = np.concatenate([w.before, w.after])
@@ -91,7 +91,8 @@ class BodyPlacement:
         context = residual[w.context_frames] - known_share[:, None] * steps
         position = axes.transform_to_world(gap_map @ context, w.gap_frames)
         error = hidden_map @ residual[w.hidden_context_frames] - residual[w.hidden_frames]
-        shown = _average_squares(error)
+        known_count, squares = (~np.isnan(error)).sum((0, 2)), np.nansum(error**2, axis=(0, 2))
+        shown = np.maximum(squares / np.maximum(known_count, 1), MIN_BODY_FILL_SD_M**2)
         added = np.maximum(gap_variance[w.points] - hidden_variance, 0.0)
         error = axes.rotate_to_world(error, w.hidden_frames) * (BODY_ERROR_RATIO * np.sqrt(1 + added / shown))[:, None]
         expected_sd = BODY_ERROR_RATIO * np.sqrt(np.maximum(gap_variance[w.points], MIN_BODY_FILL_SD_M**2))
@@ -132,13 +133,6 @@ def _measure_steps(axes: MovingAxes, first: int, length: int) -> Float[np.ndarra
             motion = np.diff(axes.origin[frames], axis=0)
             steps[side] = axes.rotation_world_axes[edge].T @ (motion[1] - (motion[0] + motion[2]) / 2)
     return steps
-
-
-def _average_squares(error: Float[np.ndarray, "K S 3"]) -> Float[np.ndarray, " S"]:
-    """Return the mean square of the known errors per axis at each point, at least that of the smallest deviation."""
-    count = (~np.isnan(error)).sum((0, 2))
-    square = np.divide(np.nansum(error**2, axis=(0, 2)), count, out=np.zeros(error.shape[1]), where=count > 0)
-    return np.maximum(square, MIN_BODY_FILL_SD_M**2)
 
 
 MAX_PREVIEW_SPLINE_S = 0.5  # duration of the longest gap of a preview that is filled by a spline

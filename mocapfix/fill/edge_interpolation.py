@@ -1,6 +1,6 @@
 """Estimates from a marker's own trajectory: splines through short gaps, and lines or splines between the edges of any gap.
 
-Each is a linear map from the samples beside a gap to positions in it, so that it can be applied to many hidden stretches at once.
+Each is a linear map from the samples beside a gap to positions in it, and is applied to its hidden stretches too.
 A marker at rest is interpolated exactly in the world, one on a rigid body exactly in axes that move with this body.
 
 Position and velocity at each edge of a spline come from a parabola through several samples, so that one noisy sample beside the
@@ -25,6 +25,7 @@ from mocapfix.fill.gap_windows import (
     compute_variation_growth,
 )
 from mocapfix.model.take import SAMPLE_NOISE_M
+from mocapfix.stats.rigid_alignment import interpolate_stretches
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 SPLINE_CONTEXT_S = 0.06  # time on either side of a gap whose samples determine position and velocity at the edge
@@ -49,21 +50,23 @@ def fill_with_splines(
         markers: In metres, NaN if not visible or an outlier.
         max_gap_s: Duration of the longest gap that is filled.
     """
-    visible = ~np.isnan(markers[..., 0])
+    visible, world = ~np.isnan(markers[..., 0]), build_world_axes(len(markers))
     filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
     context_count = max(MIN_EDGE_SAMPLES, round(SPLINE_CONTEXT_S * rate))
     for m in np.flatnonzero(~visible.all(0) & visible.any(0)):
         path = np.ascontiguousarray(markers[:, m])
         patterns = group_gap_patterns(visible[:, m], context_count, max_gap_s * rate)
         for (length, before, after), first_frames in patterns.items():
-            spline_map = build_hermite_map(length, np.array(before), np.array(after))
-            context = np.r_[-1 - np.array(before), length + np.array(after)]
-            error = measure_spline_error(path, visible[:, m], spline_map, context)
-            if error is not None:
-                first = np.array(first_frames)[:, None]
-                gap = first + np.arange(length)
-                filled[gap, m] = spline_map @ path[first + context]
-                sd[gap, m] = np.maximum(error, MIN_FILL_SD_M)
+            inside = np.arange(length)
+            used = np.concatenate([-1 - np.array(before), length + np.array(after), inside])
+            trials = find_complete_stretches(visible[:, m], np.sort(used), 1 + len(path) // MAX_TRIAL_STARTS)
+            if len(trials) >= MIN_TRIAL_STRETCHES:
+                trials, first = trials[sample_evenly(len(trials), MAX_TRIAL_STRETCHES)], np.array(first_frames)
+                edges, ones = build_edge_maps(before, after), np.ones(2)
+                error = interpolate_stretches(path, *world, trials[:, None] + used, inside, length, edges, ones)[0][1]
+                found = interpolate_stretches(path, *world, first[:, None] + used, inside, length, edges, ones[:0])[0][1]
+                filled[first[:, None] + inside, m] = found
+                sd[first[:, None] + inside, m] = np.maximum(np.sqrt((error**2).mean((0, 2))), MIN_FILL_SD_M)
     return filled, sd
 
 
@@ -85,21 +88,6 @@ def group_gap_patterns(
     return patterns
 
 
-def build_hermite_map(
-    gap_frames: int, before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], points: Int[np.ndarray, " P"] | None = None
-) -> Float[np.ndarray, "P BA"]:
-    """Return the map from samples before and after a gap, as distances from its edge samples, to those in all of its frames, or
-    at `points`, offsets from its first frame.
-    """
-    s = ((np.arange(gap_frames) if points is None else points) + 1)[:, None] / (gap_frames + 1)
-
-    def map_edge(distances: np.ndarray, s: np.ndarray) -> np.ndarray:
-        position, velocity = fit_edge_parabola(tuple(distances.tolist()))
-        return (1 + 2 * s) * (1 - s) ** 2 * position + (gap_frames + 1) * s * (1 - s) ** 2 * velocity
-
-    return np.concatenate([map_edge(before, s), map_edge(after, 1 - s)], 1)
-
-
 @cache
 def fit_edge_parabola(distances: tuple[int, ...]) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Return the maps from samples at N distances (frames) from a gap's edge to position and velocity of a parabola there.
@@ -109,27 +97,6 @@ def fit_edge_parabola(distances: tuple[int, ...]) -> tuple[Float[np.ndarray, " N
     steps = np.array(distances)
     parabola = np.linalg.pinv(np.stack([np.ones(len(steps)), -steps, steps**2], 1))
     return parabola[0], parabola[1]
-
-
-def measure_spline_error(
-    path: Float[np.ndarray, "T 3"],
-    is_visible: Bool[np.ndarray, " T"],
-    spline_map: Float[np.ndarray, "gap N"],
-    context_frames: Int[np.ndarray, " N"],
-) -> Float[np.ndarray, " gap"] | None:
-    """Return the root mean square error of a map in metres per axis on complete stretches, None if there are too few.
-
-    Args:
-        context_frames: Frames of the map's samples, relative to the first of the gap.
-    """
-    gap = np.arange(len(spline_map))
-    frame_offsets = np.sort(np.concatenate([context_frames, gap]))
-    starts = find_complete_stretches(is_visible, frame_offsets, 1 + len(path) // MAX_TRIAL_STARTS)
-    if len(starts) < MIN_TRIAL_STRETCHES:
-        return None
-    starts = starts[sample_evenly(len(starts), MAX_TRIAL_STRETCHES)][:, None]
-    errors = path[starts + gap] - spline_map @ path[starts + context_frames]
-    return np.sqrt((errors**2).mean((0, 2)))
 
 
 def find_complete_stretches(
@@ -169,9 +136,14 @@ class WorldInterpolation:
         self.take = take
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        path, rate, gap_s = self.take.markers[:, gap.marker], self.take.rate, gap.window.length / self.take.rate
+        path, rate, gap_s = self.take.markers[gap.frames, gap.marker], self.take.rate, gap.window.length / self.take.rate
         line_sd_m = WORLD_ERROR_RATIO * gap.speed_m_s * gap.activity * gap_s**WORLD_ERROR_GROWTH
-        return _interpolate(path, gap.window, rate, line_sd_m, WORLD_SATURATION_S, "world")
+        return _interpolate(path, build_world_axes(len(path)), gap, line_sd_m, WORLD_SATURATION_S * rate, "world", rate)
+
+
+def build_world_axes(frames: int) -> MovingAxes:
+    """Return the axes of the world, which do not move."""
+    return MovingAxes(np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3)))
 
 
 def interpolate_in_axes(path: Float[np.ndarray, "T 3"], axes: MovingAxes, gap: Gap, rate: float, name: str) -> list[GapEstimate]:
@@ -179,77 +151,70 @@ def interpolate_in_axes(path: Float[np.ndarray, "T 3"], axes: MovingAxes, gap: G
 
     Args:
         path: Metres in the world, NaN if not visible.
-        axes: The axes in which the path is interpolated.
+        axes: The axes in which the path is interpolated, in the frames of the gap.
         rate: Frame rate in Hz.
     """
-    w, gap_s, local = gap.window, gap.window.length / rate, axes.transform_from_world(path)
-    shown = local[~np.isnan(local[:, 0])]
-    if not len(shown):
+    shown, gap_s = path[gap.frames], gap.window.length / rate
+    local = axes.transform_from_world(shown)
+    local = local[~np.isnan(local[:, 0])]
+    if not len(local):
         return []
-    variation_m = float(np.sqrt(((shown - shown.mean(0)) ** 2).mean())) * gap.activity**ACTIVITY_POWER
+    variation_m = float(np.sqrt(((local - local.mean(0)) ** 2).mean())) * gap.activity**ACTIVITY_POWER
     variation_m *= compute_variation_growth(~np.isnan(path[:, 0]), gap_s, rate)
     line_sd_m = CLUSTER_ERROR_RATIO * variation_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
-    return [
-        each._replace(
-            method=FillMethod.CLUSTER,
-            position=axes.transform_to_world(each.position, w.gap_frames),
-            error=axes.rotate_to_world(each.error, w.hidden_frames),
-        )
-        for each in _interpolate(local, w, rate, line_sd_m, CLUSTER_SATURATION_S, name)
-    ]
+    estimates = _interpolate(shown, axes, gap, line_sd_m, CLUSTER_SATURATION_S * rate, name, rate)
+    return [each._replace(method=FillMethod.CLUSTER) for each in estimates]
 
 
 def _interpolate(
-    path: Float[np.ndarray, "T 3"], window: GapWindow, rate: float, line_sd_m: float, saturation_s: float, name: str
+    path: Float[np.ndarray, "F 3"], axes: MovingAxes, gap: Gap, line_sd_m: float, saturation: float, name: str, rate: float
 ) -> list[GapEstimate]:
-    """Return the estimates between the edges of a gap, on a line and on a spline, in the axes in which the path is given.
+    """Return the estimates between the edges of a gap, on a line and on a spline, in moving axes.
 
     Args:
-        path: Metres, NaN if unknown.
-        rate: Frame rate in Hz.
+        path: Metres in the world in the frames of the gap, NaN if unknown.
         line_sd_m: Expected standard deviation of the line per axis, in the middle of the gap.
-        saturation_s: Duration above which errors no longer grow with it.
+        saturation: Frames above which errors no longer grow with them.
+        rate: Frame rate in Hz.
     """
-    w = window.keep_known_context(~np.isnan(path[:, 0]))
-    if not len(w.context_frames):
+    w, rows, hidden_rows = gap.window, gap.rows, gap.hidden_rows
+    is_known = ~np.isnan(path[rows, 0] + axes.origin[rows, 0])[: len(rows) - w.length]
+    if not is_known.all():
+        w = w.keep_known_context(is_known)
+        rows = rows[np.append(is_known, [True] * w.length)]
+        hidden_rows = np.ascontiguousarray(hidden_rows[:, np.append(is_known, w.points >= 0)])
+    if not is_known.any():
         return []
-    line_sd, saturation = shape_expected_sd(w, line_sd_m), saturation_s * rate
+    edges = build_edge_maps(tuple((-1 - w.before).tolist()), tuple((w.after - w.length).tolist()))
+    line_sd = shape_expected_sd(w, line_sd_m)
     growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
-    methods = [(FillMethod.LINE, build_line_map, line_sd, growth)]
-    if min(len(w.before), len(w.after)) >= MIN_EDGE_SAMPLES:
-        spline_sd = line_sd * (1 + w.length / rate / SPLINE_ERROR_TIME_S)
-        methods.append((FillMethod.SPLINE, build_spline_map, spline_sd, growth**SPLINE_ERROR_GROWTH))
-    estimates: list[GapEstimate] = []
-    for method, build_map, expected_sd, error_growth in methods:
-        gap_map, hidden_map = w.build_maps(build_map)
-        error = (hidden_map @ path[w.hidden_context_frames] - path[w.hidden_frames]) * error_growth
-        noise_sd = SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
-        position = gap_map @ path[w.context_frames]
-        estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd, noise_sd), name))
-    return estimates
+    growths = growth ** np.array([1.0, SPLINE_ERROR_GROWTH])
+    position, noise = interpolate_stretches(path, *axes, rows[None], np.arange(w.length), w.length, edges, growths[:0])
+    error, _ = interpolate_stretches(path, *axes, hidden_rows, w.hidden_points, w.hidden_length, edges, growths)
+    noise_sd = SAMPLE_NOISE_M * noise[:, w.points]
+    expected_sd = line_sd, line_sd * (1 + w.length / rate / SPLINE_ERROR_TIME_S)
+    methods = FillMethod.LINE, FillMethod.SPLINE
+    deviations = [np.hypot(sd, noise) for sd, noise in zip(expected_sd, noise_sd, strict=False)]
+    return [GapEstimate(methods[e], position[e, 0], error[e], sd, name) for e, sd in enumerate(deviations)]
 
 
-def build_line_map(
-    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"]
-) -> Float[np.ndarray, "P BA"]:
-    """Return the map from the samples beside a gap to points on the line between its edges, at one place if it has only one.
+@cache
+def build_edge_maps(before: tuple[int, ...], after: tuple[int, ...]) -> Float[np.ndarray, "E 4 C"]:
+    """Return the maps from the samples beside a gap to position and velocity at the edge before it, then after it, per frame.
 
-    All are offsets in frames from the first frame of the gap, which is `length` frames long.
+    The first is that of a line between the edges, at one place if the gap has only one; the second that of a spline, if there
+    are MIN_EDGE_SAMPLES at either edge.
+
+    Args:
+        before: Distances of the samples from the edge, in frames; the last is at the edge.
+        after: The same after the gap; the first is at the edge.
     """
-    line_map, share = np.zeros((len(points), len(before) + len(after))), (points + 1) / (length + 1)
-    if len(before):
-        line_map[:, len(before) - 1] = 1 - share if len(after) else 1.0
-    if len(after):
-        line_map[:, len(before)] = share if len(before) else 1.0
-    return line_map
-
-
-def build_spline_map(
-    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"]
-) -> Float[np.ndarray, "P BA"]:
-    """Return the map from the samples beside a gap, at least MIN_EDGE_SAMPLES on either side, to points on a spline."""
-    columns = np.concatenate([np.arange(len(before))[::-1], len(before) + np.arange(len(after))])
-    return build_hermite_map(length, -1 - before[::-1], after - length, points)[:, columns]
+    maps, split = np.zeros((2, 4, len(before) + len(after))), len(before)
+    maps[0, 0, split - 1 if before else 0] = maps[0, 2, split if after else split - 1] = 1.0
+    if min(len(before), len(after)) < MIN_EDGE_SAMPLES:
+        return maps[:1]
+    maps[1, :2, :split], maps[1, 2:, split:] = fit_edge_parabola(before), fit_edge_parabola(after)
+    return maps
 
 
 def shape_expected_sd(window: GapWindow, middle_sd_m: float) -> Float[np.ndarray, " S"]:

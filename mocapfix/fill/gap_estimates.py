@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 
 from mocapfix.fill.body_fill import BodyPlacement, estimate_preview
 from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
@@ -43,6 +43,7 @@ from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
 from mocapfix.io.changes_file import RequestedFill
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.stats.marker_distances import RigidGroup
+from mocapfix.stats.rigid_alignment import combine_estimates
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 EstimatorClass = Callable[[MarkersInTake], Estimator]
@@ -137,7 +138,7 @@ def _estimate_gaps(take: MarkersInTake, surroundings: "_Surroundings") -> list[_
     if take.body:
         has_ends[take.body.marker_columns[take.body.marker_columns >= 0]] = True
     for first, last, lost in iterate_gaps(~take.is_known, take.is_visible, has_ends):
-        is_shown: np.ndarray = np.all(take.is_known[:, lost], axis=1)
+        is_shown: np.ndarray = np.all(take.is_known.T[lost], axis=0)
         window = choose_hidden_stretches(is_shown, first, last, take.rate)
         for gap, similarity in surroundings.describe_gap(window, lost):
             estimates = surroundings.select_plausible([e for estimate in estimators for e in estimate(gap)], gap)
@@ -253,7 +254,7 @@ class _Surroundings:
     ) -> Iterator[tuple[Gap, Float[np.ndarray, " K"]]]:
         """Yield what is known around each of the markers that are lost throughout a gap, and the similarity of its stretches."""
         take, w, known = self.take, window, self.take.is_known
-        shown = np.flatnonzero(known[:, lost_markers].all(1))
+        shown = np.flatnonzero(known.T[lost_markers].all(0))
         frames = w.list_frames(shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)], len(known))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
         for marker in lost_markers.tolist():
@@ -266,7 +267,7 @@ class _Surroundings:
                 w,
                 lost_markers,
                 neighbours,
-                frames,
+                *frames,
                 activity=self.activity.compare(marker, w, neighbours),
                 speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), w.length / take.rate),
             )
@@ -319,25 +320,14 @@ def measure_speed_limit(markers: Float[np.ndarray, "T M 3"], rate: float) -> flo
     return MAX_SPEED_RATIO * max(float(np.percentile(visible, SPEED_PERCENTILE)), MIN_SPEED_LIMIT_M_S)
 
 
-EXPECTED_WEIGHT = 2.0  # number of independent hidden stretches that the expected covariance is worth
-FIRST_STRETCH_DISCOUNT = 0.5  # number of stretches that are subtracted: a single one shows little
 EXPECTED_CORRELATION = 0.3  # expected correlation of the errors of two estimates of one sample
 SAME_AXES_CORRELATION = 0.75  # the same where both were made in the same axes
-COVARIANCE_RIDGE = 1e-3  # relative increase of the variances, so that equal estimates share their weight
-
-
-class CombinedEstimate(NamedTuple):
-    """The combined estimates of a marker in one gap: positions, standard deviations per axis, and the main methods."""
-
-    position: Float[np.ndarray, "n 3"]
-    sd: Float[np.ndarray, " n"]
-    method: Int8[np.ndarray, " n"]
 
 
 def combine_gap_estimates(
     estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]
-) -> CombinedEstimate:
-    """Return the combination of estimates with the smallest expected error at each point of the gap.
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
+    """Return the combination of estimates with the smallest expected error: positions, their deviations, and the main methods.
 
     An estimate that lacks some frames counts in the others only.
 
@@ -345,123 +335,19 @@ def combine_gap_estimates(
         estimates: At least one.
         similarity: Of each hidden stretch to the gap, 0 to 1.
     """
-    is_estimated = np.stack([~np.isnan(e.position[:, 0]) for e in estimates])
-    if not is_estimated.all():
-        return _combine_where_estimated(estimates, window, similarity, is_estimated)
-    error = np.stack([e.error for e in estimates])
-    covariance = compute_error_covariances(error, similarity)
-    expected_sd = np.stack([e.expected_sd for e in estimates], axis=1)
-    known_share = (~np.isnan(error[..., 0])).mean(2) @ similarity / max(len(similarity), 1)
-    count = np.maximum(window.count_independent_stretches() * known_share - FIRST_STRETCH_DISCOUNT, 0.0)
-    count *= window.hidden_length / window.length * np.array([e.evidence for e in estimates])
+    position, error, expected_sd = (np.stack(each) for each in zip(*(e[1:4] for e in estimates), strict=True))
+    largest = np.nanmax(expected_sd, axis=1, initial=MIN_FILL_SD_M, keepdims=True)
+    expected_sd = np.where(np.isnan(expected_sd), largest, expected_sd)  # of one that lacks frames
     correlation = build_expected_correlation([e.axes for e in estimates])
-    weights, variance = compute_weights(
-        shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
-    )
-    by_frame = interpolate_rows(np.column_stack([weights, np.sqrt(variance)]), window)
-    by_frame, sd = by_frame[:, :-1], by_frame[:, -1]
-    position = np.einsum("ne,ena->na", by_frame, np.stack([e.position for e in estimates]))
-    methods = np.array(list(FillMethod), np.int8)
-    by_method = by_frame @ (np.array([e.method for e in estimates])[:, None] == methods)
-    return CombinedEstimate(position, sd, methods[by_method.argmax(1)])
-
-
-def interpolate_rows(values: Float[np.ndarray, "S E"], window: GapWindow) -> Float[np.ndarray, "n E"]:
-    """Return the values in each frame of a gap, from those at its points."""
-    place = np.interp(np.arange(window.length), window.points, np.arange(len(values)))
-    row = np.minimum(place.astype(int), max(len(values) - 2, 0))
-    share = (place - row)[:, None]
-    return (1 - share) * values[row] + share * values[np.minimum(row + 1, len(values) - 1)]
-
-
-def _combine_where_estimated(
-    estimates: Sequence[GapEstimate], window: GapWindow, similarity: np.ndarray, is_estimated: Bool[np.ndarray, "E n"]
-) -> CombinedEstimate:
-    """Return the combination in each frame of those estimates that it has."""
-    n = window.length
-    result = CombinedEstimate(np.full((n, 3), np.nan), np.full(n, np.nan), np.zeros(n, np.int8))
-    patterns, rows = np.unique(is_estimated, axis=1, return_inverse=True)
-    for p, pattern in enumerate(patterns.T):
-        frames = np.flatnonzero(rows.ravel() == p)
-        chosen = [_extend(e) for e, is_chosen in zip(estimates, pattern, strict=True) if is_chosen]
-        if chosen:
-            for values, new in zip(result, combine_gap_estimates(chosen, window, similarity), strict=True):
-                values[frames] = new[frames]
-    return result
-
-
-def _extend(estimate: GapEstimate) -> GapEstimate:
-    """Return an estimate with arbitrary positions in the frames that it lacks; its deviation there is the largest elsewhere."""
-    largest = np.nanmax(estimate.expected_sd, initial=MIN_FILL_SD_M)
-    expected_sd = np.where(np.isnan(estimate.expected_sd), largest, estimate.expected_sd)
-    return estimate._replace(position=np.nan_to_num(estimate.position), expected_sd=expected_sd)
+    shown = window.hidden_length / window.length * np.array([e.evidence for e in estimates])
+    methods, independent = np.array([int(e.method) for e in estimates]), window.count_independent_stretches()
+    out = np.empty((window.length, 3)), np.empty(window.length), np.empty(window.length, np.int8)
+    weighting = similarity, independent, shown, correlation, MIN_FILL_SD_M, window.points, methods
+    combine_estimates(position, error, expected_sd, *weighting, out)
+    return out
 
 
 def build_expected_correlation(axes: Sequence[str | None]) -> Float[np.ndarray, "E E"]:
     """Return the expected correlations of the errors of estimates in axes with these names."""
     is_same = np.array([[a is not None and a == b for b in axes] for a in axes])
     return np.where(is_same, SAME_AXES_CORRELATION, EXPECTED_CORRELATION)
-
-
-def compute_error_covariances(
-    error: Float[np.ndarray, "E K S 3"], similarity: Float[np.ndarray, " K"]
-) -> Float[np.ndarray, "S E E"]:
-    """Return the second moments (m2 per axis) of the errors of E estimates at the points of a gap; NaN where unknown.
-
-    Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
-    """
-    estimates, stretches, points, _ = error.shape
-    weight = np.sqrt(similarity)[:, None, None] * ~np.isnan(error[..., :1])
-    flat = np.moveaxis(np.nan_to_num(error) * weight, 2, 0).reshape(points, estimates, 3 * stretches)
-    known = np.moveaxis(weight[..., 0], 2, 0)
-    moment, count = flat @ flat.swapaxes(1, 2) / 3, known @ known.swapaxes(1, 2)
-    moment, count = moment + moment[::-1], count + count[::-1]
-    if points > 2:
-        moment[1:-1], count[1:-1] = (x[1:-1] + 0.5 * (x[:-2] + x[2:]) for x in (moment, count))
-    return np.divide(moment, count, out=np.full(moment.shape, np.nan), where=count > 0)
-
-
-def shrink_covariances(
-    covariance: Float[np.ndarray, "S E E"],
-    expected_sd: Float[np.ndarray, "S E"],
-    expected_correlation: Float[np.ndarray, "E E"],
-    trust: Float[np.ndarray, " E"],
-) -> Float[np.ndarray, "S E E"]:
-    """Return covariances between the measured ones, with a weight for each estimate (0 to 1), and the expected ones."""
-    variance = np.einsum("see->se", covariance)
-    is_known = ~np.isnan(variance)
-    measured_sd = np.sqrt(np.where(is_known, variance, 1.0))
-    log_sd = [np.log(np.maximum(sd, MIN_FILL_SD_M)) for sd in (measured_sd, expected_sd)]
-    sd = np.exp(np.where(is_known, trust * log_sd[0] + (1 - trust) * log_sd[1], log_sd[1]))
-    scale = np.maximum(measured_sd, MIN_FILL_SD_M / 10)
-    correlation = np.clip(covariance / scale[:, :, None] / scale[:, None], -1, 1)
-    correlation = np.where(np.isnan(correlation), expected_correlation, correlation)
-    shared_trust = np.sqrt(trust[:, None] * trust)
-    correlation = shared_trust * correlation + (1 - shared_trust) * expected_correlation
-    diagonal = np.arange(sd.shape[1])
-    correlation[:, diagonal, diagonal] = 1 + COVARIANCE_RIDGE
-    return correlation * sd[:, :, None] * sd[:, None]
-
-
-def compute_weights(covariance: Float[np.ndarray, "S E E"]) -> tuple[Float[np.ndarray, "S E"], Float[np.ndarray, " S"]]:
-    """Return weights that are not negative, sum to one and give small expected errors, and the variances of these errors.
-
-    Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
-    need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
-    """
-    identity = np.eye(covariance.shape[1])
-    own, rows = np.diagonal(covariance, axis1=1, axis2=2), np.arange(len(covariance))
-    active = np.ones(own.shape, bool)
-    while True:
-        chosen = np.where(active[:, :, None] & active[:, None], covariance, identity)
-        solved = np.linalg.solve(chosen, 1.0 * active[..., None])[..., 0]
-        kept = active & (solved > 0)
-        if (kept == active).all():
-            break
-        steadiest = np.where(active, own, np.inf).argmin(1)
-        kept[rows, steadiest] |= ~kept.any(1)
-        active = kept
-    weights = solved / solved.sum(1, keepdims=True)
-    variance, best = np.einsum("se,sef,sf->s", weights, covariance, weights), own.argmin(1)
-    is_worse = variance > own[rows, best]
-    return np.where(is_worse[:, None], identity[best], weights), np.where(is_worse, own[rows, best], variance)

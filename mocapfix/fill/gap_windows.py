@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, Int8
 
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.stats.marker_distances import RigidGroup
+from mocapfix.stats.rigid_alignment import transform_to_body_axes
 from mocapfix.stats.sequences import group_gaps, sample_evenly
 
 MIN_FILL_SD_M = 0.0003  # smallest standard deviation per axis of a fill, and of an estimate of one
@@ -55,9 +56,6 @@ class MarkerEstimate(NamedTuple):
     position: Float[np.ndarray, "T M 3"]
     sd: Float[np.ndarray, "T M"]
     method: Int8[np.ndarray, "T M"]
-
-
-MapBuilder = Callable[[np.ndarray, np.ndarray, int, np.ndarray], np.ndarray]  # from before, after, length and points of a gap
 
 
 class GapWindow(NamedTuple):
@@ -112,7 +110,7 @@ class GapWindow(NamedTuple):
         if not len(self.starts):
             return 0.0
         steps = np.minimum(np.diff(self.starts), self.hidden_length)
-        return min(len(self.starts), (float(steps.sum()) + self.hidden_length) / self.hidden_length)
+        return min(float(len(self.starts)), (float(steps.sum()) + self.hidden_length) / self.hidden_length)
 
     def compute_distance_to_edges(self) -> Float[np.ndarray, " S"]:
         """Return the distance of each point, in frames, from the nearest edge of the gap that has a visible sample."""
@@ -121,38 +119,36 @@ class GapWindow(NamedTuple):
             return to_first
         return np.minimum(to_first, to_last) if len(self.before) else to_last
 
-    def list_frames(self, others: Int[np.ndarray, " N"], frame_count: int) -> Int[np.ndarray, " F"]:
-        """Return the frames, ascending, of the gap, of the points of the stretches, beside either, and others."""
-        is_listed = np.zeros(frame_count, bool)
-        for frames in (others, self.gap_frames, self.context_frames, self.hidden_frames, self.hidden_context_frames):
-            is_listed[frames] = True
-        return np.flatnonzero(is_listed)
+    def list_frames(
+        self, others: Int[np.ndarray, " N"], frame_count: int
+    ) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, " Cn"], Int[np.ndarray, "K CS"]]:
+        """Return the frames, ascending, of the gap, of the points of the stretches, beside either, and others.
 
-    def build_maps(self, build_map: MapBuilder) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, "S C"]]:
-        """Return the maps from the samples beside the gap to its frames, and from those beside a stretch to its points."""
-        gap_map = build_map(self.before, self.after, self.length, np.arange(self.length))
-        if self.hidden_length == self.length:
-            return gap_map, gap_map[self.points]
-        return gap_map, build_map(self.before, self.hidden_after, self.hidden_length, self.hidden_points)
+        And which of them are beside the gap and in it, and beside each stretch and its points.
+        """
+        row, own = np.zeros(frame_count, int), np.concatenate([self.context_frames, self.gap_frames])
+        hidden = np.concatenate([self.hidden_context_frames, self.hidden_frames], axis=1)
+        for listed in (others, own, hidden):
+            row[listed] = 1
+        frames = np.flatnonzero(row)
+        row[frames] = np.arange(len(frames))
+        return frames, row[own], row[hidden]
 
-    def keep_known_context(self, is_known: Bool[np.ndarray, " T"]) -> "GapWindow":
+    def keep_known_context(self, is_known: Bool[np.ndarray, " C"]) -> "GapWindow":
         """Return the window with those of the samples beside its gap that are known: axes can be unknown there."""
-        is_before, is_after = is_known[self.first + self.before], is_known[self.first + self.after]
+        is_before, is_after = is_known[: len(self.before)], is_known[len(self.before) :]
         return self._replace(before=self.before[is_before], after=self.after[is_after], hidden_after=self.hidden_after[is_after])
 
 
 class MovingAxes(NamedTuple):
-    """Axes that move with some markers, in metres; the origin is NaN where they are unknown."""
+    """Axes that move with some markers in some frames, in metres; the origin is NaN where they are unknown."""
 
     rotation_world_axes: Float[np.ndarray, "T 3 3"]
     origin: Float[np.ndarray, "T 3"]
 
     def transform_from_world(self, path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
         """Return a path in these axes."""
-        local = np.full(path.shape, np.nan)
-        known = np.flatnonzero(~np.isnan(self.origin[:, 0]) & ~np.isnan(path[:, 0]))
-        local[known] = np.einsum("tba,tb->ta", self.rotation_world_axes[known], path[known] - self.origin[known])
-        return local
+        return transform_to_body_axes(path[:, None], self.origin, self.rotation_world_axes)[:, 0]
 
     def transform_to_world(self, local: Float[np.ndarray, "n 3"], frames: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
         """Return positions in some frames in the world."""
@@ -227,7 +223,9 @@ class Gap(NamedTuple):
         window: The gap and its hidden stretches.
         lost_markers: All markers with this gap.
         neighbours: Markers that are known throughout, those with the most constant distance to the marker first.
-        frames: Frames in which it is compared with them: of the gap, of the stretches, and others.
+        frames: Frames in which it is compared with them, ascending: of the gap, of the stretches, and others.
+        rows: Which of these are beside the gap, and in it.
+        hidden_rows: The same of each stretch: beside it, and its points.
         activity: How many times as fast the neighbours are in the gap as while the marker is visible, at least one.
         speed_m_s: Variation of the marker's velocity that is expected in the gap.
     """
@@ -237,6 +235,8 @@ class Gap(NamedTuple):
     lost_markers: Int[np.ndarray, " L"]
     neighbours: Int[np.ndarray, " N"]
     frames: Int[np.ndarray, " F"]
+    rows: Int[np.ndarray, " Cn"]
+    hidden_rows: Int[np.ndarray, "K CS"]
     activity: float
     speed_m_s: float
 
@@ -313,21 +313,26 @@ def iterate_gaps(
         is_inside = first > 0 and last < len(is_missing) - 1
         remaining = lost if is_inside else lost[has_ends[lost]]
         while len(remaining):
-            together = _select_visible_together(is_visible, remaining)
+            by_frequency = remaining[np.argsort(-is_visible[:, remaining].sum(0), kind="stable")]
+            others = select_visible_together(is_visible, int(by_frequency[0]), by_frequency[1:], 0, len(remaining))
+            together = np.sort([by_frequency[0], *others])
             yield first, last, together
             remaining = np.setdiff1d(remaining, together)
 
 
-def _select_visible_together(is_visible: np.ndarray, markers: np.ndarray) -> np.ndarray:
-    """Return the marker that is visible most often and those that leave enough of the frames in which it is."""
-    by_frequency = markers[np.argsort(-is_visible[:, markers].sum(0), kind="stable")]
-    shared, together = is_visible[:, by_frequency[0]].copy(), [int(by_frequency[0])]
-    for marker in by_frequency[1:].tolist():
-        both = shared & is_visible[:, marker]
-        if both.sum() >= MIN_KEPT_FRAME_SHARE * shared.sum():
+def select_visible_together(
+    is_visible: Bool[np.ndarray, "T M"], marker: int, others: Int[np.ndarray, " N"], min_frames: int, max_count: int
+) -> list[int]:
+    """Return those of other markers, in the order given, that leave enough of the frames in which a marker is visible."""
+    shared, together = is_visible[:, marker], list[int]()
+    for other in others.tolist():
+        both = shared & is_visible[:, other]
+        if np.count_nonzero(both) >= max(min_frames, MIN_KEPT_FRAME_SHARE * np.count_nonzero(shared)):
             shared = both
-            together.append(marker)
-    return np.sort(together)
+            together.append(other)
+        if len(together) == max_count:
+            break
+    return together
 
 
 RESTING_SPEED_M_S = 0.02  # speed that is added to all, below which markers count as equally at rest

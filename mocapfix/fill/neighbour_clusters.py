@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, interpolate_in_axes
-from mocapfix.fill.gap_windows import MIN_KEPT_FRAME_SHARE, FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes, select_visible_together
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.gaussian_process import NORMAL_MEDIAN_FACTOR, estimate_roughness, map_residual
 from mocapfix.stats.marker_distances import measure_distance_spread
@@ -26,6 +26,7 @@ from mocapfix.stats.rigid_alignment import (
     align_cluster,
     align_to_shape,
     fit_common_shape,
+    regress_without,
     transform_to_body_axes,
 )
 from mocapfix.stats.sequences import sample_evenly
@@ -91,38 +92,22 @@ def build_cluster_axes(
     change_m: Float[np.ndarray, " K"],
     frames: Int[np.ndarray, " N"],
 ) -> MovingAxes | None:
-    """Return the axes of a cluster in those of the given frames in which all of it is visible; None if there are none.
+    """Return the axes of a cluster in the given frames, unknown where not all of it is visible; None if they never are.
 
     The variation `change_m` of its distances weights each marker.
     """
-    selected = markers[frames[:, None], cluster]
-    is_visible = ~np.isnan(selected[..., 0]).any(1)
+    is_visible = np.isnan(markers[..., 0].T[cluster[:, None], frames]).sum(0) == 0
     if not is_visible.any():
         return None
-    rotation, origin = np.empty((len(markers), 3, 3)), np.full((len(markers), 3), np.nan)
-    shown = frames[is_visible]
-    _, rotation[shown], origin[shown] = align_cluster(selected[is_visible], compute_marker_weights(change_m))
+    rotation, origin = np.zeros((len(frames), 3, 3)), np.full((len(frames), 3), np.nan)
+    axes = align_cluster(markers, frames[is_visible], cluster, compute_marker_weights(change_m))[1:]
+    rotation[is_visible], origin[is_visible] = axes
     return MovingAxes(rotation, origin)
 
 
 def compute_marker_weights(change_m: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Return the weights of markers in the registration of a cluster, from the variations of their distances."""
     return 1 / (change_m**2 + MIN_DISTANCE_CHANGE_M**2)
-
-
-def select_regression_cluster(
-    is_visible: Bool[np.ndarray, "T M"], marker: int, neighbours: Int[np.ndarray, " N"]
-) -> Int[np.ndarray, " K"]:
-    """Return the neighbours, in the order given, that leave enough frames in which all of them and the marker are visible."""
-    shared, cluster = is_visible[:, marker].copy(), list[int]()
-    for neighbour in neighbours.tolist():
-        both = shared & is_visible[:, neighbour]
-        if np.count_nonzero(both) >= max(MIN_CLUSTER_FRAMES, MIN_KEPT_FRAME_SHARE * np.count_nonzero(shared)):
-            cluster.append(neighbour)
-            shared = both
-        if len(cluster) == MAX_CLUSTER_MARKERS:
-            break
-    return np.array(cluster, int)
 
 
 class ClusterInterpolation:
@@ -153,35 +138,49 @@ class NeighbourRegression:
         take, w, rate, path = self.take, gap.window, self.take.rate, self.take.markers[:, gap.marker]
         change, is_shown = take.distance_change_m[gap.marker], take.is_known[:, gap.marker]
         steady = gap.neighbours[change[gap.neighbours] < MAX_DISTANCE_CHANGE_M]
-        cluster = select_regression_cluster(take.is_known, gap.marker, steady)
+        cluster = select_visible_together(take.is_known, gap.marker, steady, MIN_CLUSTER_FRAMES, MAX_CLUSTER_MARKERS)
+        cluster = np.array(cluster, int)
         if len(cluster) < MIN_CLUSTER_MARKERS:
             return []
-        is_known: np.ndarray = np.all(take.is_known[:, cluster], axis=1)
+        is_known: np.ndarray = np.all(take.is_known.T[cluster], axis=0)
         training = np.flatnonzero(is_known & is_shown)
         training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
-        frames = w.list_frames(training, len(path))
+        frames = w.list_frames(training, len(path))[0]
         frames = frames[is_known[frames]]
         row = np.full(len(path), -1)
         row[frames] = np.arange(len(frames))
         if len(training) < MIN_CLUSTER_FRAMES or (row[w.gap_frames] < 0).any() or (row[w.context_frames] < 0).any():
             return []
-        shape, rotation, centre = align_cluster(take.markers[frames[:, None], cluster], compute_marker_weights(change[cluster]))
+        shape, rotation, centre = align_cluster(take.markers, frames, cluster, compute_marker_weights(change[cluster]))
         local = transform_to_body_axes(path[frames][:, None], centre, rotation)[:, 0]
-        regression = _Regression(shape.reshape(len(frames), -1), local, row[training])
-        predicted = regression.mean + regression.x @ regression.coefficients
+        rows, mean = row[w.gap_frames], local[row[training]].mean(0)
+        local -= mean
+        # stretches of one group are left out together
+        is_out = (training >= w.starts[:, None]) & (training < w.starts[:, None] + w.hidden_length)
+        group = number_parts(len(w.starts))
+        left_out = np.stack([is_out[group == each].any(0) for each in np.unique(group)]) if len(group) else is_out
+        x, count, examples = shape.reshape(len(frames), -1), len(training), row[training]
+        x -= x[examples].mean(0)
+        folds = np.arange(HIDDEN_FOLDS)[:, None] == number_parts(count)
+        groups = np.concatenate([np.zeros((1, count), bool), folds, left_out])
+        coefficients, judged, leverage = regress_without(
+            x[examples], local[examples], groups, SHAPE_RIDGE_M**2, x[rows[w.points]]
+        )
+        predicted, (square, usual) = x @ coefficients[0], judged[1 : 1 + HIDDEN_FOLDS].sum(0)
+        # how much larger errors in the gap are than usual: one of so many training frames is independent of the others
+        repeated = len(training) / len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
+        inflation = np.sqrt(np.maximum((1 + repeated * leverage) / (1 + repeated * usual / len(training)), 1.0))
+        learned_sd = np.sqrt(square / (3 * len(training)))
         residual = np.full(path.shape, np.nan)
         residual[frames] = local - predicted
         gap_map, hidden_map = _build_residual_maps(residual, w, rate)
-        rows, context = row[w.gap_frames], w.context_frames
-        position = predicted[rows] + gap_map @ residual[context]
+        position = mean + predicted[rows] + gap_map @ residual[w.context_frames]
         position = np.einsum("tab,tb->ta", rotation[rows], position) + centre[rows]
-        independent_count = len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
-        learned_sd, inflation = regression.cross_validate(rows[w.points], len(training) / independent_count)
         hidden = row[np.concatenate([w.hidden_context_frames, w.hidden_frames], axis=1)]
-        coefficients, is_held_out = regression.learn_without_each(training, w)
-        error, complete = np.full((*w.hidden_frames.shape, 3), np.nan), np.flatnonzero(is_held_out & (hidden >= 0).all(1))
-        hidden, split = hidden[complete], len(context)
-        misfit = local[hidden] - regression.mean - regression.x[hidden] @ coefficients[complete]
+        is_enough = left_out.sum(1) <= MAX_HIDDEN_SHARE * len(training)
+        error, complete = np.full((*w.hidden_frames.shape, 3), np.nan), np.flatnonzero(is_enough[group] & (hidden >= 0).all(1))
+        hidden, split = hidden[complete], len(w.context_frames)
+        misfit = local[hidden] - x[hidden] @ coefficients[1 + HIDDEN_FOLDS + group[complete]]
         local_error = (hidden_map @ misfit[:, :split] - misfit[:, split:]) * inflation[:, None]
         error[complete] = np.einsum("ksab,ksb->ksa", rotation[hidden[:, split:]], local_error)
         novelty = np.sqrt(min(1 + 2 * w.length / np.count_nonzero(is_shown), MAX_NOVELTY))
@@ -189,6 +188,11 @@ class NeighbourRegression:
         learned_sd = learned_sd * inflation * novelty * gap.activity**ACTIVITY_POWER
         expected_sd = np.sqrt(learned_sd**2 * decay + SAMPLE_NOISE_M**2)
         return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
+
+
+def number_parts(count: int) -> Int[np.ndarray, " count"]:
+    """Return the number of the part of each of so many elements in HIDDEN_FOLDS nearly equal parts, the larger ones first."""
+    return np.repeat(np.arange(HIDDEN_FOLDS), [(count + fold) // HIDDEN_FOLDS for fold in range(HIDDEN_FOLDS)[::-1]])
 
 
 def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -199,65 +203,16 @@ def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, 
     roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
     noise_variance = np.full(len(w.before) + len(w.after), SAMPLE_NOISE_M**2)
 
-    def build_map(before: np.ndarray, after: np.ndarray, _: int, points: np.ndarray) -> np.ndarray:
+    def build_map(before: np.ndarray, after: np.ndarray, points: np.ndarray) -> np.ndarray:
         known_s, fade_s = np.concatenate([before, after]) / rate, CLUSTER_RESIDUAL_FADE_S
         return map_residual(
             known_s, points / rate, power=power, time_scale_s=fade_s, roughness=roughness, noise_variance=noise_variance
         )[0]
 
-    return w.build_maps(build_map)
-
-
-class _Regression:
-    """A ridge regression of positions (m, in a cluster's axes) on the deformation of the cluster, with any frames left out."""
-
-    def __init__(self, deformation: np.ndarray, position: np.ndarray, training: np.ndarray) -> None:
-        self.mean = position[training].mean(0)
-        self.x = deformation - deformation[training].mean(0)
-        self.training_x, self.training_y = self.x[training], position[training] - self.mean
-        self.square, self.moment = self.training_x.T @ self.training_x, self.training_x.T @ self.training_y
-        self.inverse = np.linalg.inv(self._compute_curvature(self.training_x[:0]))
-        self.coefficients = self.inverse @ self.moment
-
-    def learn_without_each(
-        self, training: Int[np.ndarray, " N"], window: GapWindow
-    ) -> tuple[Float[np.ndarray, "K F 3"], Bool[np.ndarray, " K"]]:
-        """Return the coefficients for each hidden stretch, learned without it, and whether enough training frames are left.
-
-        Stretches of one group are left out together.
-        """
-        starts, w = window.starts[:, None], window
-        is_out = (training >= starts) & (training < starts + w.hidden_length)
-        group = np.repeat(np.arange(HIDDEN_FOLDS), [len(each) for each in np.array_split(w.starts, HIDDEN_FOLDS)])
-        left_out = [is_out[group == each].any(0) for each in range(HIDDEN_FOLDS)]
-        is_enough = np.array([np.count_nonzero(each) <= MAX_HIDDEN_SHARE * len(training) for each in left_out])
-        curvature = np.stack([self._compute_curvature(self.training_x[each]) for each in left_out])
-        moment = np.stack([self.moment - self.training_x[each].T @ self.training_y[each] for each in left_out])
-        return np.linalg.solve(curvature, moment)[group], is_enough[group]
-
-    def cross_validate(self, rows: Int[np.ndarray, " N"], frames_per_independent: float) -> tuple[float, Float[np.ndarray, " N"]]:
-        """Return the root mean square error in metres per axis of stretches of the take that are predicted from the others.
-
-        And the error in some rows relative to it, at least one. It grows where the deformation differs more from what was
-        learned: the variance of the coefficients, x' (X'X + ridge)^-1 x, counts in addition to that of the residual.
-        One of `frames_per_independent` training frames is independent of the others.
-        """
-        square, usual, count = 0.0, 0.0, len(self.training_x)
-        for fold in np.array_split(np.arange(count), HIDDEN_FOLDS):
-            x, y = self.training_x[fold], self.training_y[fold]
-            inverse = np.linalg.inv(self._compute_curvature(x))
-            square += ((y - x @ (inverse @ (self.moment - x.T @ y))) ** 2).sum() / (3 * count)
-            usual += np.vdot(x @ inverse, x) / count
-        x = self.x[rows]
-        leverage = np.einsum("nf,nf->n", x @ self.inverse, x)
-        ratio = (1 + frames_per_independent * leverage) / (1 + frames_per_independent * usual)
-        return float(np.sqrt(square)), np.sqrt(np.maximum(ratio, 1.0))
-
-    def _compute_curvature(self, left_out: Float[np.ndarray, "H F"]) -> Float[np.ndarray, "F F"]:
-        """Return the curvature of the coefficients without some training frames, whose deformations are given."""
-        curvature = self.square - left_out.T @ left_out
-        curvature.flat[:: len(curvature) + 1] += max(len(self.training_x) - len(left_out), 1) * SHAPE_RIDGE_M**2
-        return curvature
+    gap_map = build_map(w.before, w.after, np.arange(w.length))
+    if w.hidden_length == w.length:
+        return gap_map, gap_map[w.points]
+    return gap_map, build_map(w.before, w.hidden_after, w.hidden_points)
 
 
 MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated
@@ -314,7 +269,7 @@ def select_changing_cluster(
 def build_changing_axes(
     markers: Float[np.ndarray, "T M 3"], cluster: ChangingCluster, window: GapWindow, frames: Int[np.ndarray, " N"]
 ) -> MovingAxes | None:
-    """Return the axes of a cluster in those of the given frames that show enough of it; None if its shape is unknown.
+    """Return the axes of a cluster in the given frames, unknown where they do not show enough; None if its shape is unknown.
 
     In the hidden stretches only those members are used that are visible in the gap at the same point.
 
@@ -329,10 +284,8 @@ def build_changing_axes(
     shape = fit_common_shape(selected[shape_frames[sample_evenly(len(shape_frames), MAX_CLUSTER_SHAPE_FRAMES)]])
     for frames_of_point, is_visible in zip(window.hidden_frames.T, cluster.is_visible[window.points], strict=True):
         is_used[frames_of_point] &= is_visible
-    rotation, origin = np.empty((len(markers), 3, 3)), np.full((len(markers), 3), np.nan)
-    aligned_rotation, aligned_origin, is_aligned = align_to_shape(selected[frames], is_used[frames], shape)
-    rotation[frames[is_aligned]], origin[frames[is_aligned]] = aligned_rotation[is_aligned], aligned_origin[is_aligned]
-    return MovingAxes(rotation, origin)
+    rotation, origin, is_aligned = align_to_shape(selected[frames], is_used[frames], shape)
+    return MovingAxes(rotation, np.where(is_aligned[:, None], origin, np.nan))
 
 
 def remove_steps(estimate: GapEstimate, cluster: ChangingCluster, window: GapWindow) -> GapEstimate:

@@ -70,7 +70,7 @@ class _GroupShape:
         members = np.flatnonzero(np.isfinite(self.marker_sd))
         is_determined = np.array([np.isfinite(self._compute_pose_sd(each, members)).all() for each in patterns], bool)
         self.poses = GroupPoses(rotation, origin, is_known & is_determined[rows.ravel()])
-        self._twist_errors: dict[tuple[int, ...], tuple[TwistError, TwistError]] = {}
+        self._twist_errors: dict[tuple[int, ...], tuple[tuple[np.ndarray, np.ndarray], ...]] = {}
 
     def _compute_pose_sd(self, is_used: np.ndarray, members: np.ndarray) -> np.ndarray:
         """Return the error of a pose at some members; infinite where the used ones are nearly on one line."""
@@ -192,15 +192,13 @@ def turn_about_line(
     return rigid_alignment.compute_shortest_rotations(turned @ line, seen) @ turned
 
 
-class TwistError(NamedTuple):
-    """Numbers of frames to the nearest known pose, and the error (rad) of an angle that is interpolated so far from it."""
+def measure_twist_error(
+    poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_one_sided: bool
+) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"]]:
+    """Return distances in frames from known poses, and the error (rad) there of an interpolated angle about a line.
 
-    lags: Float[np.ndarray, " L"]
-    error_rad: Float[np.ndarray, " L"]
-
-
-def measure_twist_error(poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_one_sided: bool) -> TwistError:
-    """Return the error of an interpolated angle about a line; where `is_one_sided`, only an earlier pose is known."""
+    Where `is_one_sided`, only an earlier pose is known.
+    """
     lags, errors = [0.0], [0.0]
     for lag in 2 ** np.arange(MAX_TWIST_LAGS):
         frames = np.arange(lag, len(poses.is_known) - lag)
@@ -215,6 +213,6 @@ def measure_twist_error(poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_o
         lags.append(float(lag))
         errors.append(float(np.sqrt((angle**2).mean())))
     if len(lags) == 1:
-        return TwistError(np.array([0.0, 1.0]), np.array([0.0, np.pi]))
+        return np.array([0.0, 1.0]), np.array([0.0, np.pi])
     reach = 2 * len(poses.is_known) / lags[-1]  # beyond what was measured the error grows with the time
-    return TwistError(np.array([*lags, lags[-1] * reach]), np.minimum([*errors, errors[-1] * reach], np.pi))
+    return (np.array([*lags, lags[-1] * reach]), np.minimum([*errors, errors[-1] * reach], np.pi))

@@ -166,26 +166,42 @@ def fit_rotation_frames(cross, rotation):
 
 
 @compile_kernel(nogil=True)
-def align_cluster_frames(points, weight, local, rotation, centre):
-    """Write points (T, K, 3) in axes that follow their mean shape, `local`, and these axes: rotation (T, 3, 3), centre (T, 3).
+def align_cluster_frames(markers, frames, cluster, weight, local, rotation, centre):
+    """Write a cluster in axes that follow its mean shape, `local` (N, K, 3), and these axes: rotation (N, 3, 3), centre (N, 3).
 
     The shape is that of the first frame, and then the mean of all frames in the axes that follow that one.
+
+    Args:
+        markers: (M, T, 3).
+        frames, cluster: The N frames, and the K markers of the cluster, which they show.
+        weight: (K,), of each.
     """
-    m, vectors, cross, shape = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3)), points[0]
-    mean_shape = np.empty(3)
+    m, vectors, cross, lever = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3)), np.empty((len(cluster), 3))
+    shape, share = np.empty((len(cluster), 3)), weight / weight.sum()
+    for k in range(len(cluster)):
+        shape[k] = markers[cluster[k], frames[0]]
     for _ in range(2):
-        following = np.zeros(shape.shape)
-        for t in range(len(points)):
-            compute_weighted_means(points[t], shape, weight, centre[t], mean_shape)
-            accumulate_cross_covariance(points[t], shape, weight, centre[t], mean_shape, cross)
-            r = fit_rotation(cross, m, vectors, rotation[t])
-            store_matrix(r, rotation, t)
-            for k in range(len(weight)):
-                x, y, z = points[t, k, 0] - centre[t, 0], points[t, k, 1] - centre[t, 1], points[t, k, 2] - centre[t, 2]
-                local[t, k, 0], local[t, k, 1], local[t, k, 2] = multiply_vector(transpose_matrix(r), x, y, z)
+        for a in range(3):  # levers about the mean, so that the points need not be relative to theirs
+            mean = np.sum(share * shape[:, a])
+            for k in range(len(cluster)):
+                lever[k, a], shape[k, a] = share[k] * (shape[k, a] - mean), 0.0
+        for n in range(len(frames)):
+            cross[:], centre[n] = 0.0, 0.0
+            for k in range(len(cluster)):
                 for a in range(3):
-                    following[k, a] += local[t, k, a] / len(points)
-        shape = following
+                    x = markers[cluster[k], frames[n], a]
+                    centre[n, a] += share[k] * x
+                    for b in range(3):
+                        cross[a, b] += x * lever[k, b]
+            r = fit_rotation(cross, m, vectors, rotation[n])
+            store_matrix(r, rotation, n)
+            inverse = transpose_matrix(r)
+            for k in range(len(cluster)):
+                point = markers[cluster[k], frames[n]]
+                x, y, z = multiply_vector(inverse, point[0] - centre[n, 0], point[1] - centre[n, 1], point[2] - centre[n, 2])
+                local[n, k, 0], local[n, k, 1], local[n, k, 2] = x, y, z
+                shape[k, 0], shape[k, 1], shape[k, 2] = shape[k, 0] + x, shape[k, 1] + y, shape[k, 2] + z
+        shape /= len(frames)
 
 
 @compile_kernel

@@ -7,8 +7,6 @@ import os
 import re
 import signal
 import sys
-import threading
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,13 +38,6 @@ def get_system() -> System:
         return System("darwin", Path.home() / "Library" / "Caches", 1023, False, True, (signal.SIGTERM,))
     cache_folder = Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return System("linux", cache_folder, 4095, False, True, (signal.SIGTERM,))
-
-
-def follow_parent() -> None:
-    """End this process when the one that has started it ends, however it does, and not at an interrupt from the keyboard."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if parent := parent_process():
-        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
 
 
 def count_cores() -> int:

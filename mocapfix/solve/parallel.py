@@ -8,6 +8,8 @@ Work that holds the lock is shared with a second process, if the command has sta
 """
 
 import gc
+import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
@@ -16,13 +18,13 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar, copy_context
 from functools import cache, partial
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from mocapfix.model.system import count_cores, follow_parent
+from mocapfix.model.system import count_cores
 
 
 class SolveOrder(NamedTuple):
@@ -168,26 +170,25 @@ Arguments = ParamSpec("Arguments")
 
 
 class Computation(NamedTuple, Generic[Value]):
-    """A value that is computed by the second process, or here when it is asked for."""
+    """A value that the second process computes, or this one when it is asked for."""
 
     compute: Callable[[], Value]
     future: "Future[Value] | None"  # None without a second process
 
     def finish(self) -> Value:
-        """Return the value. It is computed here if the second process has not begun with it, has ended or lacks memory.
+        """Return the value. It is computed here without a second process, or if that has ended or lacks memory.
 
         Raises:
             Exception: Whatever the function raises.
         """
-        if self.future and not self.future.cancel():
+        if self.future:
             with suppress(BrokenExecutor, MemoryError):
                 return self.future.result()
         return self.compute()
 
     def leave(self) -> None:
-        """Wait until the second process does not work on it: it is not needed any more."""
-        if self.future and not self.future.cancel():
-            wait([self.future])
+        """Wait until the second process has ended work on it: it is not needed any more."""
+        wait([self.future] if self.future else [])
 
 
 def compute_beside(
@@ -196,10 +197,8 @@ def compute_beside(
     """Begin function(*arguments) in the second process, if this thread and those that have started it know one.
 
     Args:
-        function: One that a module defines by its name, for it is sent by its name. It does not change its arguments, and its
-            value does not depend on the process.
-        arguments: Values that can be pickled; a megabyte takes about two milliseconds. Later changes of them may reach it or not.
-        keywords: The same by name.
+        function: One that a module defines by its name, by which it is sent. It does not change its arguments.
+        arguments: Values that can be pickled; a megabyte takes about two milliseconds. They are not changed before it has ended.
     """
     compute, future, process = partial(function, *arguments, **keywords), None, second_process.get()
     with suppress(BrokenExecutor):
@@ -230,5 +229,8 @@ def start_second_process(*modules: str) -> Generator[None]:
 
 
 def _begin_second_process() -> None:
-    follow_parent()
+    """End this process when the one that has started it ends, however it does, and not at an interrupt from the keyboard."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()  # as in the first one
+    if parent := parent_process():
+        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()

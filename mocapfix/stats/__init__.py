@@ -4,6 +4,5 @@
 - `rigid_alignment`: rigid alignment of point clouds over a take
 - `marker_distances`: distances between markers, and how badly a sample contradicts them
 - `point_functions`: points as exact functions of others; point_function_search finds them
-- `constant_offsets`: removal of an offset that is constant over some frames
 - `gaussian_process`: Gaussian processes over the frames of a take
 """

@@ -15,6 +15,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.kernels import gap_estimates
+
 MIN_VALUE_VARIANCE = 1e-12  # of the values, in their unit squared; a smaller variance is taken as this
 
 
@@ -168,15 +170,10 @@ def map_residual(
         wanted_excess: The same at the wanted times.
     """
 
-    def compute_covariance(lag_s: np.ndarray, excess: np.ndarray) -> np.ndarray:
-        own = power * compute_residual_correlation(lag_s, time_scale_s, roughness)
-        return own + np.sqrt(excess) * compute_residual_correlation(lag_s, time_scale_s, 0.0) if excess.any() else own
-
-    known_excess, wanted_excess = np.broadcast_to(known_excess, len(known_s)), np.broadcast_to(wanted_excess, len(wanted_s))
-    among = compute_covariance(known_s[:, None] - known_s, np.outer(known_excess, known_excess)) + np.diag(noise_variance)
-    across = compute_covariance(wanted_s[:, None] - known_s, np.outer(wanted_excess, known_excess))
-    weights = np.linalg.solve(among, across.T).T
-    return weights, np.maximum(power + wanted_excess - (weights * across).sum(1), 0.0)
+    excess = [np.broadcast_to(each, len(s)) + 0.0 for each, s in ((known_excess, known_s), (wanted_excess, wanted_s))]
+    weights, variance = np.empty((len(wanted_s), len(known_s))), np.empty(len(wanted_s))
+    gap_estimates.map_residual(known_s, wanted_s, power, time_scale_s, roughness, noise_variance, *excess, weights, variance)
+    return weights, variance
 
 
 def estimate_roughness(

@@ -6,8 +6,10 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels import lie, rigid_registration
+from mocapfix.kernels import gap_estimates, lie, rigid_registration
 
+interpolate_stretches = gap_estimates.interpolate_stretches
+regress_without, combine_estimates = gap_estimates.regress_without, gap_estimates.combine_estimates
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
 MIN_DIRECTION_M = 1e-9  # shorter vectors have no direction
@@ -44,11 +46,18 @@ def transform_to_body_axes(
 
 
 def align_cluster(
-    cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]
-) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"]]:
-    """Return a cluster in axes that follow its mean shape, and these axes in the world: rotations and centres in metres."""
-    aligned = np.empty(cluster.shape), np.empty((len(cluster), 3, 3)), np.empty((len(cluster), 3))
-    rigid_registration.align_cluster_frames(_make_contiguous(cluster), _make_contiguous(weight), *aligned)
+    markers: Float[np.ndarray, "T M 3"],
+    frames: Int[np.ndarray, " N"],
+    cluster: Int[np.ndarray, " K"],
+    weight: Float[np.ndarray, " K"],
+) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, "N 3 3"], Float[np.ndarray, "N 3"]]:
+    """Return a cluster of markers in some frames, all of which show it, in axes that follow its mean shape.
+
+    And these axes in the world: rotations, and centres in metres. No copy is made of markers whose paths lie together.
+    """
+    aligned = np.empty((len(frames), len(cluster), 3)), np.empty((len(frames), 3, 3)), np.empty((len(frames), 3))
+    by_marker = _make_contiguous(markers.swapaxes(0, 1))
+    rigid_registration.align_cluster_frames(by_marker, frames, cluster, _make_contiguous(weight), *aligned)
     return aligned
 
 

@@ -25,7 +25,11 @@ MAX_TRAINING_FRAMES = 200
 
 def sample_evenly(count: int, max_count: int) -> Int[np.ndarray, " N"]:
     """Return at most `max_count` of the indices 0..count - 1, rising and evenly spaced; all of them if there are no more."""
-    return np.arange(count) if count <= max_count else np.linspace(0, count - 1, max_count).astype(int)
+    if count <= max_count:
+        return np.arange(count)
+    indices = (np.arange(max_count) * ((count - 1) / max(max_count - 1, 1))).astype(int)
+    indices[1:][-1:] = count - 1  # whatever the rounding
+    return indices
 
 
 def group_gaps(missing: Bool[np.ndarray, "T J"]) -> dict[tuple[int, int], Int[np.ndarray, " lost"]]:
@@ -144,16 +148,13 @@ def smooth_path(
     if len(path) < 3:
         return path
     information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
-    stiffness = np.minimum(rate**3 / acceleration_power[1:-1], MAX_STIFFNESS_RATIO * _compute_line_information(information))
-    smooth = minimise_acceleration(information[:, None, None], (path * information[:, None])[:, None], stiffness)
-    return np.ascontiguousarray(smooth[:, 0])
-
-
-def _compute_line_information(information: Float[np.ndarray, " T"]) -> float:
-    """Return the least information that the frames give about a straight line of unit length, which stiffness leaves free."""
+    # the least information that the frames give about a straight line of unit length, which stiffness leaves free
     line = np.linspace(-1, 1, len(information))
     lines = np.stack([line / np.linalg.norm(line), np.full(len(line), len(line) ** -0.5)], axis=1)
-    return float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])
+    line_information = float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])
+    stiffness = np.minimum(rate**3 / acceleration_power[1:-1], MAX_STIFFNESS_RATIO * line_information)
+    smooth = minimise_acceleration(information[:, None, None], (path * information[:, None])[:, None], stiffness)
+    return np.ascontiguousarray(smooth[:, 0])
 
 
 def minimise_acceleration(

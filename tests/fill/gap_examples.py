@@ -35,5 +35,5 @@ def build_gap(take: MarkersInTake, marker: int, first: int, last: int, **fields)
     order = np.argsort(change, kind="stable")
     is_neighbour: np.ndarray = np.all(take.is_known[first : last + 1], axis=0)
     neighbours = order[is_neighbour[order] & np.isfinite(change[order])]
-    frames = np.arange(len(take.markers))
-    return Gap(marker, window, np.array([marker]), neighbours, frames, activity=1.0, speed_m_s=1.0)._replace(**fields)
+    frames = window.list_frames(np.arange(len(take.markers)), len(take.markers))
+    return Gap(marker, window, np.array([marker]), neighbours, *frames, activity=1.0, speed_m_s=1.0)._replace(**fields)

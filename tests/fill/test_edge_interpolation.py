@@ -1,38 +1,46 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.edge_interpolation import (
     WorldInterpolation,
-    build_hermite_map,
-    build_line_map,
-    build_spline_map,
+    build_edge_maps,
+    build_world_axes,
     fill_with_splines,
     find_complete_stretches,
     interpolate_in_axes,
 )
 from mocapfix.fill.gap_windows import FillMethod, MovingAxes
+from mocapfix.stats.rigid_alignment import interpolate_stretches
 from tests.fill.gap_examples import RATE, build_gap, build_take
 
 SPLINE_RATE = 120.0
 
 
+def interpolate(path, length, before, after):
+    """Return the estimates (E, length, 3) between samples before and after a gap, at distances from its edges."""
+    beside = np.concatenate([-1 - np.array(before, int), length + np.array(after, int)]) + max(before, default=-1) + 1
+    rows = np.concatenate([beside, max(before, default=-1) + 1 + np.arange(length)])[None]
+    edges = build_edge_maps(tuple(before), tuple(after))
+    return interpolate_stretches(path, *build_world_axes(len(path)), rows, np.arange(length), length, edges, np.ones(0))[0][:, 0]
+
+
 @given(length=st.integers(1, 60), before=st.integers(0, 6), after=st.integers(0, 6))
-def test_maps_keep_a_marker_at_rest(length, before, after):
-    builders = [build_line_map] * (before + after > 0) + [build_spline_map] * (min(before, after) >= 3)
-    for build in builders:
-        edge_map = build(np.arange(-before, 0), length + np.arange(after), length, np.arange(length))
-        np.testing.assert_allclose(edge_map.sum(1), 1, atol=1e-9)
+def test_a_marker_at_rest_stays_at_its_place(length, before, after):
+    assume(before + after)
+    found = interpolate(np.ones((before + length + after, 3)), length, range(before)[::-1], range(after))
+    assert len(found) == (2 if min(before, after) >= 3 else 1)
+    np.testing.assert_allclose(found, 1, atol=1e-9)
 
 
-def test_line_and_spline_maps_are_exact():
-    t = np.arange(-6, 26) / RATE
-    line, parabola = 3 * t, 2 * t**2 - t
-    context, gap = np.r_[0:6, 26:32], (np.arange(-6, 0), 20 + np.arange(6), 20, np.arange(20))
-    np.testing.assert_allclose(build_line_map(*gap) @ line[context], line[6:26], atol=1e-12)
-    np.testing.assert_allclose(build_spline_map(*gap) @ parabola[context], parabola[6:26], atol=1e-9)
+def test_lines_and_splines_are_exact():
+    t = np.arange(32) / RATE
+    line, parabola = np.stack([3 * t, t, -t], 1), np.stack([2 * t**2 - t, t**2, t], 1)
+    edges = range(6)[::-1], range(6)
+    np.testing.assert_allclose(interpolate(line, 20, *edges)[0], line[6:26], atol=1e-12)
+    np.testing.assert_allclose(interpolate(parabola, 20, *edges)[1], parabola[6:26], atol=1e-9)
 
 
 def test_marker_on_a_rigid_body_is_exact_in_its_axes():
@@ -83,12 +91,8 @@ def build_swing(frames=600, noise=0.0):
 def test_parabola_is_exact(gap, edge_count, seed):
     t = np.arange(gap + 2 * edge_count) / 50
     path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
-    beside = np.r_[np.arange(edge_count)[::-1], edge_count + gap : len(t)]
-    np.testing.assert_allclose(
-        build_hermite_map(gap, np.arange(edge_count), np.arange(edge_count)) @ path[:, beside].T,
-        path[:, edge_count : edge_count + gap].T,
-        atol=1e-9,
-    )
+    found = interpolate(path.T, gap, range(edge_count)[::-1], range(edge_count))[1]
+    np.testing.assert_allclose(found, path[:, edge_count : edge_count + gap].T, atol=1e-9)
 
 
 @given(first=st.integers(20, 400), seconds=st.floats(0.01, 0.25))
@@ -151,10 +155,8 @@ def test_gaps_of_one_pattern_are_filled_like_single_gaps():
     damaged[firsts, 0] = np.nan
     filled, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
     for first, last in ((100, 100), (200, 200), (300, 301), (420, 420)):
-        before, after = np.arange(7), np.arange(7)
-        across = build_hermite_map(last - first + 1, before, after)
-        beside = np.r_[first - 1 - before, last + 1 + after]
-        np.testing.assert_allclose(filled[first : last + 1, 0], across @ truth[beside, 0], atol=1e-12)
+        across = interpolate(truth[first - 7 : last + 8, 0], last - first + 1, range(7)[::-1], range(7))[1]
+        np.testing.assert_allclose(filled[first : last + 1, 0], across, atol=1e-12)
 
 
 @given(seed=st.integers(0, 99), step=st.integers(1, 5))

@@ -15,15 +15,13 @@ from mocapfix.fill.gap_estimates import (
     NeighbourActivity,
     build_expected_correlation,
     combine_gap_estimates,
-    compute_error_covariances,
-    compute_weights,
     estimate_missing_samples,
     measure_speed_limit,
     measure_velocity_variation,
-    shrink_covariances,
 )
 from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTake, choose_hidden_stretches
 from mocapfix.io import capture
+from mocapfix.kernels.gap_estimates import find_weights, measure_error_covariances, shrink_covariance
 from mocapfix.model.take import Take
 from tests.captures import CAPTURES, needs_captures
 from tests.fill.gap_examples import RATE
@@ -280,16 +278,23 @@ def test_dissimilar_stretches_do_not_count():
     window = build_window()
     count = len(window.starts)
     estimate = build_estimate(window, 0.001, expected_sd=0.05)
-    similar, dissimilar = (combine_gap_estimates([estimate], window, np.full(count, each)).sd.mean() for each in (1.0, 1e-9))
+    similar, dissimilar = (combine_gap_estimates([estimate], window, np.full(count, each))[1].mean() for each in (1.0, 1e-9))
     assert similar < 0.003
     np.testing.assert_allclose(dissimilar, 0.05, rtol=0.01)
+
+
+def weight(covariance, active=None):
+    """Return the weights of estimates and the variance of their combination."""
+    weights = np.empty(len(covariance))
+    variance = find_weights(covariance, np.arange(len(covariance)) if active is None else np.array(active), weights)
+    return weights, variance
 
 
 @given(size=st.integers(1, 6), seed=st.integers(0, 999))
 def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
     root = np.random.default_rng(seed).normal(size=(size, size + 2))
     covariance = root @ root.T + 1e-6 * np.eye(size)
-    weights, variance = compute_weights(covariance[None])
+    weights, variance = weight(covariance)
     assert (weights >= 0).all()
     np.testing.assert_allclose(weights.sum(), 1)
     assert variance <= np.diag(covariance).min() * (1 + 1e-9)
@@ -298,31 +303,44 @@ def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
 def test_best_estimate_is_kept_where_measured_correlations_contradict_each_other():
     sd = np.array([1.0, 2.0, 3.0])
     correlation = np.array([[1.0, 0.0, 0.8], [0.0, 1.0, 0.9], [0.8, 0.9, 1.0]])  # not positive definite
-    covariance = correlation * sd[:, None] * sd
-    weights, variance = compute_weights(np.stack([covariance, np.diag(sd**2)]))
-    np.testing.assert_array_equal(weights[0], [1, 0, 0])
-    assert variance[0] == 1.0
-    np.testing.assert_allclose(weights[1], [36 / 49, 9 / 49, 4 / 49])
+    weights, variance = weight(correlation * sd[:, None] * sd)
+    np.testing.assert_array_equal(weights, [1, 0, 0])
+    assert variance == 1.0
 
 
-def test_two_independent_estimates_are_weighted_by_precision():
-    weights, variance = compute_weights(np.diag([1.0, 4.0])[None])
-    np.testing.assert_allclose(weights, [[0.8, 0.2]])
-    np.testing.assert_allclose(variance, 0.8)
+def test_independent_estimates_are_weighted_by_precision():
+    weights, variance = weight(np.diag([1.0, 4.0, 9.0]))
+    np.testing.assert_allclose(weights, [36 / 49, 9 / 49, 4 / 49])
+    np.testing.assert_allclose(variance, 36 / 49)
+    weights, variance = weight(np.diag([1.0, 4.0, 9.0]), active=[1, 2])
+    np.testing.assert_allclose(weights, [0, 9 / 13, 4 / 13])
+    np.testing.assert_allclose(variance, 36 / 13)
 
 
 @pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
 def test_variances_are_shrunk_by_their_logarithms(trust):
-    shrunk = shrink_covariances(np.array([[[1e-4]]]), np.array([[0.1]]), np.eye(1), np.array([trust]))
-    np.testing.assert_allclose(np.sqrt(shrunk[0, 0, 0]), 0.01**trust * 0.1 ** (1 - trust), rtol=1e-3)
+    covariance = np.array([[1e-4]])
+    shrink_covariance(covariance, np.array([0.1]), np.eye(1), np.array([trust]), 1e-4)
+    np.testing.assert_allclose(np.sqrt(covariance[0, 0]), 0.01**trust * 0.1 ** (1 - trust), rtol=1e-3)
+
+
+def measure_covariances(error):
+    covariance = np.empty((error.shape[2], len(error), len(error)))
+    measure_error_covariances(error, np.ones(error.shape[1]), covariance)
+    return covariance
 
 
 def test_covariances_are_those_of_the_errors():
     shared, own = np.random.default_rng(0).normal(size=(2, 4000, 3, 3))
-    covariance = compute_error_covariances(np.stack([shared, shared + own]), np.ones(4000))
+    covariance = measure_covariances(np.stack([shared, shared + own]))
     np.testing.assert_allclose(covariance.mean(0), [[1, 1], [1, 2]], atol=0.05)
-    unknown = compute_error_covariances(np.full((1, 4, 3, 3), np.nan), np.ones(4))
-    assert np.isnan(unknown).all()
+    assert np.isnan(measure_covariances(np.full((1, 4, 3, 3), np.nan))).all()
+
+
+def test_covariances_are_averaged_over_points_of_which_one_mirrors_the_other():
+    error = np.zeros((1, 2, 5, 3))
+    error[0, 0, 0] = np.sqrt(8)  # of one of two stretches
+    np.testing.assert_allclose(measure_covariances(error)[:, 0, 0], [2, 0.5, 0, 0.5, 2])
 
 
 def test_estimates_in_the_same_axes_have_similar_errors():
@@ -342,4 +360,4 @@ def test_estimate_that_lacks_frames_counts_in_the_others():
     np.testing.assert_allclose(position[is_lacking], 1.0)
     assert sd[~is_lacking].max() < 0.01 < sd[is_lacking].min()
     alone = combine_gap_estimates([good], window, np.ones(len(window.starts)))
-    assert (np.isnan(alone.sd) == is_lacking).all()
+    assert (np.isnan(alone[1]) == is_lacking).all()

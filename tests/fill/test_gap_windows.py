@@ -91,7 +91,7 @@ def test_axes_that_are_unknown_beside_a_gap_leave_the_known_samples():
     is_known[200:260] = False
     window = choose_hidden_stretches(is_known, 200, 259, RATE)
     is_known[197] = is_known[260] = False
-    kept = window.keep_known_context(is_known)
+    kept = window.keep_known_context(is_known[window.context_frames])
     assert is_known[kept.context_frames].all()
     assert len(kept.before) + len(kept.after) == int(is_known[window.context_frames].sum())
     assert len(kept.hidden_after) == len(kept.after)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.edge_interpolation import interpolate_in_axes
 from mocapfix.fill.gap_estimates import estimate_missing_samples
-from mocapfix.fill.gap_windows import choose_hidden_stretches
+from mocapfix.fill.gap_windows import choose_hidden_stretches, select_visible_together
 from mocapfix.fill.neighbour_clusters import (
     ChangingCluster,
     ClusterInterpolation,
@@ -19,7 +19,6 @@ from mocapfix.fill.neighbour_clusters import (
     remove_steps,
     select_changing_cluster,
     select_configurations,
-    select_regression_cluster,
 )
 from tests.fill.gap_examples import RATE, build_gap, build_take
 
@@ -89,14 +88,14 @@ def test_neighbours_that_leave_too_few_frames_are_not_used():
     """Looser and rarely visible neighbours do not keep a rigid cluster from being used."""
     visible = np.ones((400, 8), bool)
     visible[:380, 6] = visible[100:, 7] = False
-    np.testing.assert_array_equal(select_regression_cluster(visible, 0, np.array([6, 1, 2, 7, 3])), [1, 2, 3])
+    np.testing.assert_array_equal(select_visible_together(visible, 0, np.array([6, 1, 2, 7, 3]), 30, 12), [1, 2, 3])
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 29])
 def test_few_frames_predict_nothing(frames):
     visible = np.ones((60, 4), bool)
     visible[frames:, 1] = False
-    assert len(select_regression_cluster(visible, 1, np.array([0, 2, 3]))) == 0
+    assert not select_visible_together(visible, 1, np.array([0, 2, 3]), 30, 12)
 
 
 def test_axes_follow_a_rigid_cluster():
@@ -226,7 +225,7 @@ def test_edges_of_the_gap_stay_where_they_are(has_first_edge):
     axes = build_changing_axes(damaged, cluster, window, np.arange(len(damaged)))
     assert axes is not None
     path = np.where(is_known[:, 6, None], damaged[:, 6], np.nan)
-    gap = build_gap(build_take(damaged), 6, FIRST, FIRST + LENGTH - 1)._replace(window=window)
+    gap = build_gap(build_take(np.where(is_known[..., None], damaged, np.nan)), 6, FIRST, FIRST + LENGTH - 1)
     for each in interpolate_in_axes(path, axes, gap, RATE, "changing"):
         moved = remove_steps(each, cluster, window).position - each.position
         np.testing.assert_allclose(moved[-1], 0.0, atol=2e-4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.stats import constant_offsets
+from mocapfix.animations import offsets
 
 RATE = 30.0
 
@@ -17,7 +17,7 @@ def simulate_joint() -> Rotation:
 
 def test_quaternion_product_equals_scipy():
     a, b = (Rotation.random(20, rng=np.random.default_rng(seed)) for seed in (1, 2))
-    ours = Rotation.from_quat(constant_offsets.multiply_quaternions(a.as_quat(), b.as_quat()))
+    ours = Rotation.from_quat(offsets.multiply_quaternions(a.as_quat(), b.as_quat()))
     assert (ours * (a * b).inv()).magnitude().max() < 1e-12
 
 
@@ -34,8 +34,8 @@ def test_rotation_offset_is_removed_in_every_model(offset):
         angles[:, ["first", "middle", "last"].index(offset.split()[0])] += 0.6
         shifted = Rotation.from_euler("ZYX", angles)
     beside = np.r_[10:20, 40:50]
-    models = constant_offsets.build_rotation_offset_models(shifted.as_quat(), "ZYX")
-    found, variance = constant_offsets.fit_smoothest_offset(
+    models = offsets.build_rotation_offset_models(shifted.as_quat(), "ZYX")
+    found, variance = offsets.fit_smoothest_offset(
         2 * true[beside].as_quat(), beside / RATE, models, np.arange(20, 40) / RATE, np.r_[:8, 12:20]
     )
     error = (Rotation.from_quat(found) * true[span].inv()).magnitude()
@@ -47,6 +47,6 @@ def test_position_offset_is_removed():
     t = np.arange(60) / RATE
     true = np.stack([t, 0.05 * np.sin(4 * t), 0.2 * t**2], axis=1)
     beside = np.r_[10:20, 40:50]
-    models = constant_offsets.build_position_offset_models(true[20:40] + [0.3, 0.1, -0.2])
-    found, _ = constant_offsets.fit_smoothest_offset(true[beside], beside / RATE, models, np.arange(20, 40) / RATE, np.arange(20))
+    models = offsets.build_position_offset_models(true[20:40] + [0.3, 0.1, -0.2])
+    found, _ = offsets.fit_smoothest_offset(true[beside], beside / RATE, models, np.arange(20, 40) / RATE, np.arange(20))
     assert np.abs(found - true[20:40]).max() < 0.003

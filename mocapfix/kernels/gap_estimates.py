@@ -1,0 +1,271 @@
+"""Estimates of a lost marker, compiled: between the edges of a gap, from a residual beside it, and the weights of several."""
+
+import math
+
+import numpy as np
+
+from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.small_matrices import (
+    SUM_FASTMATH_FLAGS,
+    factor_cholesky,
+    load_matrix,
+    multiply_vector,
+    solve_cholesky,
+    transpose_matrix,
+)
+
+EXPECTED_WEIGHT = 2.0  # number of independent hidden stretches that the expected covariance is worth
+FIRST_STRETCH_DISCOUNT = 0.5  # number of stretches that are subtracted: a single one shows little
+COVARIANCE_RIDGE = 1e-3  # relative increase of the variances, so that equal estimates share their weight
+
+
+@compile_kernel(nogil=True)
+def interpolate_stretches(path, rotation, origin, rows, points, frames, edges, scale):
+    """Return estimates (E, K, S, 3) of a path at S points, offsets in K stretches of some frames, and the noise (E, S) in them.
+
+    The path (F, 3) is interpolated in moving axes. Row k of `rows` (K, C + S) has the C samples beside a stretch and the points.
+    `edges` (E, 4, C) maps those samples to position and velocity before the stretch, and after it; the first is for a line, the
+    second, if there is one, for a spline. With a scale (E,) they are errors, multiplied by it. The noise is relative to that of a
+    sample.
+    """
+    count = edges.shape[2]
+    out, noise, local = (
+        np.empty((len(edges), len(rows), len(points), 3)),
+        np.empty((len(edges), len(points))),
+        np.empty((count, 3)),
+    )
+    for k in range(len(rows)):
+        for c in range(count):
+            r = rows[k, c]
+            x, y, z = path[r, 0] - origin[r, 0], path[r, 1] - origin[r, 1], path[r, 2] - origin[r, 2]
+            local[c, 0], local[c, 1], local[c, 2] = multiply_vector(transpose_matrix(load_matrix(rotation, r)), x, y, z)
+        for e in range(len(edges)):
+            for s in range(len(points)):
+                steps, r = frames + 1, rows[k, count + s]
+                after = (points[s] + 1) / steps
+                before = 1 - after
+                speed_before, speed_after = 0.0, 0.0
+                if e > 0:
+                    speed_before, speed_after = steps * after * before * before, steps * before * after * after
+                    before, after = (1 + 2 * after) * before * before, (1 + 2 * before) * after * after
+                x, y, z, square = 0.0, 0.0, 0.0, 0.0
+                for c in range(count):
+                    w = before * edges[e, 0, c] + speed_before * edges[e, 1, c]
+                    w += after * edges[e, 2, c] + speed_after * edges[e, 3, c]
+                    x, y, z, square = x + w * local[c, 0], y + w * local[c, 1], z + w * local[c, 2], square + w * w
+                noise[e, s] = math.sqrt(square)
+                x, y, z = multiply_vector(load_matrix(rotation, r), x, y, z)
+                out[e, k, s, 0], out[e, k, s, 1], out[e, k, s, 2] = x + origin[r, 0], y + origin[r, 1], z + origin[r, 2]
+                for a in range(3 if len(scale) else 0):
+                    out[e, k, s, a] = (out[e, k, s, a] - path[r, a]) * scale[e]
+    return out, noise
+
+
+@compile_kernel(nogil=True)
+def map_residual(known_s, wanted_s, power, time_scale_s, roughness, noise, known_excess, wanted_excess, weights, variance):
+    """Write the linear map (P, N) and the variance (P,) of `stats.gaussian_process.map_residual`, which has the arguments."""
+    known, factor, across = len(known_s), np.empty((len(known_s), len(known_s))), np.empty(len(known_s))
+    for i in range(known):
+        for j in range(i + 1):
+            excess = math.sqrt(known_excess[i] * known_excess[j]) / power
+            factor[i, j] = _correlate(known_s[i] - known_s[j], time_scale_s, roughness, excess)
+        factor[i, i] += noise[i] / power
+    factor_cholesky(factor)
+    for p in range(len(wanted_s)):
+        for i in range(known):
+            excess = math.sqrt(wanted_excess[p] * known_excess[i]) / power
+            across[i] = _correlate(wanted_s[p] - known_s[i], time_scale_s, roughness, excess)
+        weights[p] = across
+        solve_cholesky(factor, weights[p])
+        variance[p] = max(power * (1 - np.sum(weights[p] * across)) + wanted_excess[p], 0.0)
+
+
+@compile_inner_kernel
+def _correlate(lag_s, time_scale_s, roughness, excess):
+    """Return the correlation of a residual at a lag, with that of a smooth process beside it."""
+    rough = abs(lag_s) / time_scale_s
+    smooth = math.sqrt(3.0) * rough
+    return (1 - roughness + excess) * (1 + smooth) * math.exp(-smooth) + roughness * math.exp(-rough)
+
+
+@compile_kernel(nogil=True)
+def regress_without(x, y, left_out, ridge, probes):
+    """Return ridge regressions of y (N, 3) on x (N, F), each without the rows that a row of `left_out` (G, N) marks.
+
+    The coefficients (G, F, 3); the sums (G, 2) over the rows left out of the squared errors, and of the variances of the
+    predictions relative to that of a residual; and these variances (P,) at probes (P, F) by the first regression. Each row that
+    is learned from adds the ridge to the curvature.
+    """
+    size, coefficients, judged = x.shape[1], np.empty((len(left_out), x.shape[1], 3)), np.zeros((len(left_out), 2))
+    whole, part, leverage = np.zeros((size, size + 3)), np.zeros((size, size + 3)), np.empty(len(probes))
+    factor, vector = np.empty((size, size)), np.empty(size)
+    for n in range(len(x)):
+        _add_products(x[n], y[n], whole)
+    for g in range(len(left_out)):
+        part[:] = 0.0
+        for n in np.flatnonzero(left_out[g]):
+            _add_products(x[n], y[n], part)
+        for i in range(size):
+            for j in range(i + 1):
+                factor[i, j] = whole[i, j] - part[i, j]
+            factor[i, i] += max(len(x) - np.count_nonzero(left_out[g]), 1) * ridge
+        factor_cholesky(factor)
+        for a in range(3):
+            for i in range(size):
+                vector[i] = whole[i, size + a] - part[i, size + a]
+            solve_cholesky(factor, vector)
+            coefficients[g, :, a] = vector
+        for n in np.flatnonzero(left_out[g]):
+            judged[g, 1] += _measure_leverage(factor, x[n], vector)
+            for a in range(3):
+                error = y[n, a]
+                for i in range(size):
+                    error -= x[n, i] * coefficients[g, i, a]
+                judged[g, 0] += error * error
+        for p in range(len(probes) if g == 0 else 0):
+            leverage[p] = _measure_leverage(factor, probes[p], vector)
+    return coefficients, judged, leverage
+
+
+@compile_inner_kernel
+def _add_products(x, y, sums):
+    """Add x x' (lower triangle) and x y' to sums (F, F + 3)."""
+    for i in range(len(x)):
+        for j in range(i + 1):
+            sums[i, j] += x[i] * x[j]
+        for a in range(3):
+            sums[i, len(x) + a] += x[i] * y[a]
+
+
+@compile_inner_kernel(fastmath=SUM_FASTMATH_FLAGS)
+def _measure_leverage(factor, x, vector):
+    """Return x' A^-1 x, where A = L L' and `factor` has L; `vector` is overwritten."""
+    square = 0.0
+    for i in range(len(x)):
+        total = 0.0
+        for c in range(i):
+            total += factor[i, c] * vector[c]
+        vector[i] = (x[i] - total) / factor[i, i]
+        square += vector[i] * vector[i]
+    return square
+
+
+@compile_kernel(nogil=True)
+def combine_estimates(position, error, expected_sd, similarity, independent, shown, correlation, min_sd, points, methods, out):
+    """Write the combination of E estimates of a gap with the smallest expected error: positions, deviations and main methods.
+
+    Positions (E, n, 3), errors (E, K, S, 3) and expected deviations (E, S) are those of `GapEstimate`. `similarity` (K,) is that
+    of the stretches, of which so many are independent, to the gap; `shown` (E,) is the share of an error in the gap that they
+    show, `correlation` (E, E) the expected one, and `points` (S,) are those of the gap. An estimate whose position is NaN in some
+    frames counts in the others only.
+    """
+    estimates, count = expected_sd.shape
+    covariance, trust = np.empty((count, estimates, estimates)), np.empty(estimates)
+    measure_error_covariances(error, similarity, covariance)
+    for e in range(estimates):
+        known = 0.0
+        for k in range(len(similarity)):
+            known += similarity[k] * np.mean(~np.isnan(error[e, k, :, 0])) / len(similarity)
+        evidence = max(independent * known - FIRST_STRETCH_DISCOUNT, 0.0) * shown[e]
+        trust[e] = evidence / (evidence + EXPECTED_WEIGHT)
+    for s in range(count):
+        shrink_covariance(covariance[s], expected_sd[:, s], correlation, trust, min_sd)
+    weights, sd, by_method, row = np.empty((count, estimates)), np.empty(count), np.empty(methods.max() + 1), 0
+    active = np.arange(0)
+    for f in range(position.shape[1]):
+        known = np.flatnonzero(~np.isnan(position[:, f, 0]))
+        if f == 0 or len(known) != len(active) or (known != active).any():
+            active = known
+            for s in range(count):
+                sd[s] = math.sqrt(find_weights(covariance[s], active, weights[s])) if len(active) else math.nan
+        while row < count - 2 and points[row + 1] <= f:
+            row += 1
+        after = min(row + 1, count - 1)
+        share = (f - points[row]) / (points[after] - points[row]) if after > row else 0.0
+        out[0][f], out[1][f], by_method[:] = 0.0 if len(active) else math.nan, (1 - share) * sd[row] + share * sd[after], 0.0
+        for e in active:
+            weight = (1 - share) * weights[row, e] + share * weights[after, e]
+            by_method[methods[e]] += weight
+            for a in range(3):
+                out[0][f, a] += weight * position[e, f, a]
+        out[2][f] = by_method.argmax()
+
+
+@compile_inner_kernel
+def measure_error_covariances(error, similarity, covariance):
+    """Write the second moments (S, E, E), m2 per axis, of the errors (E, K, S, 3) of E estimates at S points; NaN where unknown.
+
+    Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
+    """
+    estimates, stretches, points, _ = error.shape
+    sums = np.zeros((2, points + 2))  # of squares and of weights, with a margin
+    for e in range(estimates):
+        for other in range(e + 1):
+            sums[:] = 0.0
+            for k in range(stretches):
+                for s in range(points):
+                    first, second = error[e, k, s], error[other, k, s]
+                    product = first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+                    if not math.isnan(product):
+                        for at in (s, points - 1 - s):
+                            sums[0, at + 1] += similarity[k] * product / 3
+                            sums[1, at + 1] += similarity[k]
+            for s in range(points):
+                beside = 0.5 if 0 < s < points - 1 else 0.0
+                moment, count = sums[:, s + 1] + beside * (sums[:, s] + sums[:, s + 2])
+                covariance[s, e, other] = covariance[s, other, e] = moment / count if count > 0 else math.nan
+
+
+@compile_inner_kernel
+def shrink_covariance(covariance, expected_sd, expected_correlation, trust, min_sd):
+    """Replace a covariance (E, E) by one between it and the expected one, with a trust (E,), 0 to 1, in each measured error."""
+    own = np.diag(covariance).copy()
+    measured_sd = np.sqrt(np.where(np.isnan(own), 1.0, own))
+    share, scale = np.where(np.isnan(own), 0.0, trust), np.maximum(measured_sd, min_sd / 10)
+    sd = np.exp(share * np.log(np.maximum(measured_sd, min_sd)) + (1 - share) * np.log(np.maximum(expected_sd, min_sd)))
+    for e in range(len(own)):
+        for other in range(e + 1):
+            measured, expected = covariance[e, other] / scale[e] / scale[other], expected_correlation[e, other]
+            measured = expected if math.isnan(measured) else min(max(measured, -1.0), 1.0)
+            shared = math.sqrt(trust[e] * trust[other])
+            correlation = 1 + COVARIANCE_RIDGE if e == other else shared * measured + (1 - shared) * expected
+            covariance[e, other] = covariance[other, e] = correlation * sd[e] * sd[other]
+
+
+@compile_inner_kernel
+def find_weights(covariance, active, weights):
+    """Write weights (E,) that are not negative, sum to one and give a small expected error; return the variance of this error.
+
+    Only the active estimates, of which there is at least one, have a weight.
+
+    Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
+    need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
+    """
+    own = np.diag(covariance).copy()
+    best = active[own[active].argmin()]
+    while True:
+        system = np.ones((len(active), len(active) + 1))  # the last column is what the others are to sum to
+        for i in range(len(active)):
+            for j in range(len(active)):
+                system[i, j] = covariance[active[i], active[j]]
+        for i in range(len(active)):
+            pivot = i + np.argmax(np.abs(system[i:, i]))
+            row = system[pivot].copy()
+            system[pivot], system[i] = system[i], row / row[i]
+            for k in range(len(active)):
+                if k != i:
+                    system[k] -= system[k, i] * system[i]
+        kept = active[system[:, -1] > 0]
+        if len(kept) == len(active):
+            break
+        active = kept if len(kept) else active[own[active].argmin() :][:1]
+    weights[:] = 0.0
+    for i in range(len(active)):
+        weights[active[i]] = system[i, -1] / system[:, -1].sum()
+    variance = 0.0
+    for e in active:
+        for other in active:
+            variance += weights[e] * covariance[e, other] * weights[other]
+    if variance > own[best]:
+        weights[:], weights[best], variance = 0.0, 1.0, own[best]
+    return variance
