@@ -23,10 +23,11 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.animations import offsets
-from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset, multiply_quaternions
+from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
 from mocapfix.kernels import lie
 from mocapfix.model.animation import AXIS_LETTERS, Animation, list_track_names
 from mocapfix.model.faults import Fault, FaultKind
+from mocapfix.stats.rigid_alignment import multiply_quaternions
 from mocapfix.stats.sequences import find_runs
 
 MIN_HELD_DURATION_S = 0.1  # of one value in one track; if several tracks are held together, one frame is enough

@@ -21,6 +21,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.stats.gaussian_process import compute_matern_52
+from mocapfix.stats.rigid_alignment import multiply_quaternions
 
 FrameIndices = Int[np.ndarray, " n"]
 Track = Float[np.ndarray, "T C"]
@@ -287,13 +288,6 @@ def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: s
 def build_position_offset_models(positions: Float[np.ndarray, "T 3"]) -> tuple[OffsetModel, ...]:
     """Return the only model of positions: an offset vector."""
     return (OffsetModel(positions, np.broadcast_to(np.eye(3), (len(positions), 3, 3)), 3),)
-
-
-def multiply_quaternions(p: Float[np.ndarray, "*#batch 4"], q: Float[np.ndarray, "*#batch 4"]) -> np.ndarray:
-    """Return the products (..., 4) of quaternions (x, y, z, w), the rotation q followed by the rotation p."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
-    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw
-    return np.stack([x, y, z, aw * bw - ax * bx - ay * by - az * bz], axis=-1)
 
 
 def fit_smoothest_offset(

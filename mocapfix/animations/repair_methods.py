@@ -21,6 +21,7 @@ from mocapfix.animations.offsets import OffsetModel
 from mocapfix.model.skeleton import compose_transforms, compute_local_rotations
 from mocapfix.solve import occluded_joints
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
+from mocapfix.stats.rigid_alignment import multiply_quaternions
 from mocapfix.stats.sequences import sample_evenly, select_training_frames
 
 
@@ -343,7 +344,7 @@ def _measure_gap_bias(
     context[1:] *= np.cumprod(signs[: context_count - 1], axis=0)
     interpolated = np.einsum("gn,njc->gjc", weights, context)
     interpolated /= np.linalg.norm(interpolated, axis=-1, keepdims=True)
-    error = offsets.multiply_quaternions(interpolated * [-1, -1, -1, 1], actual)
+    error = multiply_quaternions(interpolated * [-1, -1, -1, 1], actual)
     rotation_vectors = 2 * error[..., :3] * np.where(error[..., 3:] < 0, -1.0, 1.0)
     displacement = root_position[start : start + length] - weights @ root_position[start + context_offsets]
     displacement = displacement @ extract_heading(world_rotations[start - 1, 0])

@@ -28,8 +28,7 @@ from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.stats.constant_offsets import multiply_quaternions
-from mocapfix.stats.rigid_alignment import scale_rotations
+from mocapfix.stats.rigid_alignment import multiply_quaternions, scale_rotations
 
 MOTION_RATE_HZ = 30.0  # rate of the training data
 CONTEXT_DISTANCES_S = np.array([0, 1, 2, 4, 7, 12, 19, 29]) / MOTION_RATE_HZ

@@ -105,6 +105,13 @@ def scale_rotations(
     return compute_rotations(compute_rotation_vectors(rotations) * share)
 
 
+def multiply_quaternions(p: Float[np.ndarray, "*#batch 4"], q: Float[np.ndarray, "*#batch 4"]) -> np.ndarray:
+    """Return the products (..., 4) of quaternions (x, y, z, w), the rotation q followed by the rotation p."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+    x, y, z = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw
+    return np.stack([x, y, z, aw * bw - ax * bx - ay * by - az * bz], axis=-1)
+
+
 class CommonShape(NamedTuple):
     """The mean positions (M, 3) of markers in axes fixed to all of them, in metres, and their variances per axis (M,)."""
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from mocapfix.stats.constant_offsets import multiply_quaternions
 from scipy.spatial.transform import Rotation
 
 from mocapfix.solve import motion_prior
+from mocapfix.stats.rigid_alignment import multiply_quaternions
 
 JOINT_COUNT = len(motion_prior.build_motion_tree().joints)
 
