@@ -533,7 +533,7 @@ def _insert_parts(whole: Take, parts: Sequence[tuple[Int[np.ndarray, " _"], Take
         whole,
         markers=insert(lambda take: take.markers),
         relabelled_points=insert(lambda take: take.source_points),
-        sample_sd=insert(_get_sample_sd),
+        sample_sd=insert(lambda take: take.estimated_sd),
         computed=insert(lambda take: take.visible & ~take.measured),
         unlabelled=parts[-1][1].unlabelled,
         computed_points=computed_points,
@@ -546,12 +546,8 @@ def _merge_computed_points(whole: ComputedPoints | None, part: ComputedPoints | 
         return whole
     is_updated = ~np.isnan(part.take.sample_sd)
     markers = np.where(is_updated[..., None], part.take.markers, whole.take.markers)
-    sample_sd = np.where(is_updated, part.take.sample_sd, _get_sample_sd(whole.take))
+    sample_sd = np.where(is_updated, part.take.sample_sd, whole.take.estimated_sd)
     return replace(whole, take=whole.take.replace_markers(markers, sample_sd))
-
-
-def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:
-    return np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd
 
 
 def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:

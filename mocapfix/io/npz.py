@@ -48,7 +48,7 @@ def write_npz(
         "first_frame": np.array(take.first_frame),
         "labels": np.array(take.labels),
         "markers": take.markers,
-        "marker_sd": np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd,
+        "marker_sd": take.estimated_sd,
         "marker_rate": np.array(float(take.rate)),
     }
     if take.label_confidence is not None:

@@ -415,8 +415,7 @@ def _build_samples(
     largest = MAX_STORED_COORDINATE if layout.is_float else MAX_INT16_COUNT
     # A sample with all coordinates 0 would read as missing.
     is_stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)
-    sample_sd = np.full(len(frames), np.nan) if after.sample_sd is None else after.sample_sd[frames, markers]
-    residual = np.nan_to_num(np.rint(sample_sd / layout.unit_m / layout.scale_factor), nan=1.0)
+    residual = np.nan_to_num(np.rint(after.estimated_sd[frames, markers] / layout.unit_m / layout.scale_factor), nan=1.0)
     samples = np.c_[counts, np.clip(residual, 1, MAX_RESIDUAL_COUNTS)]
     samples[~is_stored] = MISSING_SAMPLE
     return samples, is_stored

@@ -75,15 +75,12 @@ def append_computed_points(take: Take) -> Take:
     computed = take.computed_points
     if computed is None:
         return take
-    missing_sd = np.full(take.visible.shape, np.nan)
-    sample_sd = missing_sd if take.sample_sd is None else take.sample_sd
-    points_sd = np.full(computed.take.visible.shape, np.nan) if computed.take.sample_sd is None else computed.take.sample_sd
     return replace(
         take,
         markers=np.concatenate([take.markers, computed.take.markers], axis=1),
         labels=(*take.labels, *computed.take.labels),
         point_columns=np.concatenate([take.point_indices, computed.take.point_indices]),
-        sample_sd=np.concatenate([sample_sd, points_sd], axis=1),
+        sample_sd=np.concatenate([take.estimated_sd, computed.take.estimated_sd], axis=1),
         computed=None,
         uncaptured=None,
         relabelled_points=np.concatenate([take.source_points, computed.take.source_points], axis=1),
@@ -93,8 +90,7 @@ def append_computed_points(take: Take) -> Take:
 
 def find_relabelled_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
     """Return which samples of `after` are measured ones that come from another point of the file than in `before`."""
-    measured = np.ones(after.visible.shape, bool) if after.sample_sd is None else np.isnan(after.sample_sd)
-    return after.visible & (after.source_points != before.source_points) & measured
+    return after.visible & (after.source_points != before.source_points) & np.isnan(after.estimated_sd)
 
 
 def find_changed_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:

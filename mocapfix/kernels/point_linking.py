@@ -89,7 +89,10 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
     previous = np.full((frame_count, column_count), -1, np.int64)
     state, sample_count = np.zeros((capacity, 11)), np.zeros(capacity, np.int64)
     last_frame, last_column = np.zeros(capacity, np.int64), np.zeros(capacity, np.int64)
-    cost = np.empty((capacity, point_limit))
+    cost, x_here = np.empty((capacity, point_limit)), np.empty(point_limit)
+    # the points that may continue each trajectory, and the trajectories that each point may continue
+    candidates, candidate_count = np.empty((capacity, point_limit), np.int64), np.zeros(capacity, np.int64)
+    rivals, rival_count = np.empty((point_limit, capacity), np.int64), np.zeros(point_limit, np.int64)
     best_point, best_track = np.empty(capacity, np.int64), np.empty(point_limit, np.int64)
     chosen, columns = np.empty(capacity, np.int64), np.empty(point_limit, np.int64)
     open_count = 0
@@ -97,11 +100,11 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
         here = 0
         for c in range(column_count):
             if not np.isnan(points[t, c, 0]):
-                columns[here] = c
-                best_track[here] = -1
+                columns[here], x_here[here] = c, points[t, c, 0]
+                best_track[here], rival_count[here] = -1, 0
                 here += 1
         for i in range(open_count):
-            best_point[i] = -1
+            best_point[i], candidate_count[i] = -1, 0
             lag_frames = t - last_frame[i]
             lag = lag_frames / rate
             x, y, z = _extrapolate(state[i], sample_count[i], lag)
@@ -111,10 +114,12 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
                 gate = min(MAX_LINK_GATE_M, 3 * scale)
             spread_cost = 6 * np.log(scale / LINK_NOISE_M)
             largest_cost = 6 * np.log(HIDDEN_MARKER_RANGE_M / LINK_NOISE_M) - margin
+            cost[i, :here] = np.inf
             for j in range(here):
+                if abs(x_here[j] - x) >= gate:
+                    continue
                 c = columns[j]
                 square = (points[t, c, 0] - x) ** 2 + (points[t, c, 1] - y) ** 2 + (points[t, c, 2] - z) ** 2
-                cost[i, j] = np.inf
                 if square < gate * gate:
                     deviation = square / (scale * scale)
                     cost[i, j] = (DEVIATION_FREEDOM + 3) * np.log(1 + deviation / DEVIATION_FREEDOM) + spread_cost
@@ -123,6 +128,9 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
                         continue
                     if c == last_column[i]:
                         cost[i, j] -= column_gain
+                    candidates[i, candidate_count[i]], rivals[j, rival_count[j]] = j, i
+                    candidate_count[i] += 1
+                    rival_count[j] += 1
                     if best_point[i] < 0 or cost[i, j] < cost[i, best_point[i]]:
                         best_point[i] = j
                     if best_track[j] < 0 or cost[i, j] < cost[best_track[j], j]:
@@ -130,7 +138,8 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
         for i in range(open_count):
             chosen[i] = best_point[i]
             if best_point[i] >= 0 and (
-                best_track[best_point[i]] != i or _has_rival(cost, i, best_point, best_track, open_count, here, margin)
+                best_track[best_point[i]] != i
+                or _has_rival(cost, i, best_point, best_track, candidates[i, : candidate_count[i]], rivals, rival_count, margin)
             ):
                 chosen[i] = -2  # ambiguous: the trajectory ends
         _mark_linked(previous, chosen, columns, last_frame, last_column, open_count, t)
@@ -174,11 +183,11 @@ def _count_most_points(points):
 
 
 @compile_inner_kernel
-def _has_rival(cost, i, best_point, best_track, open_count, point_count, margin):
+def _has_rival(cost, i, best_point, best_track, candidates, rivals, rival_count, margin):
     """Return whether an alternative to trajectory i and its best point costs less than a margin more."""
     j = best_point[i]
-    for other in range(point_count):  # the trajectory continues at another point
-        if other == j or not cost[i, other] < np.inf:
+    for other in candidates:  # the trajectory continues at another point
+        if other == j:
             continue
         k = best_track[other]
         if k >= 0 and k != i and best_point[k] == other:  # whose trajectory then has this one's point, or none
@@ -187,8 +196,8 @@ def _has_rival(cost, i, best_point, best_track, open_count, point_count, margin)
                 return True
         elif cost[i, other] - cost[i, j] < margin:
             return True
-    for k in range(open_count):  # another trajectory, without a point of its own, continues here
-        has_no_point = cost[k, j] < np.inf and (best_point[k] == j or best_track[best_point[k]] != k)
+    for k in rivals[j, : rival_count[j]]:  # another trajectory, without a point of its own, continues here
+        has_no_point = best_point[k] == j or best_track[best_point[k]] != k
         if k != i and has_no_point and cost[k, j] - cost[i, j] < margin:
             return True
     return False

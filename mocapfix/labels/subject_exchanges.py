@@ -12,8 +12,7 @@ other person does not have another of their points. It is undone before each sub
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import scipy
@@ -29,6 +28,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
+from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
 
@@ -60,9 +60,10 @@ class TrackletRelations:
     ) -> "TrackletRelations":
         """Return the relations of F frames with tracklets `one` and `two` (-1 for none), one for each run of the same pair."""
         is_known = (one >= 0) & (two >= 0) & (one != two) & ~np.isnan(evidence)
-        pairs, known = np.sort(np.stack([one[is_known], two[is_known]], 1), axis=1), evidence[is_known]
-        starts = np.flatnonzero(np.r_[True, (np.diff(pairs, axis=0) != 0).any(1)][: len(pairs)])
-        return TrackletRelations(pairs[starts], np.add.reduceat(known, starts) if len(starts) else known)
+        low, high, known = np.minimum(one, two)[is_known], np.maximum(one, two)[is_known], evidence[is_known]
+        starts = np.flatnonzero(np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)][: len(low)])
+        pairs = np.column_stack([low[starts], high[starts]])
+        return TrackletRelations(pairs, np.add.reduceat(known, starts) if len(starts) else known)
 
     @property
     def limited_evidence(self) -> Float[np.ndarray, " R"]:
@@ -82,16 +83,16 @@ def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"
     """
     evidence, count = relations.limited_evidence, len(label_s)
     weights = scipy.sparse.csr_array((MAX_PAIR_EVIDENCE + 1 - np.abs(evidence), tuple(relations.pairs.T)), (count, count))
-    signs = scipy.sparse.csr_array((np.where(evidence > 0, 1.0, -1.0), tuple(relations.pairs.T)), (count, count))
-    signs, tree = signs + signs.T, scipy.sparse.csgraph.minimum_spanning_tree(weights)
+    signs = {(a, b): 1 if each > 0 else -1 for (a, b), each in zip(relations.pairs.tolist(), evidence.tolist(), strict=True)}
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(weights)
     side, is_reached = np.ones(count), np.zeros(count, bool)
     for root in range(count):
         if is_reached[root]:
             continue
         order, parents = scipy.sparse.csgraph.depth_first_order(tree, root, directed=False)
         is_reached[order] = True
-        for n in order[1:]:
-            side[n] = side[parents[n]] * signs[parents[n], n]
+        for n in order[1:].tolist():
+            side[n] = side[parents[n]] * signs[min(n, parents[n]), max(n, parents[n])]
         if len(order) > 1:
             _exchange_subtrees(side, order, parents, relations)
         if side[order] @ label_s[order] < 0:
@@ -296,13 +297,10 @@ def _is_exchange_possible(take: Take, pairs: MarkerPairs) -> bool:
     step = max(1, round(COMPARISON_INTERVAL_S * take.rate))
     min_length = max(1, round(MIN_BROKEN_DURATION_S * take.rate / step))
     for p in range(2):
-        broken, known = np.zeros((2, len(take.markers[::step]), pairs.columns.shape[1]))
-        for e, (k, m) in enumerate(pairs.partners):
-            one, two = (take.markers[::step, pairs.columns[p, label]] for label in (k, m))
-            error_m = np.abs(np.linalg.norm(one - two, axis=-1) - pairs.length_m[p, e])
-            for label in (k, m):
-                broken[:, label] += error_m > pairs.tolerance_m[e]
-                known[:, label] += ~np.isnan(error_m)
+        one, two = (take.markers[::step, pairs.columns[p, labels]] for labels in pairs.partners.T)
+        error_m = np.abs(compute_lengths(one - two) - pairs.length_m[p])
+        is_partner = (pairs.partners[:, :, None] == np.arange(pairs.columns.shape[1])).any(1).astype(float)
+        broken, known = (each.astype(float) @ is_partner for each in (error_m > pairs.tolerance_m, ~np.isnan(error_m)))
         is_broken = (known > 0) & (broken > MIN_BROKEN_SHARE * known)
         if any(last - first + 1 >= min_length for k in range(is_broken.shape[1]) for first, last in find_runs(is_broken[:, k])):
             return True
@@ -313,7 +311,7 @@ def _measure_steps(before: np.ndarray, after: np.ndarray) -> Float[np.ndarray, "
     """Return the distance of each sample of `after` from the last earlier sample of `before`, NaN where there is none."""
     latest = np.maximum.accumulate(np.where(np.isnan(before[..., 0]), -1, np.arange(len(before))[:, None]), axis=0)[:-1]
     start = np.take_along_axis(before, np.maximum(latest, 0)[..., None], axis=0)
-    return np.where(latest >= 0, np.linalg.norm(after[1:] - start, axis=-1), np.nan)
+    return np.where(latest >= 0, compute_lengths(after[1:] - start), np.nan)
 
 
 def _compare_tracklets(
@@ -332,15 +330,14 @@ def _compare_tracklets(
         label_s += sign * np.bincount(shown[shown >= 0], minlength=count) / take.rate
     relations: list[TrackletRelations] = []
     frame_s = len(frames) and take.frame_count / take.rate / len(frames)
-    for e, (k, m) in enumerate(pairs.partners):
-        for p in range(2):
-            for q in range(2):
-                one, two = pairs.columns[p, k], pairs.columns[q, m]
-                distance_m = np.linalg.norm(take.markers[frames, one] - take.markers[frames, two], axis=-1)
-                deviation = (distance_m - pairs.length_m[:, e, None]) / pairs.tolerance_m[e]
-                contradiction = np.minimum(1.0, (deviation**2).min(0))
-                evidence = (0.5 - contradiction) * frame_s / EVIDENCE_UNIT_S
-                relations.append(TrackletRelations.sum_runs(tracklets[frames, one], tracklets[frames, two], evidence))
+    coordinates = np.ascontiguousarray(take.markers[frames[:, None], pairs.columns.ravel()].T)
+    shown, count = np.ascontiguousarray(tracklets[frames[:, None], pairs.columns.ravel()].T), pairs.columns.shape[1]
+    for p, q in product(range(2), repeat=2):
+        one, two = p * count + pairs.partners[:, 0], q * count + pairs.partners[:, 1]
+        distance_m = compute_lengths(np.moveaxis(coordinates[:, one] - coordinates[:, two], 0, -1))
+        deviation = (distance_m - pairs.length_m[..., None]) / pairs.tolerance_m[:, None]
+        evidence = (0.5 - np.minimum(1.0, (deviation**2).min(0))) * frame_s / EVIDENCE_UNIT_S
+        relations.append(TrackletRelations.sum_runs(shown[one].ravel(), shown[two].ravel(), evidence.ravel()))
     return TrackletRelations.collect([*relations, _compare_positions(take, pairs, tracklets)]), label_s
 
 
@@ -349,15 +346,19 @@ def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray
     related: list[tuple[int, int]] = []
     evidence: list[float] = []
     seen = np.flatnonzero(tracklets.max(0) >= 0)
-    starts, index = np.unique(tracklets[:, seen], return_index=True)
+    shown = tracklets[:, seen]
+    first = np.full(shown.max(initial=-1) + 2, -1)  # the place of the first sample of each tracklet, and of no tracklet
+    first[shown.ravel()[::-1]] = np.arange(shown.size)[::-1]
+    latest = dict(
+        zip(seen.tolist(), np.maximum.accumulate(np.where(shown >= 0, np.arange(len(shown))[:, None], -1)).T, strict=True)
+    )
     label = {int(m): (p, k) for p in range(2) for k, m in enumerate(pairs.columns[p])}
-    for n, place in zip(starts.tolist(), index.tolist(), strict=True):
+    for n, place in enumerate(first[:-1].tolist()):
         t, column = place // len(seen), int(seen[place % len(seen)])
         own_person, k = label[column]
-        before = [np.flatnonzero(tracklets[:t, m] >= 0)[-1:] for m in (column, pairs.columns[1 - own_person, k])]
-        if n < 0 or not all(len(frames) for frames in before):
+        own_t, other_t = (int(latest[int(m)][t - 1]) if t else -1 for m in (column, pairs.columns[1 - own_person, k]))
+        if min(own_t, other_t) < 0:
             continue
-        own_t, other_t = (int(frames[0]) for frames in before)
         own, other = (own_t, column), (other_t, int(pairs.columns[1 - own_person, k]))
         own_m, other_m = (float(np.linalg.norm(take.markers[t, column] - take.markers[each])) for each in (own, other))
         hidden_s = (t - min(own_t, other_t)) / take.rate
@@ -406,14 +407,17 @@ def correct_subject_labels(
     is_declined = _build_declined_filter(take, reviews)
     faults: list[Fault] = []
     corrected = take
-    pairs, done = list(combinations(names, 2)), 0
+    pairs, done, subjects = list(combinations(names, 2)), 0, np.array(take.marker_subjects, object)
+    columns = {name: np.flatnonzero(subjects == name) for name in names}
     while done < len(pairs):
-        detect = partial(_detect_in_pair, corrected)
-        for detected in map_in_threads(detect, pairs[done:]):
+        markers = replace(corrected, unlabelled=None, labelled_file=None, computed_points=None)
+        own = {name: markers.extract_markers(columns[name], name) for name in names}
+        for detected in map_in_threads(_detect_in_pair, [(own[a], own[b]) for a, b in pairs[done:]], is_shared=True):
+            both = np.concatenate([columns[name] for name in pairs[done]]).tolist()
             done += 1
             found = [
                 fault
-                for fault in detected
+                for fault in (replace(f, marker=both[f.marker], other_markers=(both[f.other_markers[0]],)) for f in detected)
                 if fault.confidence >= MIN_LABEL_CONFIDENCE
                 and is_editable[fault.frame_slice][:, list(fault.markers)].all()
                 and not is_declined(fault)
@@ -425,8 +429,12 @@ def correct_subject_labels(
     return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
 
 
-def _detect_in_pair(take: Take, pair: tuple[str, str]) -> list[Fault]:
-    return detect_subject_exchanges(take, *pair)
+def _detect_in_pair(pair: tuple[Take, Take]) -> list[Fault]:
+    """Detect the labels that the subjects of two takes have exchanged. Faults have the indices of the markers of both."""
+    one, two = pair
+    positions = np.concatenate([one.markers, two.markers], axis=1)
+    take = Take(positions, one.labels + two.labels, one.rate, one.first_frame, one.path, subject_prefixes=one.subject_prefixes)
+    return detect_subject_exchanges(take, one.subject_name, two.subject_name)
 
 
 def _build_declined_filter(take: Take, reviews: Sequence[Review]) -> Callable[[Fault], bool]:

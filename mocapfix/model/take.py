@@ -238,6 +238,11 @@ class Take:
         return here if self.part is None else here | np.any(self.part.is_seen, axis=0)
 
     @property
+    def estimated_sd(self) -> Float[np.ndarray, "T M"]:
+        """Predicted standard deviation in metres of the samples that mocapfix estimated, NaN for all others."""
+        return np.full(self.visible.shape, np.nan) if self.sample_sd is None else self.sample_sd
+
+    @property
     def name(self) -> str:
         """Name of the take in messages: the file name, with the subject's name if the take is one subject's part."""
         name = self.path.name if self.path else "the take"
@@ -371,8 +376,7 @@ class ComputedPoints:
     @property
     def updated_counts(self) -> Int[np.ndarray, " C"]:
         """Number of samples of each point that mocapfix filled or computed again."""
-        sample_sd = self.take.sample_sd
-        return np.zeros(len(self.functions), int) if sample_sd is None else (~np.isnan(sample_sd)).sum(0)
+        return (~np.isnan(self.take.estimated_sd)).sum(0)
 
     def list_parent_labels(self, point: int, markers: Take) -> tuple[str, ...]:
         """Return the labels of the markers, or of the other computed points, from which a point follows."""

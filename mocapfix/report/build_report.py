@@ -282,8 +282,7 @@ def build_fill_section(
     """
     counts = np.ones(len(input_take.labels), bool)
     counts[list(fragment_donors)] = False
-    sample_sd = cleaned_take.sample_sd
-    estimated = np.zeros(input_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
+    estimated = ~np.isnan(cleaned_take.estimated_sd)
     visible = relabelled_take.visible
     relabelled = cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points)
     unfilled: list[json_report.UnfilledEntry] = [

@@ -51,8 +51,7 @@ def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take
         relabelled_take: The same with corrected labels; `faults` index its markers.
         cleaned_take: The same with filled and replaced samples.
     """
-    sample_sd = cleaned_take.sample_sd
-    estimated = np.zeros(cleaned_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
+    estimated = ~np.isnan(cleaned_take.estimated_sd)
     relabelled = cleaned_take.visible & (cleaned_take.source_points != input_take.source_points)
     reassigned = _find_reassigned_samples(input_take, cleaned_take, relabelled & ~estimated)
     outcomes = (

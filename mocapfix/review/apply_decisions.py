@@ -117,8 +117,7 @@ def _revert_faults(original: Take, detected: Detected, repaired: Take, faults: l
 def _smooth_kept_samples(cleaned: Take, smoothed: Take, editable_mask: Bool[np.ndarray, "T M"]) -> Take:
     """Return the cleaned take with the smoothed positions of the samples that are the file's own."""
     is_kept = cleaned.measured & smoothed.visible & (cleaned.source_points == smoothed.source_points) & editable_mask
-    if cleaned.sample_sd is not None:
-        is_kept &= np.isnan(cleaned.sample_sd)
+    is_kept &= np.isnan(cleaned.estimated_sd)
     return replace(cleaned, markers=np.where(is_kept[..., None], smoothed.markers, cleaned.markers))
 
 
