@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 DEFAULT_PRIOR_NAME = "autoencoder"
 PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
 PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
-INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
+INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration")
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
 CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
@@ -161,11 +161,6 @@ class InitialiseOptions(StageOptions):
         False, "--fast", "", "preview: first poses and cheap fills, no recording; its error is in the notes", job_key="fast",
         for_markers=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.is_fast and self.init_method == "previous":
-            raise OptionError("is_fast", "--fast", "fast", "needs first poses, which the method previous does not compute")
 
     @property
     def method_used(self) -> str:

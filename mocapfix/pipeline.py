@@ -55,7 +55,7 @@ from mocapfix.report.notes import SolvedBody, build_solved_body, describe_comput
 from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleanedSubject, CleaningResult, join_windows, merge_results
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
-from mocapfix.solve.initial_motion import initialise_body, initialise_preview
+from mocapfix.solve.initial_motion import PREVIEW_POSE_RATE_HZ, initialise_between, initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
@@ -373,7 +373,7 @@ def initialise_and_solve(
     """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
     if options.initialise.is_fast:
         with timer("initialise"):
-            return place_body(calibrated, initialise_preview(calibrated, options.initialise.method_used))
+            return place_body(calibrated, initialise_between(calibrated, options.initialise.method_used, PREVIEW_POSE_RATE_HZ))
     with timer("initialise"):
         start = initialise_body(calibrated, previous, options.initialise.method_used)
     with timer("solve", "poses"):

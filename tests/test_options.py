@@ -77,7 +77,6 @@ def test_repairable_kinds_are_those_of_faults():
         ({"floor_height_m": float("nan")}, "floor_height_m must be finite, not nan."),
         ({"output_rate_hz": 2000.0}, "output_rate_hz must be at least 5 Hz and at most 1000 Hz, not 2000."),
         ({"max_rounds": 0}, "max_rounds must be at least 1, not 0."),
-        ({"is_fast": True, "init_method": "previous"}, "is_fast needs first poses, which the method previous does not compute."),
         ({"init_method": "hybrik"}, "init_method must be one of hybrik-x, hybrik-adaptive, "),
         ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
         (

@@ -137,11 +137,7 @@ def fill_take(
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
     markers, sd, method = estimate_missing_samples(
-        np.where(is_inlier[..., None], take.markers, np.nan),
-        take.rate,
-        body=body,
-        rigid_groups=rigid_groups,
-        requests=requests,
+        np.where(is_inlier[..., None], take.markers, np.nan), take.rate, body=body, rigid_groups=rigid_groups, requests=requests
     )
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)

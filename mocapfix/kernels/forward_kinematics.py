@@ -13,15 +13,11 @@ from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, mult
 
 
 class KinematicTree(NamedTuple):
-    """A skeleton for the kernels: any tree whose parents come before their children.
-
-    Offsets may be linear in the first Q of the unknowns that all joints share (SCOPE, Eq. 1: S_i beta + l_i).
-    """
+    """A skeleton for the kernels: any tree whose parents come before their children."""
 
     parents: np.ndarray  # (J,)
     offsets: np.ndarray  # (J, 3) metres, in the parent's axes
     free: np.ndarray  # (J,) bool: joints that may rotate; the root always may
-    shape_basis: np.ndarray = np.zeros((0, 0, 3))  # (Q, J, 3) metres: derivative of the offsets to each shape unknown
 
 
 class FramePose(NamedTuple):
@@ -29,7 +25,7 @@ class FramePose(NamedTuple):
 
     root: np.ndarray  # (3,) metres, in the world
     local: np.ndarray  # (J, 3, 3) local rotations
-    shared: np.ndarray  # (P,) unknowns that all joints share: shape, or a prior's latent code
+    shared: np.ndarray  # (P,) unknowns that all joints share: a prior's latent code
     position: np.ndarray  # (J, 3) metres, in the world
     rotation: np.ndarray  # (J, 3, 3) in the world
 
@@ -50,12 +46,7 @@ def compute_forward_kinematics(tree, pose):
     for j in range(1, len(tree.parents)):
         p = tree.parents[j]
         parent_rotation = load_matrix(rotation, p)
-        x, y, z = tree.offsets[j, 0], tree.offsets[j, 1], tree.offsets[j, 2]
-        for q in range(len(tree.shape_basis)):
-            x += tree.shape_basis[q, j, 0] * pose.shared[q]
-            y += tree.shape_basis[q, j, 1] * pose.shared[q]
-            z += tree.shape_basis[q, j, 2] * pose.shared[q]
-        x, y, z = multiply_vector(parent_rotation, x, y, z)
+        x, y, z = multiply_vector(parent_rotation, tree.offsets[j, 0], tree.offsets[j, 1], tree.offsets[j, 2])
         position[j, 0], position[j, 1], position[j, 2] = position[p, 0] + x, position[p, 1] + y, position[p, 2] + z
         store_matrix(multiply_matrices(parent_rotation, load_matrix(pose.local, j)), rotation, j)
 
@@ -88,6 +79,21 @@ def compute_world_frames(tree, root, local, position, rotation, first, stop):
     no_shared = np.empty(0)
     for t in range(first, stop):
         compute_forward_kinematics(tree, FramePose(root[t], local[t], no_shared, position[t], rotation[t]))
+
+
+@compile_kernel(nogil=True)
+def compute_local_frames(tree, rotation, local, first, stop):
+    """Write the local rotations (T, J, 3, 3) of joints that are free, and the world rotations of the others, in the frames
+    first..stop - 1.
+    """
+    for t in range(first, stop):
+        store_matrix(load_matrix(rotation[t], 0), local[t], 0)
+        for j in range(1, len(tree.parents)):
+            parent = load_matrix(rotation[t], tree.parents[j])
+            if tree.free[j]:
+                store_matrix(multiply_matrices(transpose_matrix(parent), load_matrix(rotation[t], j)), local[t], j)
+            else:
+                store_matrix(multiply_matrices(parent, load_matrix(local[t], j)), rotation[t], j)
 
 
 @compile_kernel(nogil=True)

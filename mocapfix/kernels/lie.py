@@ -155,7 +155,7 @@ def store_vector_rotations(vectors, rotations):
         store_matrix(compute_exponential(vectors[n, 0], vectors[n, 1], vectors[n, 2]), rotations, n)
 
 
-@compile_kernel
+@compile_kernel(nogil=True)
 def extract_joint_quaternions(rotations, joint, known):
     """Return (T, 4) quaternions of rotations[:, joint] (T, J, 3, 3), their signs chosen for continuity.
 
@@ -185,7 +185,7 @@ def extract_joint_quaternions(rotations, joint, known):
     return out
 
 
-@compile_kernel
+@compile_kernel(nogil=True)
 def store_joint_quaternions(quaternions, joint, rotations):
     """Write quaternions (T, 4) of any length but 0 into rotations[:, joint] (T, J, 3, 3) as matrices."""
     for t in range(len(quaternions)):

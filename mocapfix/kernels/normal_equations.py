@@ -6,7 +6,7 @@ import numpy as np
 from numba import literal_unroll
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
-from mocapfix.kernels.small_matrices import clear_array, load_matrix, multiply_vector
+from mocapfix.kernels.small_matrices import clear_array
 from mocapfix.kernels.terms.contract import add_term
 
 
@@ -23,7 +23,6 @@ class NormalEquations(NamedTuple):
     h_joint: np.ndarray  # (J, 3, 3) curvature of each joint's own rotation
     g_joint: np.ndarray  # (J, 3) its gradient
     lever_arm: np.ndarray  # (J, 3) metres: joints from the origin, in world axes
-    shared_shift: np.ndarray  # (J, 3, P) derivative of a joint's position, relative to its parent, to each shared unknown
     h_joint_shared: np.ndarray  # (J, 3, P) curvature between joints' rotations (the root's too) and shared unknowns
     h_shared: np.ndarray  # (P, P) lower triangle
     g_shared: np.ndarray  # (P,)
@@ -39,7 +38,7 @@ def allocate_equations(joints, unknowns, rows):
     rows = 0 if rows is None else rows
     return NormalEquations(
         np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((joints, 3)),
-        np.zeros((joints, 3, unknowns)), np.empty((joints, 3, unknowns)), np.empty((unknowns, unknowns)),
+        np.empty((joints, 3, unknowns)), np.empty((unknowns, unknowns)),
         np.empty(unknowns), np.empty((rows, joints, 6)), np.empty((rows, joints, 3)),
         np.empty(rows), np.zeros(1, np.int64),
     )  # fmt: skip
@@ -83,10 +82,4 @@ def linearise_terms(tree, terms, t, scale2, pose, equations):
         for m in range(len(equations.row_residual)):
             equations.row_twist[m, 0, a] += equations.row_joint[m, 0, a]
             equations.row_joint[m, 0, a] = 0.0
-    shift = equations.shared_shift
-    for q in range(len(tree.shape_basis)):
-        for j in range(1, len(h)):
-            s = tree.shape_basis[q, j]
-            x, y, z = multiply_vector(load_matrix(pose.rotation, tree.parents[j]), s[0], s[1], s[2])
-            shift[j, 0, q], shift[j, 1, q], shift[j, 2, q] = x, y, z
     return cost

@@ -36,13 +36,11 @@ class TransferTree(NamedTuple):
 
     parents: np.ndarray  # (J,)
     offsets: np.ndarray  # (J, 3) metres, in the parent's axes
-    free: np.ndarray  # (J,) bool: unused, for forward kinematics
     bone_end: np.ndarray  # (J,) the child to which the joint's bone points, -1 for none
     cloud_start: np.ndarray  # (J + 1,) index of each joint's first entry in the arrays of clouds
     cloud_joint: np.ndarray  # (C,) joint
     cloud_variance: np.ndarray  # (C,) m^2 per axis, of the joint about its place in the registered joint's axes
     is_held: np.ndarray  # (J,) bool: joints that keep their start rotation
-    shape_basis: np.ndarray  # (0, 0, 3): unused, for forward kinematics
 
 
 class TransferredPoses(NamedTuple):

@@ -1,16 +1,15 @@
 """The Gauss-Newton direction of a tree of joints in time linear in joints and measurements.
 
 SCOPE's Algorithm 1 as an articulated-body sweep. A body's twist (w, v) is its rotation and the velocity of its point at a
-common origin, both in world axes. So a child's twist is its parent's plus its own joint's rotation and the effect of the P
-unknowns that all joints share (SCOPE's beta, or a prior's latent code) on its offset:
+common origin, both in world axes. So a child's twist is its parent's plus its own joint's rotation:
 
-    twist_i = twist_parent + S_i turn_i + [0; shift_i] shared,    S_i = [I; [d_i]x],    d_i = joint position - origin
+    twist_i = twist_parent + S_i turn_i,    S_i = [I; [d_i]x],    d_i = joint position - origin
 
 and every measurement on body i is a quadratic in twist_i alone. From the leaves to the root each joint's rotation is eliminated
-from its body's quadratic, which leaves a quadratic of 6 + P in its parent's twist and the shared unknowns; from the root to the
-leaves the rotations follow by substitution. `factorise_tree` does the first half once; `solve_tree` uses it for one gradient,
-`covariance.propagate_covariance` for all bodies. (Blocks of 6 + P take half the time of 6 + P right-hand sides and a Schur
-complement at P = 10, a third at P = 32.)
+from its body's quadratic, which leaves a quadratic of 6 + P in its parent's twist and the P unknowns that all joints share (a
+prior's latent code); from the root to the leaves the rotations follow by substitution. `factorise_tree` does the first half once;
+`solve_tree` uses it for one gradient, `covariance.propagate_covariance` for all bodies. (Blocks of 6 + P take half the time of
+6 + P right-hand sides and a Schur complement at P = 10, a third at P = 32.)
 """
 
 from typing import NamedTuple
@@ -79,8 +78,6 @@ def factorise_tree(tree, equations, damping, factors):
         copy_array(equations.h_shared, factors.shared_cholesky)
     for i in range(len(parents) - 1, 0, -1):
         p = parents[i]
-        if len(tree.shape_basis):
-            transfer_shared_shift(i, equations.shared_shift, h, cross, factors.shared_cholesky)
         if not free[i]:
             for a in range(6):
                 for b in range(6):
@@ -157,22 +154,6 @@ def eliminate_joint_shared(i, p, lever_arm, h_joint_shared, u, ldl, cross, joint
 
 
 @compile_inner_kernel
-def transfer_shared_shift(i, shift, h, cross, h_shared):
-    """Express body i's quadratic in its twist without the shift of its joint by the shared unknowns."""
-    for c in range(len(h_shared)):
-        sx, sy, sz = shift[i, 0, c], shift[i, 1, c], shift[i, 2, c]
-        for d in range(c):  # cross[.., d] already includes its own shift, cross[.., c] not yet
-            h_shared[c, d] += sx * cross[i, 3, d] + sy * cross[i, 4, d] + sz * cross[i, 5, d]
-            h_shared[c, d] += cross[i, 3, c] * shift[i, 0, d] + cross[i, 4, c] * shift[i, 1, d] + cross[i, 5, c] * shift[i, 2, d]
-        h_shared[c, c] += 2 * (sx * cross[i, 3, c] + sy * cross[i, 4, c] + sz * cross[i, 5, c])
-        for a in range(6):
-            change = h[i, a, 3] * sx + h[i, a, 4] * sy + h[i, a, 5] * sz
-            cross[i, a, c] += change
-            if a > 2:
-                h_shared[c, c] += shift[i, a - 3, c] * change
-
-
-@compile_inner_kernel
 def subtract_row(factor, row, out):
     """Subtract `factor` times a row (P,) from `out` (P,)."""
     for c in range(len(row)):
@@ -217,13 +198,10 @@ def solve_tree(tree, equations, factors, g, g_joint, step):
         g_joint: (J, 3) gradient on each joint's own rotation.
         step.shared: (P,) in: gradient on the shared unknowns; out: their step.
     """
-    lever_arm, gain, inverse, shift = equations.lever_arm, factors.gain, factors.joint_inverse, equations.shared_shift
+    lever_arm, gain, inverse = equations.lever_arm, factors.gain, factors.joint_inverse
     twist, turn, shared, joint_gain = step.twist, step.joint_turn, step.shared, factors.joint_gain_shared
-    shapes = len(tree.shape_basis)
     for i in range(len(tree.parents) - 1, 0, -1):
         p = tree.parents[i]
-        for c in range(shapes):
-            shared[c] += shift[i, 0, c] * g[i, 3] + shift[i, 1, c] * g[i, 4] + shift[i, 2, c] * g[i, 5]
         if not tree.free[i]:
             for a in range(6):
                 g[p, a] += g[i, a]
@@ -258,9 +236,6 @@ def solve_tree(tree, equations, factors, g, g_joint, step):
         twist[i, 3] = twist[p, 3] + y * w2 - z * w1
         twist[i, 4] = twist[p, 4] + z * w0 - x * w2
         twist[i, 5] = twist[p, 5] + x * w1 - y * w0
-        for c in range(shapes):
-            for a in range(3):
-                twist[i, 3 + a] += shift[i, a, c] * shared[c]
 
 
 @compile_inner_kernel

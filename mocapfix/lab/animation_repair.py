@@ -360,9 +360,7 @@ def build_expected_faults(injected: InjectedAnimationFault, joint_count: int) ->
 
 
 def interpolate_faults(
-    root_position: Float[np.ndarray, "T 3"],
-    local_rotations: Float[np.ndarray, "T J 3 3"],
-    injected: list[InjectedAnimationFault],
+    root_position: Float[np.ndarray, "T 3"], local_rotations: Float[np.ndarray, "T J 3 3"], injected: list[InjectedAnimationFault]
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]:
     """Interpolate from the last frame before each fault to the first after it: rotations spherically, the position linearly."""
     root_position, local_rotations = root_position.copy(), local_rotations.copy()

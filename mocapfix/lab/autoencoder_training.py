@@ -127,11 +127,7 @@ def train_network(
 
 
 def compute_evidence_loss(
-    network: AutoencoderNetwork,
-    residual_model: ResidualModel,
-    inputs: Tensor,
-    outputs: Tensor,
-    generator: Generator,
+    network: AutoencoderNetwork, residual_model: ResidualModel, inputs: Tensor, outputs: Tensor, generator: Generator
 ) -> Tensor:
     """Return the negative evidence lower bound per pose, up to a constant (Kingma and Welling, 2014, Eq. 10).
 

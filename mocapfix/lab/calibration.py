@@ -26,19 +26,16 @@ from mocapfix.lab.sound_takes import (
     build_known_motion,
     read_performed_motions,
     resample_performance,
+    solve_motion,
 )
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SolveOptions
-from mocapfix.solve import initial_motion, kinematics, motion_solver
+from mocapfix.solve import initial_motion, kinematics
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.subject.calibration import (
-    CalibrationFrames,
-    calibrate_subject,
-    scale_average_subject,
-)
+from mocapfix.subject.calibration import CalibrationFrames, calibrate_subject, scale_average_subject
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import (
     DAMAGED_ARM_JOINTS,
@@ -110,7 +107,7 @@ def compute_mean_joint_errors(
     """Return the mean error of each joint in metres of the poses solved with a subject."""
     start = initial_motion.initialise_motion(take, subject, body, prior)
     limits = load_joint_limits(body.skeleton)
-    motion = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
+    motion = solve_motion(take, subject, body, prior, limits, start, SolveOptions())
     joint_positions, _ = kinematics.compute_world_poses(subject.skeleton, motion)
     return np.linalg.norm(joint_positions - truth.joint_positions, axis=2).mean(0)
 

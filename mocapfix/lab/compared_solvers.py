@@ -25,7 +25,7 @@ from mocapfix.kernels.terms import PointTerm, TrackingTerm
 from mocapfix.lab.common_task import CommonTask, build_common_task, compute_zyx_rotations
 from mocapfix.model.system import THREADS_VARIABLE, count_cores
 from mocapfix.solve.minimise import SolverSettings, minimise
-from mocapfix.solve.parallel import order_sequentially
+from mocapfix.solve.parallel import SolveOrder
 
 
 class TimedSolution(NamedTuple):
@@ -145,7 +145,9 @@ def solve_with_mocapfix(task: CommonTask, take_name: str, *, use_all_cores: bool
     tree, points, tracking = build_task_problem(task, take_name)
     frame_count, joint_count = len(points.measured), len(task.mean_angles)
     start = task.root_starts[take_name], np.tile(tracking.rotations, (frame_count, 1, 1, 1))
-    order = order_sequentially(np.arange(frame_count) % round(WINDOW_S * task.rate_hz) == 0, joint_count)
+    frames, window = np.arange(frame_count), round(WINDOW_S * task.rate_hz)
+    start_frame = np.where(frames % window == 0, -1, frames - 1)
+    order = SolveOrder(frames, start_frame, np.ones((1, joint_count), bool), np.r_[frames[::window], frame_count])
     settings = SolverSettings(max_iterations=MAX_FRAME_ITERATIONS, damping_ratio=WARM_START_DAMPING, order=order)
     clock = time.perf_counter if use_all_cores else time.process_time
     with patch.dict(os.environ, {} if use_all_cores else {THREADS_VARIABLE: "1"}):

@@ -77,9 +77,7 @@ def list_seed_files() -> tuple[SeedFile, ...]:
         SeedFile("capture", "walk.bvh", _write_bytes("walk.bvh", lambda path: write_bvh(path, body, motion, SEED_RATE_HZ))),
         SeedFile("subject", "subject.yaml", _write_bytes("subject.yaml", lambda path: write_subject(path, truth.subject))),
         SeedFile(
-            "changes",
-            "changes.yaml",
-            _write_bytes("changes.yaml", lambda path: write_changes_file(path, take, [change], review)),
+            "changes", "changes.yaml", _write_bytes("changes.yaml", lambda path: write_changes_file(path, take, [change], review))
         ),
     ]
     asf, amc = _write_motion_pair(body, motion)

@@ -184,10 +184,7 @@ def _receive(receiver: "multiprocessing.connection.Connection[Any, Any]", child:
 
 
 def _run_in_child(
-    build_case: CaseBuilder,
-    seeds: range,
-    limits: FuzzLimits,
-    sender: "multiprocessing.connection.Connection[Any, Any]",
+    build_case: CaseBuilder, seeds: range, limits: FuzzLimits, sender: "multiprocessing.connection.Connection[Any, Any]"
 ) -> None:
     with TemporaryDirectory() as folder:
         is_warm = False

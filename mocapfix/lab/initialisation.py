@@ -38,6 +38,7 @@ from mocapfix.lab.sound_takes import (
     load_unseen_poses,
     read_performed_motions,
     sample_subject_poses,
+    solve_motion,
 )
 from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import FrameStatus, Motion
@@ -47,7 +48,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.system import count_cores
 from mocapfix.model.take import Take
 from mocapfix.options import INIT_METHODS, SolveOptions, SubjectOptions
-from mocapfix.solve import initial_motion, kinematics, motion_solver
+from mocapfix.solve import initial_motion, kinematics
 from mocapfix.solve.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
@@ -230,7 +231,7 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
         began = perf_counter()
         start = method(case)
         started = perf_counter()
-        motion = motion_solver.solve_motion(case.take, case.subject, body, prior, limits, start, options)
+        motion = solve_motion(case.take, case.subject, body, prior, limits, start, options)
         return start, motion, (started - began, perf_counter() - began)
 
     runs = [start_and_solve() for _ in range(repeats)]
@@ -238,8 +239,7 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
     start_s, total_s = (median(durations[i] for _, _, durations in runs) for i in range(2))
     problem = build_pose_problem(case.take, case.subject, body, prior, limits, options)
     solution = problem.minimise((start.root_position, start.local_rotations), options.robust_scales_m)
-    start_motion = build_start_motion(start, *solution.poses)
-    joint_positions, markers = kinematics.compute_joint_and_marker_positions(case.subject, start_motion)
+    joint_positions, markers = kinematics.compute_joint_and_marker_positions(case.subject, start)
     return StartOutcome(
         marker_error_m=compute_marker_error(markers, case.take),
         start_joint_positions=joint_positions,
@@ -247,22 +247,6 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
         full_solve=evaluate_solve(problem, (motion.root_position, motion.local_rotations), motion.iterations),
         is_unconverged=solution.status == FrameStatus.ITERATION_LIMIT,
         durations_s=(start_s, total_s),
-    )
-
-
-def build_start_motion(
-    start: Motion, root_position: Float[np.ndarray, "T 3"], local_rotations: Float[np.ndarray, "T J 3 3"]
-) -> Motion:
-    """Return the poses at which frames were started: those without a start used the solved pose of the previous frame."""
-    has_no_start = np.isnan(start.root_position[:, 0])
-    previous = np.maximum(np.arange(start.frame_count) - has_no_start, 0)
-    return Motion(
-        np.where(has_no_start[:, None], root_position[previous], start.root_position),
-        np.where(has_no_start[:, None, None, None], local_rotations[previous], start.local_rotations),
-        start.status,
-        start.iterations,
-        start.marker_sd,
-        start.joint_sd,
     )
 
 
@@ -294,9 +278,7 @@ def find_wrong_frames(case: InitialisationTake, ends: dict[str, SolveEnd]) -> di
 
 
 def has_distant_joint(
-    joint_positions: Float[np.ndarray, "T J 3"],
-    true_positions: Float[np.ndarray, "T J 3"],
-    is_observed: Bool[np.ndarray, "T J"],
+    joint_positions: Float[np.ndarray, "T J 3"], true_positions: Float[np.ndarray, "T J 3"], is_observed: Bool[np.ndarray, "T J"]
 ) -> Bool[np.ndarray, " T"]:
     """Return whether any observed joint is further than WRONG_JOINT_DISTANCE_M from its true position."""
     is_distant = np.linalg.norm(joint_positions - true_positions, axis=-1) > WRONG_JOINT_DISTANCE_M

@@ -348,11 +348,7 @@ def build_predictor(model: ClosedFormModel) -> PosePredictor:
 
 
 def optimise_model(
-    model: ClosedFormModel,
-    sampler: PairSampler,
-    settings: LearnedIkSettings,
-    checkpoint: Path,
-    progress: Callable[[str], object],
+    model: ClosedFormModel, sampler: PairSampler, settings: LearnedIkSettings, checkpoint: Path, progress: Callable[[str], object]
 ) -> None:
     """Train a model whose `predict` returns the poses of a batch, in place.
 

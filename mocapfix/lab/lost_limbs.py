@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions
+from mocapfix.lab.sound_takes import PerformedMotion, read_performed_motions, solve_motion
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import initial_motion, kinematics, motion_solver
+from mocapfix.solve import initial_motion, kinematics
 from mocapfix.solve.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.motion_prior import predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
@@ -92,15 +92,15 @@ def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator
     take = remove_limb_markers(gap, limb, subject)
     start = initial_motion.initialise_motion(take, subject, body, prior)
     conditioner = PriorConditioner(lambda: model, 1.0) if model else None
-    solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=conditioner)
+    solution = solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=conditioner)
     yield "mocapfix", solution
     if model is not None:
         with_motion_prior = PriorConditioner(lambda: model, 1.0, predict_shipped_gap)
         yield (
             "with the motion prior",
-            motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=with_motion_prior),
+            solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=with_motion_prior),
         )
-        yield "the take and time", motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
+        yield "the take and time", solve_motion(take, subject, body, prior, limits, start, SolveOptions())
 
 
 def build_full_marker_subject() -> Subject:

@@ -19,13 +19,7 @@ from mocapfix.errors import ReadError
 from mocapfix.lab.recordings import UNKNOWN_SOURCE, RecordingSource, read_recordings
 from mocapfix.lab.training_poses import detect_rotation_jumps, find_weakly_observed_joints, mirror_joint_name
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.motion_prior import (
-    INNER_TOKENS,
-    MOTION_RATE_HZ,
-    TOKEN_COUNT,
-    build_motion_tree,
-    compute_token_times,
-)
+from mocapfix.solve.motion_prior import INNER_TOKENS, MOTION_RATE_HZ, TOKEN_COUNT, build_motion_tree, compute_token_times
 
 MIN_STRETCH_FRAMES = 30  # shorter stretches between jumps of the solved motion are not used
 MAX_RATE_DEVIATION = 0.02  # motion whose rate differs by a smaller share from that of the motion prior is not resampled

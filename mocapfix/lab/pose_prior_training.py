@@ -56,10 +56,7 @@ class PriorScores:
 
 
 def train_pose_prior(
-    settings: PriorSettings,
-    folders: Sequence[Path],
-    target: Path,
-    progress: Callable[[str], object],
+    settings: PriorSettings, folders: Sequence[Path], target: Path, progress: Callable[[str], object]
 ) -> PriorScores:
     """Train a model, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 

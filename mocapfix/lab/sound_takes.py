@@ -23,9 +23,15 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.lab.recordings import read_recordings, read_shard_recordings
 from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.model.skeleton import BodyModel, load_cmu31_body
 from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.options import SolveOptions
+from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.solve.motion_solver import complete_motion, solve_changed_frames
 from mocapfix.solve.pose_prior import remove_heading
+from mocapfix.solve.pose_problem import build_motion_problem, change_all_frames
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import SyntheticTake, compose_take, draw_subject, simulate_markers
 
 CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases
@@ -195,3 +201,30 @@ def build_known_motion(root_position: Float[np.ndarray, "T 3"], rotations: Float
     zeros, joint_sd = np.zeros(len(root_position), int), np.zeros(rotations.shape[:2])
     root_position, rotations = np.ascontiguousarray(root_position), np.ascontiguousarray(rotations)
     return Motion(root_position, rotations, zeros, zeros, joint_sd[:, :0], joint_sd)
+
+
+def solve_motion(
+    take: Take,
+    subject: Subject,
+    body: BodyModel,
+    prior: MeanPosePrior,
+    limits: JointLimits,
+    initial_motion: Motion,
+    options: SolveOptions,
+    *,
+    conditioner: PriorConditioner | None = None,
+) -> Motion:
+    """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
+
+    Args:
+        take: The markers in the subject's order, NaN if not visible or an outlier.
+        prior: The mean pose of independent joints, which makes every frame determinate.
+        initial_motion: The start of each frame's first solve.
+        conditioner: A trained pose model; used only if a limb is occluded for so long that the take itself does not determine it.
+    """
+    problem = build_motion_problem(take, subject, body, prior, limits, options)
+    start = replace(
+        initial_motion, root_position=initial_motion.root_position.copy(), local_rotations=initial_motion.local_rotations.copy()
+    )
+    motion, evidence = solve_changed_frames(problem, start, change_all_frames(take.frame_count))
+    return complete_motion(problem, motion, evidence, conditioner)

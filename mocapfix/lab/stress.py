@@ -34,14 +34,7 @@ from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.subject import Subject
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
-from mocapfix.synthetic import (
-    DAMAGED_ARM_JOINTS,
-    SyntheticTake,
-    compose_motion,
-    draw_gaps,
-    draw_subject,
-    simulate_markers,
-)
+from mocapfix.synthetic import DAMAGED_ARM_JOINTS, SyntheticTake, compose_motion, draw_gaps, draw_subject, simulate_markers
 
 ORDINARY_MOTION = "ordinary"  # walking, reaching, crouching and turning round
 ORDINARY_DURATION_S = 15.0

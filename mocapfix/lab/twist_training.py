@@ -22,12 +22,7 @@ from mocapfix.lab.frame_pairs import (
 from mocapfix.lab.networks import build_layers
 from mocapfix.lab.pose_prior_training import SD_INFLATION, build_card_data, describe_pose_use, select_measured_poses
 from mocapfix.lab.settings import TwistSettings
-from mocapfix.lab.training_poses import (
-    compute_sampling_weights,
-    conform_training_poses,
-    gather_training_poses,
-    mirror_joint_name,
-)
+from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses, mirror_joint_name
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve.hybrik import TwistRegressor, write_twist_regressor
 from mocapfix.solve.mean_pose import load_mean_pose_prior

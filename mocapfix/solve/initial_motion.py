@@ -5,8 +5,8 @@ The methods (`INIT_METHODS`) are:
 - `learned`: those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_ik`)
 - `hybrik-...`: joint positions from the frame's markers, and from these its pose in closed form (`hybrik`)
 - `registration`: the subject's segments registered to the visible markers, down the tree (`segment_registration`)
-- `previous`: only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
-  saves some iterations, but frames cannot be solved in parallel, and a wrong solution affects the next frame.
+
+Only frames at POSE_RATE_HZ are posed; the poses between are interpolated.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels import lie
 from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion
@@ -29,7 +28,7 @@ from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.solve.pose_problem import FrameChanges, change_all_frames, find_changed_frames
+from mocapfix.solve.pose_problem import POSE_RATE_HZ, FrameChanges, change_all_frames, find_changed_frames, list_posed_frames
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.stats.rigid_alignment import scale_rotations
 
@@ -156,23 +155,17 @@ HYBRIK_VARIANTS: dict[str, HybrikVariant] = {
     "hybrik-naive": "naive",
 }
 """The HybrIK variant of each method."""
-MAX_BLOCK_FRAMES = 4096
-"""Frames that are posed at a time; a frame takes its root from its neighbours only within them, if its markers do not show it."""
-MIN_START_MARKER_SHARE = 0.5
-"""Share of the markers that are visible in any frame which a frame must show to start the chain of method "previous"."""
 
 
 def initialise_motion(
     take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str = DEFAULT_INIT_METHOD
 ) -> Motion:
-    """Return the initial pose of every frame; NaN where the frame starts from the solution of the frame before.
+    """Return the initial pose of every frame.
 
     Args:
         take: The markers in the subject's order, NaN if not visible or an outlier.
         prior: Its mean pose is that of the joints that the body does not turn.
     """
-    if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
-        return initialise_in_blocks(take, subject, body, prior, method)
     if method in HYBRIK_VARIANTS:
         estimate, is_held = estimate_joint_positions(take, subject, body), ~body.free_joints
         motion = solve_hybrik(
@@ -188,8 +181,7 @@ def initialise_motion(
         if method == LEARNED_METHOD and body.shown_segments.all():
             motion = infer_unseen_joints(motion, estimate, subject, take.rate)
         return motion
-    motion = register_poses(subject, body.free_joints, prior, take.markers)
-    return start_from_previous(motion, take.visible) if method == "previous" else motion
+    return register_poses(subject, body.free_joints, prior, take.markers)
 
 
 def initialise_frames(
@@ -199,19 +191,6 @@ def initialise_frames(
     if method == LEARNED_METHOD:  # which smooths positions over time, and so needs the frames between them
         return initialise_motion(take, subject, body, prior, method).select_frames(frames)
     return initialise_motion(take.replace_markers(take.markers[frames]), subject, body, prior, method)
-
-
-def initialise_in_blocks(take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str) -> Motion:
-    """Return what `initialise_motion` returns, computed block by block: the arrays of a block are several times its poses."""
-    fields: list[np.ndarray] = []
-    for first in range(0, take.frame_count, MAX_BLOCK_FRAMES):
-        block = slice(first, first + MAX_BLOCK_FRAMES)
-        part = initialise_motion(take.replace_markers(take.markers[block]), subject, body, prior, method)
-        if not fields:
-            fields = [np.empty((take.frame_count, *field.shape[1:]), field.dtype) for field in vars(part).values()]
-        for field, values in zip(fields, vars(part).values(), strict=True):
-            field[block] = values
-    return Motion(*fields)
 
 
 def bend_unmarked_chains(motion: Motion, subject: Subject, prior: MeanPosePrior) -> Motion:
@@ -247,15 +226,6 @@ def find_unmarked_chains(subject: Subject) -> list[list[int]]:
     return chains
 
 
-def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Motion:
-    """Replace the poses after the first frame with enough visible markers by NaN: they start from the frame before."""
-    has_enough = visible.sum(axis=1) >= MIN_START_MARKER_SHARE * visible.any(axis=0).sum()
-    is_later = np.arange(motion.frame_count) > has_enough.argmax()
-    root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
-    root_position[is_later] = local_rotations[is_later] = np.nan
-    return replace(motion, root_position=root_position, local_rotations=local_rotations)
-
-
 class PoseStart(NamedTuple):
     """The poses from which the solver starts, and the frames that it has to solve."""
 
@@ -272,14 +242,13 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
     """
     take, body = subject.take, subject.extended_subject.body_model
     changes = change_all_frames(take.frame_count)
-    if solved is not None and solved.evidence is not None and method != "previous":
+    if solved is not None and solved.evidence is not None:
         is_same_subject = subject.subject is solved.subject
         changes = find_changed_frames(solved.take.markers, take.markers, is_same_subject=is_same_subject)
-    prior = load_mean_pose_prior("mean-pose", body.skeleton)
     if solved is None or changes.is_restarted.all():
-        motion = initialise_motion(take, subject.extended_subject, body, prior, method)
-        return PoseStart(motion, change_all_frames(take.frame_count))
+        return PoseStart(initialise_between(subject, method), change_all_frames(take.frame_count))
     restarted = np.flatnonzero(changes.is_restarted)
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
     poses = initialise_frames(take, restarted, subject.extended_subject, body, prior, method=method)
     is_placed = poses.status != FrameStatus.GUESSED
     root_position, local_rotations = solved.motion.root_position.copy(), solved.motion.local_rotations.copy()
@@ -291,25 +260,16 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
 PREVIEW_POSE_RATE_HZ = 15.0  # at which a preview has poses of its own: its joints are 0.4 mm farther off than with 30 Hz
 
 
-def initialise_preview(subject: SubjectInTake, method: str) -> Motion:
-    """Return first poses for a preview: at PREVIEW_POSE_RATE_HZ in closed form, and interpolated in the frames between."""
-    take = subject.take
-    step = max(1, round(take.rate / PREVIEW_POSE_RATE_HZ))
-    frames = np.unique([*range(0, take.frame_count, step), take.frame_count - 1])
-    posed = replace(take.replace_markers(take.markers[frames]), rate=take.rate / step)
-    motion = initialise_body(replace(subject, take=posed), None, method).motion
-    place = np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))
-    below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), (place % 1)[:, None]
-    root, rotations = motion.root_position, np.ascontiguousarray(motion.local_rotations)
-    between, is_known = np.empty((take.frame_count, *rotations.shape[1:])), np.ones(len(frames), bool)
-    for joint in range(rotations.shape[1]):
-        quaternions = lie.extract_joint_quaternions(rotations, joint, is_known)
-        lie.store_joint_quaternions(quaternions[below] + share * (quaternions[above] - quaternions[below]), joint, between)
-    return replace(
-        motion.select_frames(np.rint(place).astype(int)),
-        root_position=root[below] + share * (root[above] - root[below]),
-        local_rotations=between,
-    )
+def initialise_between(subject: SubjectInTake, method: str, pose_rate_hz: float = POSE_RATE_HZ) -> Motion:
+    """Return first poses of all frames: those at a rate in closed form, and interpolations in the frames between."""
+    take, body = subject.take, subject.extended_subject.body_model
+    frames = list_posed_frames(take.frame_count, take.rate, pose_rate_hz)
+    posed = replace(take.replace_markers(take.markers[frames]), rate=take.rate * len(frames) / take.frame_count)
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    motion = initialise_motion(posed, subject.extended_subject, body, prior, method)
+    root, local = kinematics.interpolate_poses((motion.root_position, motion.local_rotations), frames, take.frame_count)
+    nearest = np.rint(np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))).astype(int)
+    return replace(motion.select_frames(nearest), root_position=root, local_rotations=local)
 
 
 LEARNED_START_PASSES = 2  # a third changes hardly anything

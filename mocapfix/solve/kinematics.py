@@ -3,18 +3,17 @@
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_marker_frames, compute_world_frames
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
-from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.parallel import run_in_parallel, run_over_frames
 from mocapfix.stats.rigid_alignment import compute_lengths, compute_shortest_rotations, split_along_line
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
-
-DISTANCE_BLOCK_FRAMES = 4096  # frames whose marker positions are held at a time where only their distances are needed
 
 
 def build_kinematic_tree(skeleton: Skeleton) -> KinematicTree:
@@ -34,6 +33,21 @@ def compute_tree_poses(
     position, rotation = np.empty(local_rotations.shape[:3]), np.empty(local_rotations.shape)
     run_over_frames(compute_world_frames, len(root_position), tree, root_position, local_rotations, position, rotation)
     return position, rotation
+
+
+def interpolate_poses(poses: Poses, frames: Int[np.ndarray, " N"], frame_count: int) -> Poses:
+    """Return the poses of all frames of a take, given those of some, the first and the last among them, in rising order."""
+    place = np.interp(np.arange(frame_count), frames, np.arange(len(frames)))
+    below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), (place % 1)[:, None]
+    root, rotations = poses[0], np.ascontiguousarray(poses[1])
+    between, is_known = np.empty((frame_count, *rotations.shape[1:])), np.ones(len(frames), bool)
+
+    def interpolate_joint(joint: int) -> None:
+        quaternions = lie.extract_joint_quaternions(rotations, joint, is_known)
+        lie.store_joint_quaternions(quaternions[below] + share * (quaternions[above] - quaternions[below]), joint, between)
+
+    run_in_parallel(interpolate_joint, range(rotations.shape[1]))
+    return root[below] + share * (root[above] - root[below]), between
 
 
 def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:
@@ -60,12 +74,8 @@ def predict_markers(subject: Subject, pose: Poses) -> Float[np.ndarray, "T K 3"]
 
 def compute_marker_distances(subject: Subject, pose: Poses, markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T K"]:
     """Return the distances in metres of markers from where the body carries them, NaN where missing."""
-    distance = np.empty(markers.shape[:2])
-    for first in range(0, len(markers), DISTANCE_BLOCK_FRAMES):
-        block = slice(first, first + DISTANCE_BLOCK_FRAMES)
-        predicted = predict_markers(subject, (pose[0][block], pose[1][block]))
-        distance[block] = compute_lengths(markers[block] - predicted)
-    return distance
+    predicted = predict_markers(subject, pose)
+    return compute_lengths(np.subtract(markers, predicted, out=predicted))
 
 
 def _compute_positions(subject: Subject, pose: Poses) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T K 3"]]:

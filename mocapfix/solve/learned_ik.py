@@ -123,8 +123,7 @@ def build_transfer_tree(skeleton: Skeleton) -> TransferTree:
     offsets, is_held = np.ascontiguousarray(skeleton.offsets, float), np.array([name in HELD_JOINTS for name in names])
     cloud_joints = np.array([names.index(name) for cloud in clouds for name in cloud])
     variances, starts = np.array([sd**2 for cloud in clouds for sd in cloud.values()]), np.cumsum([0, *map(len, clouds)])
-    bones = skeleton.parents, offsets, np.ones(len(names), bool), bone_end
-    return TransferTree(*bones, starts, cloud_joints, variances, is_held, np.zeros((0, 0, 3)))
+    return TransferTree(skeleton.parents, offsets, bone_end, starts, cloud_joints, variances, is_held)
 
 
 def transfer_poses(

@@ -20,12 +20,12 @@ from jaxtyping import Float, Int
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, MIN_COST_DECREASE, compute_cost_frames, solve_frames
-from mocapfix.kernels.schur import eliminate_pose_frames
+from mocapfix.kernels.schur import COLUMNS, sum_pose_responses
 from mocapfix.kernels.terms import count_rows
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import SolveOrder, order_independently, run_over_frames
-from mocapfix.solve.terms import BodyTerms, ShapeDeformations
+from mocapfix.solve.terms import BodyTerms
 
 NEGLIGIBLE_COST_DECREASE = MIN_COST_DECREASE  # decrease of the cost that does not count
 
@@ -230,83 +230,47 @@ def minimise_shared(
 
 
 class SharedResponses(NamedTuple):
-    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
+    """Changes of T frames with U unknowns, each frame's pose adapting, in metres per unit.
 
-    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
-    radians.
+    The unknowns are the offsets of J joints and of K markers and the mean pose of F joints, see `kernels.schur`.
     """
 
     cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
+    gradient: Float[np.ndarray, " U"]  # of the cost, summed over frames
+    curvature: Float[np.ndarray, "U columns"]  # likewise; without columns if only the errors were computed
     marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
-    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
-    marker_response: Float[np.ndarray, "T rows K 3"]  # of markers, in their joints' axes
-    prior_response: Float[np.ndarray, "T rows F 3"]  # radians, of the joints' deviations from the mean pose
-    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
-    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
+    marker_response: Float[np.ndarray, "T K 3 columns"]  # of markers, in their joints' axes; without columns unless asked for
+    joint_response: Float[np.ndarray, "T J 3 columns"]  # of joints, in world axes; likewise
 
 
 def compute_shared_responses(
     tree: KinematicTree,
     terms: BodyTerms,
-    deformations: ShapeDeformations,
     squared_robust_scale: float,
-    root: Float[np.ndarray, "T 3"],
-    local: Float[np.ndarray, "T J 3 3"],
+    poses: Poses,
     *,
     only_errors: bool = False,
+    has_responses: bool = False,
 ) -> SharedResponses:
-    """Return the responses of frames at their solved poses, root in metres and local rotations.
+    """Return the responses of frames at their solved poses, computed in this thread.
 
     Args:
         squared_robust_scale: In units of the markers' standard deviation.
-        only_errors: Compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient.
+        only_errors: Compute the remaining errors after each pose's own next step, and from them the gradient, only.
+        has_responses: Return the responses of markers and joints.
     """
-    frames, joints = local.shape[:2]
-    _, _, pose_prior, _ = terms
-    dense, markers = deformations.marker_offsets.shape[:2]
-    rotating = np.flatnonzero(tree.free)[1:]
-    unknowns = dense + 3 * markers + 3 * len(rotating)
-    responses = SharedResponses(
-        np.empty(frames),
-        np.zeros((frames, markers)),
-        np.empty((frames, dense, markers, 3)),
-        np.empty((frames, unknowns + 1, markers, 3)),
-        np.empty((frames, unknowns + 1, len(rotating), 3)),
-        pose_prior.information[0, rotating],
-        np.empty((frames, unknowns, joints, 3)),
-    )
-    run_over_frames(
-        eliminate_pose_frames, frames, tree, terms, deformations, rotating, squared_robust_scale, only_errors, root, local,
-        *responses,
-    )  # fmt: skip
-    return responses
-
-
-def reduce_shared_curvature(responses: SharedResponses) -> Float[np.ndarray, "Q Q"]:
-    """Return the curvature of the cost in the shared unknowns, summed over frames."""
-    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
-    curvature = _reduce_rows(responses, slice(0, unknowns), dense)
-    curvature[dense:, :dense] = curvature[:dense, dense:].T
-    return curvature
-
-
-def reduce_shared_gradient(responses: SharedResponses) -> Float[np.ndarray, " Q"]:
-    """Return the gradient of the cost in the shared unknowns, summed over frames."""
-    return _reduce_rows(responses, slice(-1, None), 1)[0]
-
-
-def _reduce_rows(responses: SharedResponses, rows: slice, deformed_rows: int) -> np.ndarray:
-    """Return the products of some rows of the responses with the shifts of the body by each of the Q shared unknowns.
-
-    The products with the deformations are computed for the first rows only: a curvature is symmetric.
-    """
-    (_, dense, markers), unknowns = responses.marker_shift.shape[:3], responses.marker_response.shape[1] - 1
-    own = dense + 3 * markers  # first unknown after the markers' own offsets
-    weighted = responses.marker_response[:, rows] * responses.marker_weight[:, None, :, None]
-    products = np.zeros((weighted.shape[1], unknowns))
-    products[:, dense:own] = weighted.sum(0).reshape(len(products), -1)
-    prior = np.einsum("qfa,fab->qfb", responses.prior_response[:, rows].sum(0), responses.prior_information)
-    products[:, own:] = -prior.reshape(len(products), -1)
-    deformed = weighted[:, :deformed_rows]
-    products[:deformed_rows, :dense] = np.tensordot(deformed, responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
-    return products
+    (frames, joints), markers, rotating = poses[1].shape[:2], len(terms[0].joints), np.flatnonzero(tree.free)[1:]
+    own = 3 * (joints + markers)  # first unknown of the mean pose
+    unknowns = own + 3 * len(rotating)
+    width, blocks = (1, 1) if only_errors else (COLUMNS, unknowns // COLUMNS + 1)
+    cost, marker_weight, products = np.empty(frames), np.empty((frames, markers)), np.zeros((blocks, unknowns, width))
+    responses = [np.zeros((frames, blocks, points, 3, width if has_responses else 0)) for points in (markers, joints)]
+    sum_pose_responses(tree, terms, rotating, squared_robust_scale, *poses, cost, marker_weight, products, *responses)
+    found = products.swapaxes(0, 1).reshape(unknowns, -1)[:, : unknowns + 1]
+    if not only_errors:
+        found[own:, own:unknowns] -= frames * np.eye(unknowns - own)  # the deviation from the mean pose by itself
+    of_prior = found[own:].reshape(len(rotating), 3, found.shape[1])
+    found[own:] = -(terms[2].information[0, rotating] @ of_prior).reshape(-1, found.shape[1])
+    shapes = ((frames, each.shape[2], 3, blocks * each.shape[4]) for each in responses)
+    responses = (np.moveaxis(each, 1, 3).reshape(shape)[..., :unknowns] for each, shape in zip(responses, shapes, strict=True))
+    return SharedResponses(cost, found[:, -1], found[:, :-1], marker_weight, *responses)

@@ -22,23 +22,20 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.kernels import lie
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
-from mocapfix.model.skeleton import BodyModel, load_cmu31_body
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
-from mocapfix.model.take import Take
-from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
+from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions
 from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
-from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
+from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
 from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.pose_problem import (
     FrameChanges,
-    FrameWindow,
     MotionProblem,
     PoseProblem,
     build_motion_problem,
-    change_all_frames,
     list_window_frames,
     select_windows,
 )
@@ -200,33 +197,6 @@ UNSEEN_JOINT_SD_M = 0.05  # the same on segments that no visible marker shows
 MIN_FRAME_MARKERS = 3  # visible markers below which the status of a frame is GUESSED
 
 
-def solve_motion(
-    take: Take,
-    subject: Subject,
-    body: BodyModel,
-    prior: MeanPosePrior,
-    limits: JointLimits,
-    initial_motion: Motion,
-    options: SolveOptions,
-    *,
-    conditioner: PriorConditioner | None = None,
-) -> Motion:
-    """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
-
-    Args:
-        take: The markers in the subject's order, NaN if not visible or an outlier.
-        prior: The mean pose of independent joints, which makes every frame determinate.
-        initial_motion: The start of each frame's first solve; NaN where it starts from the frame before.
-        conditioner: A trained pose model; used only if a limb is occluded for so long that the take itself does not determine it.
-    """
-    problem = build_motion_problem(take, subject, body, prior, limits, options)
-    start = replace(
-        initial_motion, root_position=initial_motion.root_position.copy(), local_rotations=initial_motion.local_rotations.copy()
-    )
-    motion, evidence = solve_changed_frames(problem, start, change_all_frames(take.frame_count))
-    return complete_motion(problem, motion, evidence, conditioner)
-
-
 def complete_motion(
     problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
 ) -> Motion:
@@ -260,8 +230,6 @@ def solve_changed_frames(
     else:
         evidence = evidence.copy(marker_count)
     windows = select_windows(changes.is_affected, problem.rate)
-    if np.isnan(root_position).any():  # frames that start from the solution of the frame before
-        windows = [FrameWindow(0, frame_count, 0, frame_count)]
     for window in windows:
         outer, inner, frames = window.outer_frames, window.inner_frames, window.frames
         pose = root_position[outer], local_rotations[outer]

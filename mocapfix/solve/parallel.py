@@ -41,17 +41,6 @@ def order_independently(frames: Int[np.ndarray, " N"], joints: int) -> SolveOrde
     return SolveOrder(frames, np.full(len(frames), -1), np.zeros((1, joints), bool), np.arange(len(frames) + 1))
 
 
-def order_sequentially(has_own_pose: Bool[np.ndarray, " T"], joints: int) -> SolveOrder:
-    """Return the order in which a frame with a pose of its own starts from that, and any other from the frame before.
-
-    The first frame must have a pose of its own.
-    """
-    frames = np.arange(len(has_own_pose))
-    start_frame = np.where(has_own_pose, -1, frames - 1)
-    chain_starts = np.r_[np.flatnonzero(has_own_pose), len(has_own_pose)]
-    return SolveOrder(frames, start_frame, np.ones((1, joints), bool), chain_starts)
-
-
 def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
     """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
 

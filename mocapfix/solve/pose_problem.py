@@ -23,7 +23,7 @@ from mocapfix.options import SolveOptions
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_costs, compute_uncertainty, minimise
-from mocapfix.solve.parallel import SolveOrder, order_sequentially
+from mocapfix.solve.parallel import SolveOrder
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import (
     BodyTerms,
@@ -138,12 +138,7 @@ class PoseProblem:
         damping_ratio: float = POSE_DAMPING_RATIO,
         order: SolveOrder | None = None,
     ) -> PoseSolution:
-        """Return the poses of least cost, through the robust scales.
-
-        By default a frame whose root is NaN has no pose yet and starts from the solution of the frame before; all others are
-        independent.
-        """
-        order = order or order_sequentially(~np.isnan(start[0][:, 0]), start[1].shape[1])
+        """Return the poses of least cost, through the robust scales. By default all frames are independent."""
         settings = SolverSettings(self.normalise_robust_scales(scales_m), max_iterations, damping_ratio, order)
         return minimise(self.tree, self.build_terms(tracking), start, settings)
 
@@ -188,9 +183,6 @@ class MotionProblem:
         part, unobserved = self.pose_problem.select_frames(frames), self.is_unobserved[frames]
         return replace(self, pose_problem=part, is_unobserved=unobserved, is_uncertain=self.is_uncertain[frames])
 
-    def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
-        return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))
-
 
 def build_motion_problem(
     take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, limits: JointLimits, options: SolveOptions
@@ -220,6 +212,14 @@ def build_pose_problem(
         build_pose_prior_term(prior.scale_information(1 / frames_per_pose), PRIOR_HUBER_SCALE_SD),
         build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
     )
+
+
+POSE_RATE_HZ = 30.0  # at which frames have first poses of their own: joints of composed takes are as near as from all frames
+
+
+def list_posed_frames(frame_count: int, rate: float, pose_rate_hz: float = POSE_RATE_HZ) -> Int[np.ndarray, " N"]:
+    """Return the frames that have first poses of their own: the first, the last and others between, at a rate."""
+    return np.unique([*range(0, frame_count, max(1, round(rate / pose_rate_hz))), frame_count - 1])
 
 
 SMOOTHING_REACH_S = 0.5  # over which a frame affects others: twice the windows in which accelerations are measured

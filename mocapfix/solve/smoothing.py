@@ -15,10 +15,11 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
-from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.forward_kinematics import KinematicTree, compute_local_frames
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve import kinematics
+from mocapfix.solve.parallel import run_in_parallel, run_over_frames
 from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
 
 ROTATION_JITTER_SD_RAD = 0.01  # noise of a joint's rotation from frame to frame, in addition to its motion: skin and cameras
@@ -134,14 +135,16 @@ def track_across_gaps(
 ) -> tuple[TrackingTerm, Float[np.ndarray, "T J"]]:
     """Return a term that tracks uncertain joints' smooth paths through each frame's own solution, and variances in rad^2."""
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
-    for j in np.flatnonzero(is_uncertain.any(0)):
+
+    def track_joint(j: int) -> None:
         joint = lie.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
         trajectory, gap_variance[:, j] = interpolate_quaternions(joint, is_uncertain[:, j], rate)
         lie.store_joint_quaternions(trajectory, j, rotations)
         tracking_variance = gap_variance[:, j] + ROTATION_TRACKING_SD_RAD**2
         weight[:, j] = np.where(is_uncertain[:, j], 1 / tracking_variance, 0.0)
-    no_root, no_weight = np.zeros((len(local_rotations), 3)), np.zeros(len(local_rotations))
-    return TrackingTerm(rotations, weight, no_root, no_weight), gap_variance
+
+    run_in_parallel(track_joint, np.flatnonzero(is_uncertain.any(0)).tolist())
+    return TrackingTerm(rotations, weight, np.zeros((len(rotations), 3)), np.zeros(len(rotations))), gap_variance
 
 
 def smooth_poses(
@@ -159,11 +162,14 @@ def smooth_poses(
         is_uncertain: Joints that lack a marker.
     """
     weight = np.zeros(local_rotations.shape[:2])
-    for j in np.flatnonzero(free_joints).tolist():
+
+    def smooth_joint(j: int) -> None:
         variance = uncertainty.rotation_variance[:, j]
         trajectory = smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate)
         lie.store_joint_quaternions(trajectory, j, local_rotations)
         weight[:, j] = compute_tracking_weight(variance)
+
+    run_in_parallel(smooth_joint, np.flatnonzero(free_joints).tolist())
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
     return TrackingTerm(local_rotations, weight, smooth_root, 1 / (ROOT_TRACKING_SD_M**2 + root_variance))
 
@@ -211,16 +217,13 @@ def remove_pose_jitter(
     for j in range(1, len(tree.parents)):
         is_known[:, j] &= is_known[:, tree.parents[j]]
     _, world_rotations = kinematics.compute_tree_poses(tree, root_position, local_rotations)
-    for j in np.flatnonzero(tree.free):
+
+    def smooth_joint(j: int) -> None:
         joint = lie.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
         lie.store_joint_quaternions(remove_jitter(joint, is_known[:, j], rate, ROTATION_JITTER_SD_RAD), j, world_rotations)
-    local_rotations[:, 0] = world_rotations[:, 0]
-    for j in range(1, len(tree.parents)):  # joints that are not free keep their local rotations
-        parent = world_rotations[:, tree.parents[j]]
-        if tree.free[j]:
-            np.matmul(parent.swapaxes(1, 2), world_rotations[:, j], out=local_rotations[:, j])
-        else:
-            np.matmul(parent, local_rotations[:, j], out=world_rotations[:, j])
+
+    run_in_parallel(smooth_joint, np.flatnonzero(tree.free).tolist())
+    run_over_frames(compute_local_frames, len(local_rotations), tree, world_rotations, local_rotations)
     return smooth_root_path(root_position, np.full(len(root_position), ROOT_JITTER_SD_M**2), rate)[0]
 
 

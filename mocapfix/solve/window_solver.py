@@ -20,6 +20,7 @@ on, a tenth and a hundredth of the weight gave greater errors with all sets of m
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ from mocapfix.solve.lost_in_sight import find_lost_parts
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import order_from_gap_ends, order_independently, run_in_parallel
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
-from mocapfix.solve.pose_problem import MotionProblem, PoseProblem
+from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, list_posed_frames
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
@@ -410,7 +411,7 @@ def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: 
     sample_count = 1 + math.ceil((len(pose[0]) - 1) / (MAX_SAMPLE_INTERVAL_S * window.rate))
     frames, start = sample_evenly(len(pose[0]), sample_count), (window.prior, pose, window.is_unobserved)
     term = build_frame_prior_term(model, weight, window.pose_problem, *start, frames=frames, robust_scale_m=scale_m)
-    return window.set_pose_prior(term)
+    return replace(window, pose_problem=replace(window.pose_problem, pose_prior=term))
 
 
 def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, PoseUncertainty, np.ndarray]:
@@ -436,15 +437,35 @@ def solve_from_starts(
 ) -> tuple[Poses, Int[np.ndarray, " T"]]:
     """Solve each frame on its own. Restarted frames whose markers are far from the body pass through all robust scales.
 
-    A frame without a pose starts from the solution of the frame before; then all frames must be restarted. Return poses and
-    iterations.
+    Of a take whose frames are all restarted, those at POSE_RATE_HZ are solved first. The others start from the interpolation of
+    these, or from their own start if that is nearer to their markers. Return poses and iterations.
     """
-    problem, scales_m, joints = window.pose_problem, window.options.robust_scales_m, start[1].shape[1]
-    if np.isnan(start[0]).any():
-        solution = problem.minimise(start, scales_m)
-        return solution.poses, solution.iterations
-    distance = compute_lengths(problem.marker_positions - predict_markers(window.subject, start))
+    problem, subject, scales_m = window.pose_problem, window.subject, window.options.robust_scales_m
+    posed = list_posed_frames(len(start[0]), window.rate)
+    if len(posed) == len(start[0]) or not is_restarted.all():
+        return solve_independently(problem, subject, scales_m, is_restarted, start)
+    between, iterations = np.delete(np.arange(len(start[0])), posed), np.empty(len(start[0]), int)
+    parts = [(problem.select_frames(each), subject, scales_m, is_restarted[each]) for each in (posed, between)]
+    known, iterations[posed] = solve_independently(*parts[0], (start[0][posed], start[1][posed]))
+    poses = kinematics.interpolate_poses(known, posed, len(start[0]))
+    start_cost, cost = (compute_marker_cost(problem, predict_markers(subject, each)) for each in (start, poses))
+    nearer = between[(start_cost < cost)[between]]
+    poses[0][nearer], poses[1][nearer] = start[0][nearer], start[1][nearer]
+    found, iterations[between] = solve_independently(*parts[1], (poses[0][between], poses[1][between]))
+    poses[0][between], poses[1][between] = found
+    return poses, iterations
+
+
+def solve_independently(
+    problem: PoseProblem, subject: Subject, scales_m: tuple[float, ...], is_restarted: Bool[np.ndarray, " T"], start: Poses
+) -> tuple[Poses, Int[np.ndarray, " T"]]:
+    """Solve each frame from its start; return poses and iterations (see `solve_from_starts`)."""
+    distance = compute_lengths(problem.marker_positions - predict_markers(subject, start))
     is_far = is_restarted & (distance > scales_m[-1]).any(1, where=problem.solver_mask)
-    restarted = problem.minimise(start, scales_m, order=order_independently(np.flatnonzero(is_far), joints))
-    others = problem.minimise(restarted.poses, scales_m[-1:], order=order_independently(np.flatnonzero(~is_far), joints))
-    return others.poses, restarted.iterations + others.iterations
+    poses, iterations = start, np.zeros(len(is_far), int)
+    for is_chosen, chosen_scales_m in ((is_far, scales_m), (~is_far, scales_m[-1:])):
+        if is_chosen.any():
+            order = order_independently(np.flatnonzero(is_chosen), start[1].shape[1])
+            solution = problem.minimise(poses, chosen_scales_m, order=order)
+            poses, iterations = solution.poses, iterations + solution.iterations
+    return poses, iterations

@@ -8,6 +8,7 @@ from mocapfix.kernels import viterbi
 from mocapfix.kernels.small_matrices import solve_banded
 
 find_cheapest_states = viterbi.find_cheapest_states
+MAX_SAMPLE_VARIANCE = viterbi.MAX_SAMPLE_VARIANCE
 
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
@@ -130,12 +131,6 @@ def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
     return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
 
 
-MAX_SAMPLE_VARIANCE = 1e4  # rad^2 or m^2, of a frame without information; more would make the system singular
-# Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
-# numerically singular, at thousands of frames a second. Such a path is straight already.
-MAX_STIFFNESS_RATIO = 1e13
-
-
 def smooth_path(
     path: Float[np.ndarray, "T C"], variance: Float[np.ndarray, " T"], acceleration_power: Float[np.ndarray, " T"], rate: float
 ) -> Float[np.ndarray, "T C"]:
@@ -147,14 +142,8 @@ def smooth_path(
     """
     if len(path) < 3:
         return path
-    information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
-    # the least information that the frames give about a straight line of unit length, which stiffness leaves free
-    line = np.linspace(-1, 1, len(information))
-    lines = np.stack([line / np.linalg.norm(line), np.full(len(line), len(line) ** -0.5)], axis=1)
-    line_information = float(np.linalg.eigvalsh(lines.T @ (information[:, None] * lines))[0])
-    stiffness = np.minimum(rate**3 / acceleration_power[1:-1], MAX_STIFFNESS_RATIO * line_information)
-    smooth = minimise_acceleration(information[:, None, None], (path * information[:, None])[:, None], stiffness)
-    return np.ascontiguousarray(smooth[:, 0])
+    arrays = (np.ascontiguousarray(each, float) for each in (path, variance, acceleration_power))
+    return viterbi.find_smoothest_path(*arrays, float(rate))
 
 
 def minimise_acceleration(

@@ -10,6 +10,7 @@ centre in adults, children, and patients with cerebral palsy based on magnetic r
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +65,16 @@ class CalibrationParameters:
     def gradient_covariance(self) -> Float[np.ndarray, "Q Q"]:
         """The covariance of the prior's gradient at the true values, larger for unknowns that the fit holds firmly."""
         return self.information * np.sqrt(self.variance_ratio * self.variance_ratio[:, None])
+
+    @cached_property
+    def shape_basis(self) -> Float[np.ndarray, "U Q"]:
+        """The change of all offsets of joints and markers, and of the mean pose, with each unknown (see `kernels.schur`)."""
+        joint_offsets, marker_offsets = (each.reshape(len(each), -1) for each in self.deformations)
+        basis = np.zeros((joint_offsets.shape[1] + len(self.information) - len(joint_offsets), len(self.information)))
+        deformed = np.hstack([joint_offsets, marker_offsets]).T
+        basis[: len(deformed), : len(joint_offsets)] = deformed
+        basis[joint_offsets.shape[1] :, len(joint_offsets) :] = np.eye(len(basis) - joint_offsets.shape[1])
+        return basis
 
     def compute_body(self, unknowns: Float[np.ndarray, " Q"]) -> CalibratedBody:
         """Return the body that the unknowns describe."""

@@ -22,8 +22,6 @@ from mocapfix.solve.minimise import (
     SharedResponses,
     compute_shared_responses,
     minimise_shared,
-    reduce_shared_curvature,
-    reduce_shared_gradient,
 )
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
@@ -53,8 +51,9 @@ def estimate_residual_sd(distance: Float[np.ndarray, "N K"], pose_freedom: int) 
 
 
 def compute_shared_covariance(
-    marker_response: Float[np.ndarray, "n rows K 3"],
+    marker_response: Float[np.ndarray, "n K 3 U"],
     marker_weight: Float[np.ndarray, "n K"],
+    basis: Float[np.ndarray, "U Q"],
     curvature: Float[np.ndarray, "Q Q"],
     prior_gradient_covariance: Float[np.ndarray, "Q Q"],
     times_s: Float[np.ndarray, " N"],
@@ -70,6 +69,7 @@ def compute_shared_covariance(
     Args:
         marker_response, marker_weight: Of n of the N frames, each of which stands for an equal part of them (see
             `SharedResponses`).
+        basis: Change of the U unknowns of the responses with each of the Q shared unknowns.
         prior_gradient_covariance: Of the gradient of the prior's cost: the prior's part of the curvature, larger for unknowns
             that vary more than the fit assumes.
         times_s: Of all frames, in rising order.
@@ -78,24 +78,23 @@ def compute_shared_covariance(
     correlation = evaluate_matern(np.abs(times_s[:, None] - times_s) / SKIN_CORRELATION_S, 1)
     parts = np.linspace(0, len(times_s), len(marker_weight) + 1).astype(int)[:-1]
     summed = np.add.reduceat(np.add.reduceat(correlation, parts, axis=0), parts, axis=1)
-    weighted = marker_response[:, :-1] * marker_weight[:, None, :, None]
-    smoothed = (summed @ weighted.reshape(len(weighted), -1)).reshape(weighted.shape)
-    marker_gradient_covariance = residual_sd_m**2 * np.tensordot(smoothed, weighted, axes=([0, 2, 3], [0, 2, 3]))
+    weighted = (marker_response * marker_weight[..., None, None]).reshape(len(marker_response), -1)
+    smoothed = (summed @ weighted).reshape(-1, len(basis))
+    marker_gradient_covariance = residual_sd_m**2 * basis.T @ (smoothed.T @ weighted.reshape(smoothed.shape)) @ basis
     gradient_covariance = marker_gradient_covariance + prior_gradient_covariance
     covariance = np.linalg.solve(curvature, np.linalg.solve(curvature, gradient_covariance).T)
     return (covariance + covariance.T) / 2
 
 
 def compute_response_sd(
-    joint_response: Float[np.ndarray, "n Q J 3"],
-    marker_response: Float[np.ndarray, "n rows K 3"],
-    covariance: Float[np.ndarray, "Q Q"],
-) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
-    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns."""
-    half = np.linalg.cholesky(covariance).T  # half.T @ half is the covariance
-    displacements = (half @ response.reshape(*response.shape[:2], -1) for response in (joint_response, marker_response[:, :-1]))
-    joint_sd, marker_sd = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displacements)
-    return joint_sd, marker_sd
+    response: Float[np.ndarray, "n P 3 U"], half_covariance: Float[np.ndarray, "U Q"]
+) -> Float[np.ndarray, " P"]:
+    """Return the root mean square per axis, in metres, of the motion of points with uncertain unknowns.
+
+    Args:
+        half_covariance: Its product with its own transpose is the covariance of the unknowns.
+    """
+    return np.sqrt(sum(((each @ half_covariance) ** 2).sum(2).mean(1) for each in response) / len(response))
 
 
 CALIBRATION_MARKER_SD_M = 0.010  # per axis about its offset; skin moves less, but neighbouring frames are correlated
@@ -106,7 +105,7 @@ MAX_SELECTION_ITERATIONS = 8  # iterations of a frame when an uncalibrated body 
 MAX_CALIBRATION_POSE_ITERATIONS = 6  # iterations of a frame between two steps of the shared unknowns
 CALIBRATION_DAMPING_RATIO = 1e-5  # of poses on a body that is not calibrated, as in `SolverSettings`
 MAX_REFINEMENT_ROUNDS = 25  # steps of the shared unknowns
-FRAMES_PER_BLOCK = 10  # frames whose responses are held at a time: those of one frame take about a megabyte
+FRAMES_PER_BLOCK = 25  # frames summed in a thread, so that the sum does not depend on the number of threads
 MAX_UNCERTAINTY_FRAMES = 30  # frames from which the standard deviations are computed
 
 
@@ -193,39 +192,38 @@ def linearise_frames(
     """Return the state at given poses, without solving them."""
     deviation = unknowns - parameters.expected
     prior_gradient = parameters.information @ deviation
-    responses = respond_in_frames(parameters, problem, poses, np.arange(len(poses[0])), only_errors=True)
+    responses = respond_in_frames(problem, poses, np.arange(len(poses[0])), only_errors=True)
     cost = float(responses.cost.sum() + 0.5 * deviation @ prior_gradient)
-    gradient = reduce_shared_gradient(responses) + prior_gradient
+    gradient = parameters.shape_basis.T @ responses.gradient + prior_gradient
     return RefinementState(parameters, unknowns, problem, poses, cost, gradient)
 
 
 def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
-    """Return the curvature of the cost in the shared unknowns, with the poses eliminated.
-
-    The frames are summed block by block: the responses of all of them together would take a hundred megabytes.
-    """
+    """Return the curvature of the cost in the shared unknowns, with the poses eliminated."""
     frame_count = len(state.poses[0])
 
-    def reduce_block(first: int) -> Float[np.ndarray, "Q Q"]:
+    def reduce_block(first: int) -> Float[np.ndarray, "U U"]:
         frames = np.arange(first, min(first + FRAMES_PER_BLOCK, frame_count))
-        return reduce_shared_curvature(respond_in_frames(state.parameters, state.problem, state.poses, frames))
+        return respond_in_frames(state.problem, state.poses, frames).curvature
 
-    return sum(map_in_threads(reduce_block, range(0, frame_count, FRAMES_PER_BLOCK)), state.parameters.information)
+    basis = state.parameters.shape_basis
+    curvature = sum(map_in_threads(reduce_block, range(0, frame_count, FRAMES_PER_BLOCK)))
+    return basis.T @ curvature @ basis + state.parameters.information
 
 
 def respond_in_frames(
-    parameters: CalibrationParameters,
     problem: PoseProblem,
     poses: Poses,
     frames: Int[np.ndarray, " N"],
     *,
     only_errors: bool = False,
+    has_responses: bool = False,
 ) -> SharedResponses:
-    """Return the responses of some of the frames to the shared unknowns of the calibration (see `compute_shared_responses`)."""
+    """Return the responses of some of the frames to the unknowns of the body (see `compute_shared_responses`)."""
     part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
-    scale, root, local = part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0], poses[0][frames], poses[1][frames]
-    shared = part.tree, part.build_terms(), parameters.deformations
-    return compute_shared_responses(*shared, scale, root, local, only_errors=only_errors)
+    scale, poses = part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0], (poses[0][frames], poses[1][frames])
+    arguments = part.tree, part.build_terms(), scale, poses
+    return compute_shared_responses(*arguments, only_errors=only_errors, has_responses=has_responses)
 
 
 def build_refined_subject(
@@ -244,8 +242,9 @@ def build_refined_subject(
     pose_freedom = 3 + 3 * int(np.isin(np.flatnonzero(tree.free), start.joints).sum())
     residual_sd_m = estimate_residual_sd(distance, pose_freedom)
     frames = sample_evenly(len(state.poses[0]), MAX_UNCERTAINTY_FRAMES)
-    responses = respond_in_frames(state.parameters, state.problem, state.poses, frames)
-    weighted, of_prior = (responses.marker_response, responses.marker_weight), state.parameters.gradient_covariance
+    found, basis = respond_in_frames(state.problem, state.poses, frames, has_responses=True), state.parameters.shape_basis
+    weighted, of_prior = (found.marker_response, found.marker_weight, basis), state.parameters.gradient_covariance
     covariance = compute_shared_covariance(*weighted, curvature, of_prior, times_s, residual_sd_m)
-    joint_sd, marker_sd = compute_response_sd(responses.joint_response, responses.marker_response, covariance)
+    half = basis @ np.linalg.cholesky(covariance)
+    joint_sd, marker_sd = (compute_response_sd(each, half) for each in (found.joint_response, found.marker_response))
     return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

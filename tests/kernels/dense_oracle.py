@@ -50,14 +50,9 @@ class World(NamedTuple):
 def compute_world(tree: KinematicTree, root: np.ndarray, local: np.ndarray, shared: np.ndarray | None = None) -> World:
     """Return the forward kinematics of a pose; `shared` may be omitted if the shape is known."""
     shared = np.zeros(0) if shared is None else shared
-    offsets = (
-        tree.offsets + np.einsum("qja,q->ja", tree.shape_basis, shared[: len(tree.shape_basis)])
-        if len(tree.shape_basis)
-        else tree.offsets
-    )
     position, rotation = [root], [local[0]]
     for j, p in list(enumerate(tree.parents))[1:]:
-        position.append(position[p] + rotation[p] @ offsets[j])
+        position.append(position[p] + rotation[p] @ tree.offsets[j])
         rotation.append(rotation[p] @ local[j])
     return World(tree, local, shared, np.array(position), np.array(rotation))
 
@@ -240,7 +235,6 @@ def compute_twist_maps(tree: KinematicTree, system: NormalEquations) -> tuple[np
     twist[0, :, :6], column = np.eye(6), 6
     for j, p in list(enumerate(tree.parents))[1:]:
         twist[j] = twist[p]
-        twist[j, 3:, count - shared :] += system.shared_shift[j]
         if tree.free[j]:
             turn[j, :, column : column + 3] = np.eye(3)
             twist[j, :3] += turn[j]

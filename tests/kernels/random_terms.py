@@ -29,12 +29,12 @@ ALL_KINDS = (*SOLVER_KINDS, "directions", "orientations", "reprojection", "laten
 CAMERA_TRANSLATION = np.array([0.0, 0.0, 8.0])  # metres: points within three metres of the origin are in front of the camera
 
 
-def draw_tree(rng: np.random.Generator, joints: int, shapes: int = 0) -> KinematicTree:
+def draw_tree(rng: np.random.Generator, joints: int) -> KinematicTree:
     """Return a random tree: about every fourth joint is fixed, the root never."""
     parents = np.array([-1, *(rng.integers(j) for j in range(1, joints))])
     free = rng.random(joints) < 0.75
     free[0] = True
-    return KinematicTree(parents, rng.normal(0, 0.3, (joints, 3)), free, rng.normal(0, 0.1, (shapes, joints, 3)))
+    return KinematicTree(parents, rng.normal(0, 0.3, (joints, 3)), free)
 
 
 def draw_spd(rng: np.random.Generator, count: int, size: int, scale: float = 1.0) -> np.ndarray:
@@ -177,12 +177,11 @@ def draw_term(kind: str, rng, at: dense_oracle.World):
     return globals()[f"draw_{kind}"](rng, at, *([counts[kind]] if kind in counts else []))
 
 
-def draw_frame(rng: np.random.Generator, joints: int, kinds=ALL_KINDS, shapes: int = 0, codes: int = 0) -> dense_oracle.Frame:
-    """Return a random body in a random pose with random terms of some kinds; `shapes` or `codes` unknowns shared."""
-    body, root, local = draw_tree(rng, joints, shapes), rng.normal(0, 1.0, 3), draw_rotations(rng, joints)
-    shared = rng.normal(size=shapes + codes)
+def draw_frame(rng: np.random.Generator, joints: int, kinds=ALL_KINDS, codes: int = 0) -> dense_oracle.Frame:
+    """Return a random body in a random pose with random terms of some kinds; `codes` unknowns are shared."""
+    body, root, local = draw_tree(rng, joints), rng.normal(0, 1.0, 3), draw_rotations(rng, joints)
+    shared = rng.normal(size=codes)
     at = dense_oracle.compute_world(body, root, local, shared)
-    included = [kind for kind in kinds if kind != "latent_code" or not shapes]
     return dense_oracle.Frame(
-        body, build_terms(joints, **{kind: draw_term(kind, rng, at) for kind in included}), root, local, shared
+        body, build_terms(joints, **{kind: draw_term(kind, rng, at) for kind in kinds}), root, local, shared
     )

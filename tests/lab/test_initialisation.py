@@ -11,7 +11,6 @@ from mocapfix.lab import initialisation, sound_takes
 from mocapfix.lab.initialisation import (
     InitialisationTake,
     SolveEnd,
-    build_start_motion,
     find_observed_joints,
     find_wrong_frames,
     has_distant_joint,
@@ -97,16 +96,6 @@ def test_start_errors_and_iterations_are_measured(results):
     assert 0 < rotations["wrong"] < rotations["frames"]  # the solve recovers in some frames
     for name in ("start_joints_mm", "start_markers_mm"):
         assert far[name] == pytest.approx(1e7, rel=1e-3)
-
-
-def test_missing_start_continues_from_the_previous_frame(truth):
-    root, local = truth.motion.root_position, truth.motion.local_rotations
-    start = replace(truth.motion, root_position=root.copy(), local_rotations=local + 1.0)
-    start.root_position[2:4] = np.nan
-    found = build_start_motion(start, root, local)
-    np.testing.assert_array_equal(found.root_position[:6], root[[0, 1, 1, 2, 4, 5]])
-    np.testing.assert_array_equal(found.local_rotations[2:4], local[1:3])
-    np.testing.assert_array_equal(found.local_rotations[4:], start.local_rotations[4:])
 
 
 def test_wrong_frames_concern_observed_joints_only(truth, case):
@@ -195,14 +184,10 @@ def test_every_start_is_measured_on_every_set(monkeypatch, case):
         initialisation, "compose_initialisation_takes", lambda seeds: [case._replace(name=f"seed {seed}") for seed in seeds]
     )
     messages = []
-    results = initialisation.measure_initialisation(("registration", "previous"), seeds=[7], repeats=1, progress=messages.append)
+    results = initialisation.measure_initialisation(("registration", "hybrik-x"), seeds=[7], repeats=1, progress=messages.append)
     assert set(results) == {"composed"}
-    assert set(results["composed"]) == {"truth", "registration", "previous"}
+    assert set(results["composed"]) == {"truth", "registration", "hybrik-x"}
     assert messages == ["composed: seed 7"]
-    assert (
-        results["composed"]["previous"]["iterations_first_solve"]
-        < results["composed"]["registration"]["iterations_first_solve"] - 1
-    )
 
 
 def test_ghosts_are_one_at_a_time_for_a_while(case):

@@ -28,31 +28,17 @@ def build_uncertain_joints(frames, lost):
     return found
 
 
+def order_windows(frames, window, joints):
+    """Return the order in which the first frame of each window has a pose, from which the others continue."""
+    every = np.arange(frames)
+    start_frame = np.where(every % window == 0, -1, every - 1)
+    return parallel.SolveOrder(every, start_frame, np.ones((1, joints), bool), np.r_[every[::window], frames])
+
+
 def test_independent_frames_start_from_their_own_poses():
     order = parallel.order_independently(np.arange(3), 4)
     assert list_chains(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
     assert not order.copied_joints.any()
-
-
-@pytest.mark.parametrize(
-    ("frames", "chains"),
-    [
-        (6, [[(0, -1), (1, 0), (2, 1)], [(3, -1), (4, 3), (5, 4)]]),
-        (4, [[(0, -1), (1, 0), (2, 1)], [(3, -1)]]),
-        (2, [[(0, -1), (1, 0)]]),
-        (0, []),
-    ],
-)
-def test_each_window_starts_from_its_first_frame(frames, chains):
-    order = parallel.order_sequentially(np.arange(frames) % 3 == 0, 4)
-    assert list_chains(order) == chains
-    assert order.copied_joints.all()
-
-
-def test_frames_without_own_pose_start_from_the_frame_before():
-    order = parallel.order_sequentially(np.array([True, True, False, False, True]), 4)
-    assert list_chains(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
-    assert order.copied_joints.all()
 
 
 @pytest.mark.parametrize(
@@ -134,7 +120,7 @@ def test_windows_copy_whole_poses():
     tree, terms, root, local = still(7, 4)
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
-    status, _ = solve_in_order(parallel.order_sequentially(np.arange(7) % 3 == 0, 4), tree, terms, PLAIN, root, local, shared)
+    status, _ = solve_in_order(order_windows(7, 3, 4), tree, terms, PLAIN, root, local, shared)
     assert (status == FrameStatus.UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
@@ -150,7 +136,7 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
     terms, order = (
         random_terms.build_terms(joints, frames, tracking=tracking),
-        parallel.order_sequentially(np.arange(frames) == 0, joints),
+        order_windows(frames, frames, joints),
     )
     status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
     assert (status == FrameStatus.CONVERGED).all()

@@ -79,15 +79,16 @@ def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance
     np.testing.assert_allclose(found.root_position, expected.root_position[frames])
 
 
-def test_preview_poses_between_those_of_its_own_rate_are_near_those_of_all_frames(performance):
+def test_first_poses_between_those_of_their_own_rate_are_near_those_of_all_frames(performance):
     columns = np.arange(len(performance.subject.labels))
     take = Take(performance.marker_positions, performance.subject.labels, 60.0)
     subject = SubjectInTake(performance.subject, performance.subject, columns, take)
-    preview = initial_motion.initialise_preview(subject, "hybrik-x")
-    every = initial_motion.initialise_body(subject, None, "hybrik-x").motion
+    found = initial_motion.initialise_between(subject, "hybrik-x")
+    body, prior = load_cmu31_body(), load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton)
+    every = initial_motion.initialise_motion(take, performance.subject, body, prior, "hybrik-x")
     frames = [0, 2, 116, len(take.markers) - 1]  # the last is no multiple of the step
-    np.testing.assert_allclose(preview.local_rotations[frames], every.local_rotations[frames], atol=1e-9)
-    rotation = preview.local_rotations
+    np.testing.assert_allclose(found.local_rotations[frames], every.local_rotations[frames], atol=1e-9)
+    rotation = found.local_rotations
     np.testing.assert_allclose(np.einsum("tjab,tjcb->tjac", rotation, rotation) - np.eye(3), 0.0, atol=1e-9)
-    first, second = (compute_world_poses(performance.subject.skeleton, each)[0] for each in (preview, every))
+    first, second = (compute_world_poses(performance.subject.skeleton, each)[0] for each in (found, every))
     assert np.linalg.norm(first - second, axis=-1).mean() < 0.004

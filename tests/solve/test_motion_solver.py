@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix.lab.sound_takes import solve_motion
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -15,7 +16,6 @@ from mocapfix.solve import (
     initial_motion,
     kinematics,
     mean_pose,
-    motion_solver,
     occluded_joints,
     pose_problem,
     trained_priors,
@@ -51,7 +51,7 @@ def exact():
 def solved(truth, markers, prior=NONE, limits=LIMITS):
     take = Take(markers, truth.labels, truth.rate)
     start = initial_motion.initialise_motion(take, truth.subject, BODY, prior)
-    return motion_solver.solve_motion(take, truth.subject, BODY, prior, limits, start, SolveOptions())
+    return solve_motion(take, truth.subject, BODY, prior, limits, start, SolveOptions())
 
 
 def compute_joint_errors(truth, motion, frames=slice(None)):
@@ -165,7 +165,7 @@ def test_inputs_are_not_modified(exact):
     take = Take(truth.marker_positions.copy(), truth.labels, truth.rate)
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
     was = [field.copy() for field in (take.markers, *vars(start).values())]
-    motion_solver.solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     for now, before in zip((take.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
 
@@ -182,8 +182,8 @@ def test_pose_model_is_not_loaded_if_all_segments_are_observed(exact):
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     with_model, without = (
-        motion_solver.solve_motion(*arguments, conditioner=PriorConditioner(refuse_to_load, 1.0)),
-        motion_solver.solve_motion(*arguments),
+        solve_motion(*arguments, conditioner=PriorConditioner(refuse_to_load, 1.0)),
+        solve_motion(*arguments),
     )
     for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -199,10 +199,10 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
-        motion_solver.solve_motion(
+        solve_motion(
             *arguments, conditioner=PriorConditioner(lambda: trained_priors.load_pose_model("gaussian", BODY.skeleton), 1.0)
         ),
-        motion_solver.solve_motion(*arguments),
+        solve_motion(*arguments),
     )
     moved = np.linalg.norm(
         np.subtract(*(kinematics.compute_world_poses(truth.subject.skeleton, each)[0] for each in motions)), axis=-1

@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from mocapfix.lab.sound_takes import solve_motion
 from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
-from mocapfix.solve import initial_motion, kinematics, mean_pose, motion_solver
+from mocapfix.options import SolveOptions
+from mocapfix.solve import initial_motion, kinematics, mean_pose
 from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.synthetic import compose_take
 
@@ -17,7 +19,7 @@ LIMITS = load_joint_limits(BODY.skeleton)
 def solved(truth, markers):
     take = Take(markers, truth.labels, truth.rate)
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
-    return motion_solver.solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, motion_solver.SolveOptions())
+    return solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
 
 
 def finite(motion):

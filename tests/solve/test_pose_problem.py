@@ -81,22 +81,6 @@ def test_masked_markers_are_ignored():
     np.testing.assert_array_equal(found.local_rotations, start[1])
 
 
-def test_frame_without_pose_starts_from_the_solution_before():
-    body, root, local = problem()
-    start = root.copy(), local.copy()
-    start[0][1:], start[1][1:] = np.nan, np.nan
-    solution = body.minimise(start, PLAIN)
-    assert (solution.status == FrameStatus.EXACT).any()  # the first starts where it belongs
-    assert solution.iterations[0] == 0
-    assert (solution.iterations[1:] > 0).all()
-    np.testing.assert_allclose(solution.root_position, root, atol=1e-3 * SD)
-    deaf = replace(body, solver_mask=np.zeros_like(body.solver_mask))
-    start = solution.poses
-    start[0][3:], start[1][3:] = np.nan, np.nan
-    for found in deaf.minimise(start, PLAIN).poses:
-        np.testing.assert_array_equal(found[3:], np.broadcast_to(found[2], found[3:].shape))
-
-
 def test_robust_scales_are_in_metres():
     np.testing.assert_allclose(problem()[0].normalise_robust_scales((0.02, 0.05)), [4.0, 25.0])
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.solve.minimise import compute_shared_responses, reduce_shared_curvature, reduce_shared_gradient
+from mocapfix.solve.minimise import compute_shared_responses
 from mocapfix.solve.pose_problem import PoseProblem
 from mocapfix.solve.terms import MarkerAttachment, ShapeDeformations, build_no_tracking
 from tests.kernels import dense_oracle, random_terms
@@ -58,7 +58,21 @@ def respond(frame, deformations, scale, frames=1):
     root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
     problem = problem_of(frame, frames)
     squared_scale = problem.normalise_robust_scales((scale,))[0]
-    return compute_shared_responses(problem.tree, problem.build_terms(frame.terms[1]), deformations, squared_scale, root, local)
+    terms = problem.build_terms(frame.terms[1])
+    found = compute_shared_responses(problem.tree, terms, squared_scale, (root, local), has_responses=True)
+    basis = build_basis(frame, deformations)
+    curvature, gradient = basis.T @ found.curvature @ basis, basis.T @ found.gradient
+    responses = found.marker_response @ basis, found.joint_response @ basis
+    return found._replace(curvature=curvature, gradient=gradient, marker_response=responses[0], joint_response=responses[1])
+
+
+def build_basis(frame, deformations):
+    """Return the changes (U, Q) of the body's offsets and mean pose with the shared unknowns."""
+    deformed = np.hstack([each.reshape(COUNT, -1) for each in deformations]).T
+    basis = np.zeros((3 * len(frame.tree.parents) + count(frame) - COUNT, count(frame)))
+    basis[: len(deformed), :COUNT] = deformed
+    basis[3 * len(frame.tree.parents) :, COUNT:] = np.eye(count(frame) - COUNT)
+    return basis
 
 
 def trusted(frame, scale):
@@ -97,7 +111,7 @@ def compute_adaptation(slope, unknowns):
 def test_elimination_equals_a_dense_schur_complement(seed, joints, scale):
     frame, deformations = shared(seed, joints, hidden=[1])
     found = respond(frame, deformations, scale)
-    curvature, gradient = reduce_shared_curvature(found), reduce_shared_gradient(found)
+    curvature, gradient = found.curvature, found.gradient
     slope, residuals = jacobian(trusted(frame, scale), deformations)
     unknowns = len(gradient)
     through = slope[:, :unknowns] + slope[:, unknowns:] @ compute_adaptation(slope, unknowns)
@@ -110,7 +124,7 @@ def test_elimination_equals_a_dense_schur_complement(seed, joints, scale):
 def test_responses_equal_the_adapted_poses_motion():
     frame, deformations = shared(3, 5, hidden=[4])
     found, (slope, _) = respond(frame, deformations, PLAIN), jacobian(frame, deformations)
-    unknowns = found.joint_response.shape[1]
+    unknowns = found.joint_response.shape[3]
     adaptation = np.r_[np.eye(unknowns), compute_adaptation(slope, unknowns)]
 
     def placed(x):
@@ -119,9 +133,9 @@ def test_responses_equal_the_adapted_poses_motion():
         return np.r_[there.position, dense_oracle.compute_point_positions(points.joints, points.offsets, there)]
 
     moves = np.moveaxis(dense_oracle.compute_jacobian(placed, len(adaptation)) @ adaptation, -1, 0)
-    np.testing.assert_allclose(found.joint_response[0], moves[:, :5], atol=1e-6)
+    np.testing.assert_allclose(np.moveaxis(found.joint_response[0], -1, 0), moves[:, :5], atol=1e-6)
     rotation = at(frame).rotation[frame.terms[0].joints]
-    np.testing.assert_allclose(found.marker_response[0, :-1], np.einsum("kba,qkb->qka", rotation, moves[:, 5:]), atol=1e-6)
+    np.testing.assert_allclose(found.marker_response[0], np.einsum("kba,qkb->kaq", rotation, moves[:, 5:]), atol=1e-6)
 
 
 def test_gradient_is_that_of_the_minimised_cost():
@@ -135,7 +149,7 @@ def test_gradient_is_that_of_the_minimised_cost():
 
     unknowns = count(frame)
     slope = dense_oracle.compute_jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
-    gradient = reduce_shared_gradient(solved(np.zeros(unknowns)))
+    gradient = solved(np.zeros(unknowns)).gradient
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=0.02 * np.abs(slope).max())
 
 
@@ -143,8 +157,7 @@ def test_repeated_frames_add_up():
     frame, deformations = shared(8, 3)
     one, three = respond(frame, deformations, PLAIN), respond(frame, deformations, PLAIN, frames=3)
     np.testing.assert_allclose(three.cost, np.full(3, dense_oracle.compute_cost(frame)))
-    for reduce in (reduce_shared_curvature, reduce_shared_gradient):
-        once, thrice = reduce(one), reduce(three)
+    for once, thrice in ((one.curvature, three.curvature), (one.gradient, three.gradient)):
         np.testing.assert_allclose(thrice, 3 * once, rtol=1e-9, atol=1e-9 * np.abs(once).max())
 
 
@@ -153,6 +166,6 @@ def test_missing_marker_has_no_curvature_and_follows_its_joint(frames):
     frame, deformations = shared(9, 3, hidden=[2])
     found = respond(frame._replace(terms=(frame.terms[0], build_no_tracking(3), *frame.terms[2:])), deformations, PLAIN, frames)
     mine = slice(COUNT + 6, COUNT + 9)
-    assert not reduce_shared_curvature(found)[mine].any()
-    assert not found.joint_response[:, mine].any()
-    np.testing.assert_allclose(found.marker_response[:, mine, 2], np.tile(np.eye(3), (frames, 1, 1)), atol=1e-12)
+    assert not found.curvature[mine].any()
+    assert not found.joint_response[..., mine].any()
+    np.testing.assert_allclose(found.marker_response[:, 2, :, mine], np.tile(np.eye(3), (frames, 1, 1)), atol=1e-12)

@@ -133,3 +133,14 @@ def test_people_vary_more_in_what_the_fit_holds_firmly():
     np.testing.assert_allclose(assumed, parameters.FIRM_BONE_LEAN_SD_RAD**2)
     np.testing.assert_allclose(actual, parameters.PEOPLE_LEAN_SD_RAD**2)
     np.testing.assert_array_equal(FREE.gradient_covariance[~held][:, ~held], FREE.information[~held][:, ~held])
+
+
+def test_basis_is_the_change_of_the_body_with_each_unknown():
+    calibration = FREE
+    step = np.random.default_rng(0).normal(size=len(calibration.information))
+    first, second = calibration.compute_body(np.zeros(len(step))), calibration.compute_body(step)
+    change = calibration.shape_basis @ step
+    joints, markers = second.offsets - first.offsets, second.marker_offsets - first.marker_offsets
+    np.testing.assert_allclose(change[: joints.size + markers.size], np.r_[joints.ravel(), markers.ravel()], atol=1e-12)
+    vectors = second.mean_pose_vectors[np.flatnonzero(calibration.free_joints)[1:]]
+    np.testing.assert_allclose(change[joints.size + markers.size :], vectors.ravel(), atol=1e-12)
