@@ -197,7 +197,7 @@ def test_the_digest_covers_what_the_kernels_import() -> None:
 def test_the_digest_covers_the_named_tuples_of_other_folders() -> None:
     files = {file.relative_to(PACKAGE_FOLDER).as_posix() for file in list_named_tuple_files()}
     others = {file for file in files if not file.startswith("kernels/")}
-    assert others == {"solve/parallel.py", "solve/terms.py", "stats/marker_distances.py"}
+    assert others == {"solve/parallel.py", "stats/marker_distances.py"}
 
 
 def test_inner_kernels_can_be_called_from_python() -> None:
