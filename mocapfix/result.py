@@ -27,7 +27,7 @@ from mocapfix.io.resampling import is_frame_subset
 from mocapfix.labels.subject_exchanges import SubjectExchanges
 from mocapfix.model.changes import Change, Decided, UnfilledRun, serialize_changes
 from mocapfix.model.detected import find_namesakes
-from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment
+from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment, overlap_in_time
 from mocapfix.model.motion import Motion
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
@@ -449,11 +449,14 @@ def join_windows(
         sample_faults=Faults().add_faults((*gaps, *join_at_cuts(others, cuts, _identify_fault))),
         notes=tuple(dict.fromkeys(note for _, each in parts for note in each.decided.detected.notes)),
     )
+    cleaned = replace(whole.decided.take, part=None)
+    if not label_faults:
+        cleaned = replace(cleaned, relabelled_points=take.relabelled_points)
     runs: list[UnfilledRun] = gather(lambda each: each.unfilled_runs)
     joined_runs = sorted(join_at_cuts(runs, cuts, lambda run: (run.marker, run.reason)), key=lambda run: (run.marker, run.first))
     decided = Decided(
         detected=detected,
-        take=replace(whole.decided.take, part=None),
+        take=cleaned,
         changes=_join_changes(take, review, [change for _, each in parts for change in each.decided.changes], gaps, cuts),
         unfilled_runs=tuple(joined_runs),
         rigid_groups=tuple({group.markers: group for _, each in parts for group in each.decided.rigid_groups}.values()),
@@ -475,8 +478,10 @@ def _join_changes(
     joined = [replace(each, why=reasons.get((each.markers[0], each.first, each.kind), each.why)) for each in joined]
     end = take.get_frame_number(take.frame_count - 1)
     joined = [replace(each, last=end) if each.kind in SHIFT_KINDS else each for each in joined]
-    found = {(each.kind, each.markers[0]) for each in joined if each.decision != "accept"}
-    joined += [each for each in dict.fromkeys(changes) if each in not_found and (each.kind, each.markers[0]) not in found]
+    found = [each for each in joined if each.decision != "accept"]
+    for each in dict.fromkeys(change for change in changes if change in not_found):
+        same = (x for x in found if (x.kind, x.markers[0]) == (each.kind, each.markers[0]))
+        joined += [each] * (not any(overlap_in_time(x, each) for x in same))
     order = {label: m for m, label in reversed(list(enumerate(take.labels)))}
     return tuple(sorted(joined, key=lambda each: (order.get(each.markers[0], len(order)), each.first)))
 

@@ -30,7 +30,7 @@ from mocapfix.io.file_content import (
 )
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
-from mocapfix.io.source_file import format_rows
+from mocapfix.io.source_file import MAX_BLOCK_FRAMES, format_rows
 from mocapfix.kernels import euler_angles
 from mocapfix.model.animation import FOOT_JOINT_PATTERN, Animation
 from mocapfix.model.motion import Motion
@@ -38,7 +38,6 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 
 # Separators of the items of a line, of which there may be several.
-MAX_BLOCK_FRAMES = 8192  # that are written at once: a long motion would take several times its memory
 ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)
 CHANNEL_PATTERN = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 

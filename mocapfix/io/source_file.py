@@ -10,6 +10,7 @@ from mocapfix.errors import WriteError
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, write_rows
 from mocapfix.model.take import Take
 
+MAX_BLOCK_FRAMES = 8192  # of a long take that are compared or written at once
 MAX_STORED_COORDINATE = 8_999_999  # file units; larger ones read as missing, as Cortex's 9999999 does
 C3D_UNIT_NAMES = {0.001: "mm", 0.01: "cm", 1.0: "m"}
 ROTATION_Y_UP_FROM_Z_UP = np.eye(3)[[1, 2, 0]]
@@ -95,8 +96,12 @@ def find_relabelled_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"
 
 def find_changed_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
     """Return the samples whose coordinates differ in any bit. All NaNs are equal."""
-    a, b = before.markers, after.markers
-    return ~((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all(-1)
+    changed = np.empty(before.visible.shape, bool)
+    for first in range(0, before.frame_count, MAX_BLOCK_FRAMES):
+        a, b = (take.markers[first : first + MAX_BLOCK_FRAMES] for take in (before, after))
+        is_same = (a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)
+        changed[first : first + MAX_BLOCK_FRAMES] = ~is_same.all(-1)
+    return changed
 
 
 def find_assigned_points(before: Take, after: Take) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
-from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts, Floor, build_no_contacts
+from mocapfix.contacts.contacts import (
+    CONTACT_JOINTS,
+    NO_FLOOR,
+    BodyContacts,
+    EventDisagreement,
+    Floor,
+    GaitEvent,
+    build_no_contacts,
+)
 
 
 @pytest.fixture
@@ -30,6 +38,16 @@ def test_a_lowered_floor_keeps_its_slope(contacts):
     assert lowered.floor.level_heights_m == pytest.approx((0.0, 0.3))
     assert lowered.floor.slope_x == 0.01
     assert replace(contacts, floor=NO_FLOOR).lower_floor(0.1).floor is NO_FLOOR
+
+
+def test_events_of_a_part_are_those_in_its_time(contacts):
+    events = tuple(GaitEvent("left", "foot strike", time_s, "markers") for time_s in (0.5, 1.0, 1.5, 2.0))
+    late = GaitEvent("left", "foot strike", 1.03, "force plate")
+    pairs = (EventDisagreement(late, events[1]),)
+    moved = replace(contacts, events=events, event_disagreements=pairs).move_events(-1.0, 1.0)
+    assert [event.time_s for event in moved.events] == [0.0, 0.5]
+    (pair,) = moved.event_disagreements
+    assert (pair.event.time_s, pair.other.time_s) == (pytest.approx(0.03), 0.0)
 
 
 def test_a_body_without_feet_has_none(contacts):

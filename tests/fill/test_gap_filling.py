@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mocapfix.fill import gap_filling
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import find_unfilled_runs
-from mocapfix.model.take import Take
+from mocapfix.model.take import Take, TakePart
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -184,6 +184,18 @@ def test_ends_are_the_samples_outside_the_measured_ones(measured):
         return
     first, last = measured.index(True), len(measured) - 1 - measured[::-1].index(True)
     assert ends == [-1 if t < first else int(t > last) for t in range(len(measured))]
+
+
+def test_gaps_and_ends_of_a_part_are_those_of_the_longer_take():
+    measured = np.ones((300, 3), bool)
+    measured[80:130, 0] = measured[:150, 1] = measured[170:, 1] = measured[:120, 2] = False
+    frames = slice(100, 200)
+    visible = np.stack([measured[:100].any(0), measured[200:].any(0)])
+    missing = np.array([[20, 100, 100], [0, 100, 0]])
+    part, own = TakePart(100, missing, visible), measured[frames]
+    assert np.array_equal(gap_filling.find_ends(own, part), gap_filling.find_ends(measured)[frames])
+    durations = gap_filling.compute_gap_durations(measured, 100.0)[frames]
+    assert np.array_equal(gap_filling.compute_gap_durations(own, 100.0, part), durations)
 
 
 @pytest.mark.parametrize(("gap", "words"), [((0, 30), "before the marker is first"), ((370, 399), "after the marker is last")])

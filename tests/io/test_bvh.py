@@ -242,6 +242,15 @@ def test_prop_with_a_root_of_its_own_is_read_beside_the_figure(tmp_path):
     np.testing.assert_array_equal(position[:, :-1], plain.compute_world_poses()[0])
 
 
+def test_a_long_motion_is_written_block_by_block(tmp_path, monkeypatch):
+    subject = draw_subject(np.random.default_rng(2), asymmetric=False)
+    motion = compose_motion(subject, 1.0, 30.0)
+    bvh.write_bvh(tmp_path / "once.bvh", subject.skeleton, motion, 30.0)
+    monkeypatch.setattr(bvh, "MAX_BLOCK_FRAMES", 7)
+    bvh.write_bvh(tmp_path / "blocks.bvh", subject.skeleton, motion, 30.0)
+    assert (tmp_path / "blocks.bvh").read_bytes() == (tmp_path / "once.bvh").read_bytes()
+
+
 def test_a_sword_in_one_hand_is_no_part_of_the_height(tmp_path):
     body = compose_motion(draw_subject(np.random.default_rng(0), asymmetric=False), 0.2, 30.0)
     skeleton = load_cmu31_body().skeleton
