@@ -11,8 +11,10 @@ filled.
 """
 
 import mmap
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -41,6 +43,7 @@ from mocapfix.solve.measured_segments import (
     smooth_share,
 )
 from mocapfix.solve.minimise import SolverSettings, minimise
+from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.stats.sequences import find_runs
 
@@ -155,19 +158,18 @@ def displace_feet(
     frames = np.flatnonzero((np.linalg.norm(displacement, axis=-1) > MIN_DISPLACEMENT_M).any(1))
     if not len(frames):
         return motion
-    target = joint_position[frames[:, None], feet] + displacement[frames]
-    moving = motion.select_frames(frames)
-    points = build_foot_targets(feet, target)
+    points = build_foot_targets(feet, joint_position[frames[:, None], feet] + displacement[frames])
     if markers is not None:
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
-    free = solve_legs(skeleton, moving, points, (moving.root_position, moving.local_rotations))
-    step = free[0] - moving.root_position
+    count = int(points.joints.max()) + 1  # joints after the legs' only follow the root
+    root, legs = motion.root_position[frames], motion.local_rotations[frames, :count]
+    free = solve_legs(skeleton, (root, legs), points, (root, legs))
+    step = free[0] - root
     ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
-    step = step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
-    moving = replace(moving, root_position=moving.root_position + step)
-    legs = solve_legs(skeleton, moving, points, (moving.root_position, free[1]), root_share=FIXED_ROOT_SHARE)[1]
+    root = root + step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
+    legs = solve_legs(skeleton, (root, legs), points, (root, free[1]), root_share=FIXED_ROOT_SHARE)[1]
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
-    root_position[frames], local_rotations[frames, 1 : legs.shape[1]] = moving.root_position, legs[:, 1:]
+    root_position[frames], local_rotations[frames, 1:count] = root, legs[:, 1:]
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
 
 
@@ -191,20 +193,17 @@ def add_leg_markers(
     return PointTerm(joints, offsets, np.ascontiguousarray(measured), np.ascontiguousarray(weights))
 
 
-def solve_legs(
-    skeleton: Skeleton, motion: Motion, points: PointTerm, start: Poses, *, root_share: float = 1.0
-) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T L 3 3"]]:
-    """Return poses near those of a motion, of the joints up to the last of the points, that place these where they shall be."""
-    frame_count, count = motion.frame_count, int(points.joints.max()) + 1  # joints after the legs' only follow the root
+def solve_legs(skeleton: Skeleton, poses: Poses, points: PointTerm, start: Poses, *, root_share: float = 1.0) -> Poses:
+    """Return poses near others, of the joints up to the last of the points, that place these where they shall be."""
+    frame_count, count = poses[1].shape[:2]
     is_free = np.isin(np.arange(count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
     weight = np.full((frame_count, count), LEG_ROTATION_SD_RAD**-2)
     weight[:, 0] = (root_share * ROOT_ROTATION_SD_RAD) ** -2
     root_weight = np.full(frame_count, (root_share * ROOT_SD_M) ** -2)
-    tracking = TrackingTerm(np.ascontiguousarray(motion.local_rotations[:, :count]), weight, motion.root_position, root_weight)
+    tracking = TrackingTerm(poses[1], weight, poses[0], root_weight)
     tree = KinematicTree(skeleton.parents[:count], skeleton.offsets[:count], is_free)
     settings = SolverSettings(damping_ratio=SolverSettings.damping_ratio * root_share**2)  # it is relative to the root's weight
-    legs = minimise(tree, (points, tracking), (start[0], start[1][:, :count]), settings)
-    return legs.root_position, legs.local_rotations
+    return minimise(tree, (points, tracking), start, settings).poses
 
 
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))
@@ -228,10 +227,15 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
     """
     skeleton = body.subject.skeleton
     standing = find_contacts(skeleton, body.motion, body.solved_joint_positions, take.rate)
-    contacts = add_gait_events(standing, body, body.take.markers, take)
+    find_events = partial(add_gait_events, standing, body, body.take.markers, take)
     if mode == FEET_OFF or not standing.is_contact.any():
-        return StandingBody(body, contacts, body.motion)
-    held = hold_measured_feet(body, body.take.markers, standing, is_locked=mode == FEET_LOCK)
+        return StandingBody(body, find_events(), body.motion)
+    hold_feet = partial(hold_measured_feet, body, body.take.markers, standing, is_locked=mode == FEET_LOCK)
+
+    def compute(task: Callable[[], Any]) -> Any:
+        return task()
+
+    held, contacts = map_in_threads(compute, (hold_feet, find_events))
     subject = body.extended_subject
     motion = reduce_held_uncertainty(subject, held.body.motion, select_held_contacts(standing, held.share))
     filling = reduce_held_uncertainty(subject, held.filling_motion, standing)

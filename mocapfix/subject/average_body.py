@@ -17,7 +17,7 @@ from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limi
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
-from mocapfix.stats.rigid_alignment import compute_rotations, scale_rotations
+from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotations, scale_rotations
 
 MIN_PAIR_DISTANCE_M = 0.12  # of a pair that is used to estimate the size; nearer ones depend on marker placement
 MIN_PAIR_FRAMES = 10  # frames in which both markers of a pair must be visible
@@ -47,7 +47,7 @@ def estimate_body_size_ratio(
     weights: list[float] = []
     for a, b in zip(*find_near_pairs(marker_set.joints), strict=True):
         expected = np.linalg.norm(nominal[a] - nominal[b])
-        distance = np.linalg.norm(markers[:, a] - markers[:, b], axis=-1)
+        distance = compute_lengths(markers[:, a] - markers[:, b])
         distance = distance[~np.isnan(distance)]
         if expected < MIN_PAIR_DISTANCE_M or len(distance) < min_frames:
             continue
