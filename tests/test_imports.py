@@ -32,8 +32,8 @@ from mocapfix.cli import app
 from mocapfix.io import capture
 read_capture = capture.read_capture
 
-def read_and_end(path, options):
-    read_capture(path, options)
+def read_and_end(path, options, **how):
+    read_capture(path, options, **how)
     print(*sys.modules, flush=True)
     os._exit(0)
 

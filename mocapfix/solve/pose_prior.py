@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
+from mocapfix.kernels import lie
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 
 Header = dict[str, Any]  # the JSON header of a weights file
@@ -107,7 +107,8 @@ def remove_heading(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "
 
     R = heading @ tilt, where heading is a rotation about the vertical axis y, and the axis of tilt is perpendicular to y.
     """
-    quaternions = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()
+    all_frames = np.ones(len(rotations), bool)
+    quaternions = lie.extract_joint_quaternions(np.array(rotations[:, None], float, order="C"), 0, all_frames)
     heading = 2 * np.arctan2(quaternions[:, 1], quaternions[:, 3])
     return compute_rotations(-heading[:, None] * [0.0, 1.0, 0.0]) @ rotations
 

@@ -11,8 +11,8 @@ few of them as possible and document which arguments they overwrite.
 """
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
 from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_local_frames
@@ -20,7 +20,7 @@ from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.model.motion import PoseUncertainty
 from mocapfix.solve import kinematics
 from mocapfix.solve.parallel import run_in_parallel, run_over_frames
-from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, find_runs, smooth_path
+from mocapfix.stats.sequences import MAX_SAMPLE_VARIANCE, average_windows, find_runs, smooth_path
 
 ROTATION_JITTER_SD_RAD = 0.01  # noise of a joint's rotation from frame to frame, in addition to its motion: skin and cameras
 ROOT_JITTER_SD_M = 0.001  # the same of the root's position, per axis
@@ -75,8 +75,7 @@ def average_acceleration_power(
     The power is that of a random acceleration, per component, averaged over the differences of a window that are used.
     """
     second = ((path[2 * step :] - 2 * path[step:-step] + path[: -2 * step]) ** 2).mean(1) / (2 / 3 * (step / rate) ** 3)
-    total = scipy.ndimage.uniform_filter1d(np.where(is_used, second, 0.0), window, mode="nearest")
-    share = scipy.ndimage.uniform_filter1d(is_used.astype(float), window, mode="nearest")
+    total, share = average_windows(np.stack([np.where(is_used, second, 0.0), is_used], axis=1), window).T
     usable = np.flatnonzero(share > min_share)
     return usable, total[usable] / share[usable], second
 
@@ -244,12 +243,13 @@ def remove_jitter(
     smooth = smooth_path(joint_quaternions, variance, power, rate)
     reach = 2 * max(1, round(ACCELERATION_STEP_S * rate)) + 1
     window = max(1, round(ACCELERATION_STEP_S * rate))
-    has_known_neighbours = np.asarray(scipy.ndimage.minimum_filter1d(is_known, 2 * reach + 1), bool)
+    has_known_neighbours = np.convolve(~is_known, np.ones(2 * reach + 1))[reach : len(is_known) + reach] == 0
     for _ in range(MAX_POWER_CORRECTIONS):
-        deviation = scipy.ndimage.uniform_filter1d(smooth - joint_quaternions, window, axis=0, mode="nearest")
+        deviation = average_windows(smooth - joint_quaternions, window)
         deviation_rad = np.where(has_known_neighbours, 2 * np.linalg.norm(deviation, axis=1), 0.0)
         usual_rad = np.median(deviation_rad[has_known_neighbours]) if has_known_neighbours.any() else 0.0
-        excess = scipy.ndimage.maximum_filter1d(deviation_rad, reach) / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
+        largest_rad = sliding_window_view(np.pad(deviation_rad, reach // 2), reach).max(axis=1)
+        excess = largest_rad / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
         if not (excess > 1).any():
             break
         power = power * np.maximum(excess, 1.0) ** POWER_CORRECTION_EXPONENT

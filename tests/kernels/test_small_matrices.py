@@ -73,3 +73,15 @@ def test_axis_without_information_has_inverse_zero():
     stack = np.zeros((1, 3, 3))
     small_matrices.invert_symmetric_3x3(stack, 0)
     np.testing.assert_array_equal(stack, 0)
+
+
+def test_banded_solution():
+    rng = np.random.default_rng(0)
+    half = np.triu(rng.normal(size=(9, 9))) * (np.subtract.outer(np.arange(9), np.arange(9)) >= -2)
+    matrix, right = half.T @ half + np.eye(9), rng.normal(size=(9, 2))
+    band = np.zeros((3, 9))
+    for above in range(3):
+        band[2 - above, above:] = np.diagonal(matrix, above)
+    solution = right.copy()
+    small_matrices.solve_banded(band, solution)
+    np.testing.assert_allclose(matrix @ solution, right, atol=1e-12)

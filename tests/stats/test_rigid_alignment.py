@@ -8,9 +8,12 @@ from scipy.spatial.transform import Rotation
 from mocapfix.stats.rigid_alignment import (
     align_to_common_shape,
     compute_cross_covariance,
+    compute_rotation_vectors,
+    compute_rotations,
     compute_shortest_rotation,
     find_nearest_points,
     fit_rotations,
+    scale_rotations,
     transform_to_body_axes,
 )
 from tests.kernels import random_terms
@@ -142,3 +145,14 @@ def test_nearest_point_is_nearer_than_any_other_of_the_line(seed):
     assert 0 <= share[0] <= 1
     shares = np.linspace(0, 1, 101)[:, None]
     assert np.linalg.norm(vector) <= np.linalg.norm(point - start - shares * (end - start), axis=1).min() + 1e-12
+
+
+def test_rotation_vectors_are_those_of_scipy():
+    vectors = np.random.default_rng(0).normal(size=(50, 2, 3))
+    vectors[0], vectors[1] = 1e-9, [[0.0, np.pi - 1e-9, 0.0]] * 2
+    rotations = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(50, 2, 3, 3)
+    np.testing.assert_allclose(compute_rotations(vectors), rotations, atol=1e-14)
+    expected = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(50, 2, 3)
+    np.testing.assert_allclose(compute_rotation_vectors(rotations), expected, atol=1e-9)
+    np.testing.assert_allclose(scale_rotations(rotations, 0.5), compute_rotations(expected / 2), atol=1e-9)
+    assert np.isnan(scale_rotations(np.full((1, 3, 3), np.nan), 0.5)).all()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from mocapfix.stats import sequences
 
@@ -22,3 +23,11 @@ def test_known_medians_are_those_of_numpy(shape: tuple[int, ...]) -> None:
         values[0] = 1.0
         np.testing.assert_array_equal(sequences.compute_known_medians(values), np.nanmedian(values, axis=0))
     assert np.isnan(sequences.compute_known_medians(np.full(shape, np.nan))).all()
+
+
+@pytest.mark.parametrize("window", [1, 4, 7])
+def test_means_over_windows_are_those_of_scipy(window: int) -> None:
+    values = np.random.default_rng(0).normal(size=(20, 3))
+    np.testing.assert_allclose(
+        sequences.average_windows(values, window), uniform_filter1d(values, window, axis=0, mode="nearest"), atol=1e-12
+    )
