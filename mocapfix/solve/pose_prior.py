@@ -107,8 +107,7 @@ def remove_heading(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "
 
     R = heading @ tilt, where heading is a rotation about the vertical axis y, and the axis of tilt is perpendicular to y.
     """
-    all_frames = np.ones(len(rotations), bool)
-    quaternions = lie.extract_joint_quaternions(np.array(rotations[:, None], float, order="C"), 0, all_frames)
+    quaternions = lie.extract_joint_quaternions(np.array(rotations[:, None], float, order="C"), 0, np.ones(len(rotations), bool))
     heading = 2 * np.arctan2(quaternions[:, 1], quaternions[:, 3])
     return compute_rotations(-heading[:, None] * [0.0, 1.0, 0.0]) @ rotations
 

@@ -148,9 +148,8 @@ def smooth_path(
 
 def average_windows(values: Float[np.ndarray, "T ..."], window: int) -> Float[np.ndarray, "T ..."]:
     """Return the means over the samples in windows about each sample; the first and the last one continue beyond the ends."""
-    padded = np.concatenate([values[:1]] * (window // 2 + 1) + [values] + [values[-1:]] * ((window - 1) // 2))
-    padded[0] = 0.0
-    sums = np.cumsum(padded, axis=0)
+    parts = [np.zeros_like(values[:1]), *[values[:1]] * (window // 2), values, *[values[-1:]] * ((window - 1) // 2)]
+    sums = np.cumsum(np.concatenate(parts), axis=0)
     return (sums[window:] - sums[:-window]) / window
 
 
