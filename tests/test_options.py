@@ -8,7 +8,6 @@ import pytest
 import tyro
 
 from mocapfix.cli.arguments import build_options_argument, parse_options
-from mocapfix.cli.clean import STAGES
 from mocapfix.errors import OptionError
 from mocapfix.model.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.option import FRAME_LIMIT
@@ -137,7 +136,7 @@ def test_stages_that_are_built_keep_their_values_with_a_purpose():
 def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
     """Return the options that the command line reads from arguments."""
 
-    def read(options: Annotated[object, build_options_argument(STAGES)]) -> CleanOptions:
+    def read(options: Annotated[object, build_options_argument()]) -> CleanOptions:
         return parse_options(options)
 
     return tyro.cli(read, args=arguments)

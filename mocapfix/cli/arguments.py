@@ -32,19 +32,19 @@ def describe_option(metavar: str, help: str, default: str, **details: Any) -> An
 
 
 def build_options_argument(
-    stages: Iterable[str], *, without: Iterable[str] = (), default_texts: Mapping[str, str] | None = None
+    stages: tuple[str, ...] = (), *, without: Iterable[str] = (), default_texts: Mapping[str, str] | None = None
 ) -> Any:
     """Return the annotation of the parameter of a command that holds options, which `parse_options` reads.
 
     Args:
-        stages: The names of the stages in `CleanOptions` whose options the command has.
+        stages: The names of the stages in `CleanOptions` whose options the command has; none for all.
         without: The names of options that it does not have.
         default_texts: By name of an option, the default that help shows instead of the usual text.
     """
     groups: list[tuple[str, Any, Any]] = []
     left_out, texts = set(without), default_texts or {}
     for each in fields(CleanOptions):
-        if each.name in stages:
+        if not stages or each.name in stages:
             options = [option for option in OPTIONS if option.stage == each.name and option.name not in left_out]
             arguments = [(option.name, *_build_argument(option, texts.get(option.name, ""))) for option in options]
             group = make_dataclass(type(each.default).__name__.removesuffix("Options"), arguments)

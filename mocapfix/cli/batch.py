@@ -21,7 +21,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from mocapfix.batch.cluster import BatchProgress
 from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options
-from mocapfix.cli.clean import STAGES, describe_laboratory
+from mocapfix.cli.clean import describe_laboratory
 from mocapfix.cli.console import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -85,7 +85,7 @@ def run_batch(
     output_folder: Annotated[
         Path, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="folder for outputs and records")
     ],
-    options: Annotated[object, build_options_argument(STAGES, without=("review_files",))],
+    options: Annotated[object, build_options_argument(without=("review_files",))],
     run: Annotated[tyro.conf.OmitArgPrefixes[RunArguments], tyro.conf.arg(name="")] = DEFAULT_RUN,
 ) -> int:
     """Clean all takes of a session, on all cores or on a cluster, and write a page on them.

@@ -48,14 +48,13 @@ MAX_PRINTED_NOTES = 12  # notes that it prints
 MAX_LISTED_REASONS = 3  # reasons of unfilled samples that it lists
 CLIP_SUFFIXES = (".glb", ".vrm")  # files of characters that hold animations
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")  # files without markers, for which few kernels are needed
-STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import FaultEntry, FillSection, InspectionReport, Report, TakeSection
 
 
 def run_clean(
     takes: TakesArgument,
-    options: Annotated[object, build_options_argument(STAGES)],
+    options: Annotated[object, build_options_argument()],
     output_folder: Annotated[
         Path | None,
         describe_option("DIR", "folder for the output files", "TAKE.mocapfix/ beside the take", name="out", aliases=["-o"]),

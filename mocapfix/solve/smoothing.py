@@ -12,7 +12,6 @@ few of them as possible and document which arguments they overwrite.
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 
 from mocapfix.kernels import lie
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_local_frames
@@ -248,7 +247,7 @@ def remove_jitter(
         deviation = average_windows(smooth - joint_quaternions, window)
         deviation_rad = np.where(has_known_neighbours, 2 * np.linalg.norm(deviation, axis=1), 0.0)
         usual_rad = np.median(deviation_rad[has_known_neighbours]) if has_known_neighbours.any() else 0.0
-        largest_rad = sliding_window_view(np.pad(deviation_rad, reach // 2), reach).max(axis=1)
+        largest_rad = np.lib.stride_tricks.sliding_window_view(np.pad(deviation_rad, reach // 2), reach).max(axis=1)
         excess = largest_rad / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
         if not (excess > 1).any():
             break

@@ -98,9 +98,7 @@ def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np
     return scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
 
 
-def scale_rotations(
-    rotations: Float[np.ndarray, "*batch 3 3"], share: float | Float[np.ndarray, "*#batch 1"]
-) -> Float[np.ndarray, "*batch 3 3"]:
+def scale_rotations(rotations: Float[np.ndarray, "*batch 3 3"], share: float | np.ndarray) -> Float[np.ndarray, "*batch 3 3"]:
     """Return rotations about the same axes by a share of the angles, NaN where the rotations are."""
     return compute_rotations(compute_rotation_vectors(rotations) * share)
 
