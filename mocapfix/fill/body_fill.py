@@ -17,6 +17,7 @@ from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.solve import kinematics
 from mocapfix.stats.gaussian_process import estimate_roughness, map_residual
+from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs
 
 BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
@@ -65,12 +66,12 @@ class BodyPlacement:
         self.rate, self.markers = take.rate, dict[int, MarkerOnBody]()
         if take.body is None:
             return
-        positions, rotations = kinematics.compute_world_poses(take.body.extended_subject.skeleton, take.body.motion)
-        joints = take.body.extended_subject.joints
+        subject, motion = take.body.extended_subject, take.body.motion
+        rotations = kinematics.compute_world_poses(subject.skeleton, motion)[1]
+        places = kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
         for row, marker in enumerate(take.body.marker_columns.tolist()):
             if marker >= 0 and not take.is_visible[:, marker].all():
-                rotation, offset = rotations[:, joints[row]], take.body.extended_subject.marker_offsets[row]
-                axes = MovingAxes(rotation, positions[:, joints[row]] + rotation @ offset)
+                axes = MovingAxes(rotations[:, subject.joints[row]], places[:, row])
                 path = take.visible_markers[:, marker]
                 self.markers[marker] = place_marker(take.body, row, axes, path, take.rate)
 
@@ -110,14 +111,14 @@ def place_marker(body: BodyFit, row: int, axes: MovingAxes, path: Float[np.ndarr
         rate: Frame rate in Hz.
     """
     residual, variance = axes.transform_from_world(path), body.motion.marker_sd[:, row] ** 2
-    distance = np.linalg.norm(residual, axis=1)
+    distance = compute_lengths(residual)
     if not np.isnan(distance).all():
         usual_m = float(np.median(distance[~np.isnan(distance)]))
         residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * usual_m)] = np.nan
-    known = residual[~np.isnan(residual[:, 0])]
+    known = residual[shown := np.flatnonzero(~np.isnan(residual[:, 0]))]
     power = max(float((known**2).mean()), MIN_BODY_RESIDUAL_M**2) if len(known) else MIN_BODY_RESIDUAL_M**2
-    roughness = estimate_roughness(residual, rate, BODY_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
-    shown_variance = float(np.median(variance[~np.isnan(residual[:, 0])])) if len(known) else 0.0
+    roughness = estimate_roughness(known, shown, rate, BODY_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
+    shown_variance = float(np.median(variance[shown])) if len(known) else 0.0
     return MarkerOnBody(axes, residual, power + shown_variance, roughness, np.maximum(variance - shown_variance, 0.0))
 
 

@@ -314,7 +314,7 @@ def iterate_gaps(
         remaining = lost if is_inside else lost[has_ends[lost]]
         while len(remaining):
             by_frequency = remaining[np.argsort(-is_visible[:, remaining].sum(0), kind="stable")]
-            others = select_visible_together(is_visible, int(by_frequency[0]), by_frequency[1:], 0, len(remaining))
+            others, _ = select_visible_together(is_visible, int(by_frequency[0]), by_frequency[1:], 0, len(remaining))
             together = np.sort([by_frequency[0], *others])
             yield first, last, together
             remaining = np.setdiff1d(remaining, together)
@@ -322,8 +322,8 @@ def iterate_gaps(
 
 def select_visible_together(
     is_visible: Bool[np.ndarray, "T M"], marker: int, others: Int[np.ndarray, " N"], min_frames: int, max_count: int
-) -> list[int]:
-    """Return those of other markers, in the order given, that leave enough of the frames in which a marker is visible."""
+) -> tuple[list[int], Bool[np.ndarray, " T"]]:
+    """Return those of other markers, in the order given, that leave enough of the frames that show a marker, and these frames."""
     shared, together = is_visible[:, marker], list[int]()
     for other in others.tolist():
         both = shared & is_visible[:, other]
@@ -332,7 +332,7 @@ def select_visible_together(
             together.append(other)
         if len(together) == max_count:
             break
-    return together
+    return together, shared
 
 
 RESTING_SPEED_M_S = 0.02  # speed that is added to all, below which markers count as equally at rest

@@ -138,15 +138,13 @@ class NeighbourRegression:
         take, w, rate, path = self.take, gap.window, self.take.rate, self.take.markers[:, gap.marker]
         change, is_shown = take.distance_change_m[gap.marker], take.is_known[:, gap.marker]
         steady = gap.neighbours[change[gap.neighbours] < MAX_DISTANCE_CHANGE_M]
-        cluster = select_visible_together(take.is_known, gap.marker, steady, MIN_CLUSTER_FRAMES, MAX_CLUSTER_MARKERS)
-        cluster = np.array(cluster, int)
+        together, shared = select_visible_together(take.is_known, gap.marker, steady, MIN_CLUSTER_FRAMES, MAX_CLUSTER_MARKERS)
+        cluster, training = np.array(together, int), np.flatnonzero(shared)
         if len(cluster) < MIN_CLUSTER_MARKERS:
             return []
-        is_known: np.ndarray = np.all(take.is_known.T[cluster], axis=0)
-        training = np.flatnonzero(is_known & is_shown)
         training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
         frames = w.list_frames(training, len(path))[0]
-        frames = frames[is_known[frames]]
+        frames = frames[take.is_known.T[cluster[:, None], frames].all(0)]
         row = np.full(len(path), -1)
         row[frames] = np.arange(len(frames))
         if len(training) < MIN_CLUSTER_FRAMES or (row[w.gap_frames] < 0).any() or (row[w.context_frames] < 0).any():
@@ -171,10 +169,9 @@ class NeighbourRegression:
         repeated = len(training) / len(np.unique((training / (rate * INDEPENDENT_FRAME_S)).astype(int)))
         inflation = np.sqrt(np.maximum((1 + repeated * leverage) / (1 + repeated * usual / len(training)), 1.0))
         learned_sd = np.sqrt(square / (3 * len(training)))
-        residual = np.full(path.shape, np.nan)
-        residual[frames] = local - predicted
-        gap_map, hidden_map = _build_residual_maps(residual, w, rate)
-        position = mean + predicted[rows] + gap_map @ residual[w.context_frames]
+        residual, is_measured = local - predicted, ~np.isnan(local[:, 0])
+        gap_map, hidden_map = _build_residual_maps(residual[is_measured], frames[is_measured], w, rate)
+        position = mean + predicted[rows] + gap_map @ residual[row[w.context_frames]]
         position = np.einsum("tab,tb->ta", rotation[rows], position) + centre[rows]
         hidden = row[np.concatenate([w.hidden_context_frames, w.hidden_frames], axis=1)]
         is_enough = left_out.sum(1) <= MAX_HIDDEN_SHARE * len(training)
@@ -195,19 +192,18 @@ def number_parts(count: int) -> Int[np.ndarray, " count"]:
     return np.repeat(np.arange(HIDDEN_FOLDS), [(count + fold) // HIDDEN_FOLDS for fold in range(HIDDEN_FOLDS)[::-1]])
 
 
-def _build_residual_maps(residual: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the maps that interpolate a residual from the samples beside a gap and beside its hidden stretches."""
-    w = window
-    known = residual[~np.isnan(residual[:, 0])]
-    power = max(float(np.median(known**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
-    roughness = estimate_roughness(residual, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
-    noise_variance = np.full(len(w.before) + len(w.after), SAMPLE_NOISE_M**2)
+def _build_residual_maps(
+    residual: Float[np.ndarray, "N 3"], frames: Int[np.ndarray, " N"], w: GapWindow, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the maps that interpolate a residual, known in some frames, from beside a gap and beside its hidden stretches."""
+    power = max(float(np.median(residual**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
+    roughness = estimate_roughness(residual, frames, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
 
     def build_map(before: np.ndarray, after: np.ndarray, points: np.ndarray) -> np.ndarray:
         known_s, fade_s = np.concatenate([before, after]) / rate, CLUSTER_RESIDUAL_FADE_S
-        return map_residual(
-            known_s, points / rate, power=power, time_scale_s=fade_s, roughness=roughness, noise_variance=noise_variance
-        )[0]
+        noise = np.full(len(known_s), SAMPLE_NOISE_M**2)
+        shape = {"power": power, "time_scale_s": fade_s, "roughness": roughness}
+        return map_residual(known_s, points / rate, noise_variance=noise, **shape)[0]
 
     gap_map = build_map(w.before, w.after, np.arange(w.length))
     if w.hidden_length == w.length:

@@ -160,14 +160,12 @@ def map_residual(
     """Return the linear map from known samples of a residual to its expectation at wanted times, and its variance there.
 
     Args:
-        known_s: Times of the known samples in seconds.
-        wanted_s: Times at which it is wanted.
+        known_s, wanted_s: Times in seconds of the known samples, and those at which it is wanted.
         power: Variance per axis of the process, in the residual's unit squared.
         time_scale_s: Of its correlation.
         roughness: Its rough part, as `estimate_roughness` returns it.
         noise_variance: Of each sample.
-        known_excess: Variance at the known times of a further, smooth process.
-        wanted_excess: The same at the wanted times.
+        known_excess, wanted_excess: Variance at these times of a further, smooth process.
     """
 
     excess = [np.broadcast_to(each, len(s)) + 0.0 for each, s in ((known_excess, known_s), (wanted_excess, wanted_s))]
@@ -177,15 +175,20 @@ def map_residual(
 
 
 def estimate_roughness(
-    residual: Float[np.ndarray, "T 3"], rate: float, time_scale_s: float, noise_sd: float, power: float
+    known: Float[np.ndarray, "N 3"],
+    frames: Int[np.ndarray, " N"],
+    rate: float,
+    time_scale_s: float,
+    noise_sd: float,
+    power: float,
 ) -> float:
     """Return the rough part of a residual's power: 0 for a smooth process, 1 for one that moves in independent steps.
 
-    Estimated from the median square of its change over a short lag, which is small for a smooth process.
+    Estimated from the median square of its change over a short lag, which is small for a smooth process. The frames ascend.
     """
     step = max(1, round(ROUGHNESS_LAG_S * rate))
-    change = residual[step:] - residual[:-step]
-    change = change[~np.isnan(change[:, 0])]
+    _, later, earlier = np.intersect1d(frames, frames + step, assume_unique=True, return_indices=True)
+    change = known[later] - known[earlier]
     if len(change) < MIN_ROUGHNESS_STEPS:
         return 0.0
     lag_s = np.array([step / rate])

@@ -88,14 +88,14 @@ def test_neighbours_that_leave_too_few_frames_are_not_used():
     """Looser and rarely visible neighbours do not keep a rigid cluster from being used."""
     visible = np.ones((400, 8), bool)
     visible[:380, 6] = visible[100:, 7] = False
-    np.testing.assert_array_equal(select_visible_together(visible, 0, np.array([6, 1, 2, 7, 3]), 30, 12), [1, 2, 3])
+    np.testing.assert_array_equal(select_visible_together(visible, 0, np.array([6, 1, 2, 7, 3]), 30, 12)[0], [1, 2, 3])
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 29])
 def test_few_frames_predict_nothing(frames):
     visible = np.ones((60, 4), bool)
     visible[frames:, 1] = False
-    assert not select_visible_together(visible, 1, np.array([0, 2, 3]), 30, 12)
+    assert not select_visible_together(visible, 1, np.array([0, 2, 3]), 30, 12)[0]
 
 
 def test_axes_follow_a_rigid_cluster():

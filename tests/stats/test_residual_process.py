@@ -38,7 +38,8 @@ def interpolate(residual, is_gap, rate=RATE, noise_sd=NOISE_SD):
     """Return the mean and variance of a residual in gaps, from up to six samples within the margin on either side."""
     known = ~np.isnan(residual[:, 0])
     power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, MIN_SD**2)
-    roughness = estimate_roughness(residual, rate, TIME_SCALE_S, noise_sd, power)
+    shown = np.flatnonzero(known)
+    roughness = estimate_roughness(residual[shown], shown, rate, TIME_SCALE_S, noise_sd, power)
     offsets = sample_evenly(max(1, round(MARGIN_S * rate)), 6)
     mean, variance = np.zeros_like(residual), np.zeros(len(residual))
     for first, last in find_runs(is_gap):
@@ -162,12 +163,16 @@ def simulate_random_walk(seed, frames, rate, time_scale_s=TIME_SCALE_S, size=0.0
 @pytest.mark.parametrize("rate", [60.0, 120.0, 480.0])
 def test_roughness_of_random_walk_and_of_smooth_motion(rate):
     rng, t = np.random.default_rng(4), np.arange(0, 60, 1 / rate)[:, None]
-    rough = simulate_random_walk(4, len(t), rate)
-    assert estimate_roughness(rough, rate, TIME_SCALE_S, 0.0, 0.004**2) == pytest.approx(1.0, abs=0.15)
+    frames, rough = np.arange(len(t)), simulate_random_walk(4, len(t), rate)
+    assert estimate_roughness(rough, frames, rate, TIME_SCALE_S, 0.0, 0.004**2) == pytest.approx(1.0, abs=0.15)
     smooth = 0.004 * np.sin(3 * t + np.arange(3.0))
-    assert estimate_roughness(smooth + rng.normal(0, NOISE_SD, smooth.shape), rate, TIME_SCALE_S, NOISE_SD, 0.004**2 / 2) < 0.05
-    assert 0.3 < estimate_roughness((rough + smooth) / np.sqrt(2), rate, TIME_SCALE_S, 0.0, 0.75 * 0.004**2) < 0.9
-    assert estimate_roughness(rough[: MIN_ROUGHNESS_STEPS // 2], rate, TIME_SCALE_S, NOISE_SD, 1e-6) == 0  # too few samples
+    noisy = smooth + rng.normal(0, NOISE_SD, smooth.shape)
+    assert estimate_roughness(noisy, frames, rate, TIME_SCALE_S, NOISE_SD, 0.004**2 / 2) < 0.05
+    assert 0.3 < estimate_roughness((rough + smooth) / np.sqrt(2), frames, rate, TIME_SCALE_S, 0.0, 0.75 * 0.004**2) < 0.9
+    few = MIN_ROUGHNESS_STEPS // 2
+    assert estimate_roughness(rough[:few], frames[:few], rate, TIME_SCALE_S, NOISE_SD, 1e-6) == 0  # too few samples
+    apart = frames[:: 10 * round(rate)]
+    assert estimate_roughness(rough[apart], apart, rate, TIME_SCALE_S, 0.0, 1e-6) == 0  # none is a short time after another
 
 
 def test_correlation_mixes_smooth_and_rough_parts():
