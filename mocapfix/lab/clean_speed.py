@@ -1,8 +1,8 @@
 """Benchmark of whole cleans: the cost of `mocapfix clean` on composed files, relative to the solver's own rate.
 
 Every file is cleaned as a user does it, in a process of its own. The solver is timed on the common task before and after each
-clean. Costs are compared in processor time, because other programs on the machine change that much less than the time by the
-clock, and because it does not depend on the number of cores.
+clean. Costs, of the whole and of each part by its report, are compared in processor time, because other programs on the machine
+change that much less than the time by the clock, and because it does not depend on the number of cores.
 
 Two files are as damaged as captures of a stage: a tenth of the samples missing, or many missing and displaced. The duration of a
 gap has a log-uniform distribution. The markers of a limb are sometimes lost together, as behind another person.
@@ -171,7 +171,8 @@ REPAIRED_ERROR_M = 0.02  # a displaced sample that is nearer to the truth than t
 CLEAN_COMMAND = (sys.executable, "-P", "-m", "mocapfix", "clean")  # -P: not the package in the current folder
 
 CleanCost = dict[str, float]
-"""seconds, seconds_per_second, over_solver, peak_mb, cpu_seconds; if samples are displaced, moved_mended, error_mm, left_empty"""
+"""seconds, seconds_per_second, over_solver, peak_mb, cpu_seconds, and over_solver of each part, as "over_solver, fill"; if
+samples are displaced, moved_mended, error_mm, left_empty"""
 
 
 class CleanedScene(NamedTuple):
@@ -239,10 +240,11 @@ def measure_clean_speed(
         for run in range(run_count):
             for name, scene in scenes.items():
                 progress(f"{name}, run {run + 1} of {run_count}")
-                usage, scores = clean_scene(scene)
+                usage, part_s, scores = clean_scene(scene)
                 fps_before, solver_fps = solver_fps, measure_solver_rate(task)
                 solver_load = task.rate_hz / max(fps_before, solver_fps)  # processor seconds per second of motion
-                runs[name].append(summarise_run(usage, scene.motion_s, solver_load) | scores)
+                parts = {f"over_solver, {part}": seconds / scene.motion_s / solver_load for part, seconds in part_s.items()}
+                runs[name].append(summarise_run(usage, scene.motion_s, solver_load) | parts | scores)
     return {name: {key: median(each[key] for each in rows) for key in rows[0]} for name, rows in runs.items()}
 
 
@@ -255,14 +257,16 @@ def measure_solver_rate(task: CommonTask) -> float:
     return len(task.takes[SOLVER_TAKE]) / min(durations)
 
 
-def clean_scene(scene: CleanedScene) -> tuple[ProcessUsage, dict[str, float]]:
-    """Clean a scene; return what that used, and the errors if samples of the scene are displaced."""
+def clean_scene(scene: CleanedScene) -> tuple[ProcessUsage, dict[str, float], dict[str, float]]:
+    """Clean a scene; return what that used, processor seconds by part, and the errors if samples of the scene are displaced."""
     with TemporaryDirectory() as folder:
         output = Path(folder) / "out"
         usage = run_clean_process(scene.path, output)
+        times = json.loads((output / f"{scene.path.stem}.report.json").read_bytes())["times"]
+        part_s = {part: float(time["processor_seconds"]) for part, time in times.items()}
         if scene.truth is None or not scene.truth.spike_mask.any():
-            return usage, {}
-        return usage, score_markers(scene.truth, read_take(output / scene.path.name).markers)
+            return usage, part_s, {}
+        return usage, part_s, score_markers(scene.truth, read_take(output / scene.path.name).markers)
 
 
 def run_clean_process(path: Path, output: Path | None = None) -> ProcessUsage:

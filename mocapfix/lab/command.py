@@ -81,7 +81,8 @@ def run_bench_clean(
         return print_usage_error(f"bench clean: --runs must be at least 1, not {runs}.")
     with show_progress("clean") as progress:
         costs = measure_clean_speed(runs, progress)
-    return print_results(costs, as_json)
+    rows = {key: {name: cost.get(key) for name, cost in costs.items()} for key in next(iter(costs.values()))}
+    return print_results(costs if as_json else rows, as_json)
 
 
 def run_bench_solver(

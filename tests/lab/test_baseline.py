@@ -69,6 +69,13 @@ def test_a_slow_clean_is_repeated_and_the_median_counts(monkeypatch, repeats: tu
     assert [row.is_worse for row in compare_with_baseline(repeated, known)] == [False, False, is_worse, False]
 
 
+def test_a_part_that_became_slow_is_named_and_small_parts_may_vary() -> None:
+    known = baseline.build_clean_entries({"sound": cost(30.0) | {"over_solver, fill": 6.0, "over_solver, read": 0.2}})
+    measured = baseline.build_clean_entries({"sound": cost(31.0) | {"over_solver, fill": 9.0, "over_solver, read": 0.9}})
+    worse = [row.name for row in compare_with_baseline(measured, known) if row.is_worse]
+    assert worse == ["clean, sound, fill: time relative to the solver"]
+
+
 def test_cleans_that_are_fast_enough_are_not_repeated() -> None:
     entries = baseline.build_clean_entries({"sound": cost(30.0)})
     assert baseline.repeat_slow_cleans(entries, entries, lambda _: None) == entries

@@ -55,7 +55,7 @@ def test_medians_of_the_runs_in_the_form_of_the_json(monkeypatch, tmp_path: Path
     solver_fps = iter([1.0, *[20_000.0, 30_000.0, 20_000.0, 30_000.0]])
     usages = iter([ProcessUsage(3.0, 6.0, 400.0), ProcessUsage(5.0, 9.0, 500.0), ProcessUsage(4.0, 8.0, 300.0)])
     monkeypatch.setattr(clean_speed, "measure_solver_rate", lambda _: next(solver_fps))
-    monkeypatch.setattr(clean_speed, "clean_scene", lambda _: (next(usages), {}))
+    monkeypatch.setattr(clean_speed, "clean_scene", lambda _: (next(usages), {"fill": 2.0}, {}))
     monkeypatch.setattr(clean_speed, "CLEAN_SCENES", {"sound": lambda folder: clean_speed.write_sound_take(folder, SHORT_S)})
     costs = clean_speed.measure_clean_speed(3, names=("sound",), warm_up=False)
     assert list(costs) == ["sound"]
@@ -63,6 +63,7 @@ def test_medians_of_the_runs_in_the_form_of_the_json(monkeypatch, tmp_path: Path
     assert costs["sound"]["seconds_per_second"] == 4.0 / SHORT_S
     assert costs["sound"]["peak_mb"] == 400.0
     assert costs["sound"]["over_solver"] == pytest.approx(8.0 / SHORT_S * 30_000.0 / task_rate)
+    assert costs["sound"]["over_solver, fill"] == pytest.approx(2.0 / SHORT_S * 30_000.0 / task_rate)
 
 
 def test_a_process_cleans_this_file_with_this_package(tmp_path: Path):
