@@ -61,13 +61,13 @@ def compute_joint_state_features(
     seconds = (after - before) / rate + (last == 0)
 
     def compute_angular_velocity(of_joints: np.ndarray) -> np.ndarray:
-        step = np.swapaxes(local_rotations[before][:, of_joints], -1, -2) @ local_rotations[after][:, of_joints]
+        step = np.swapaxes(local_rotations[np.ix_(before, of_joints)], -1, -2) @ local_rotations[np.ix_(after, of_joints)]
         return compute_rotation_vectors(step).reshape(len(frames), -1) / seconds[:, None]
 
     world_to_root = np.swapaxes(local_rotations[frames, 0], 1, 2)
     velocity = np.einsum("tab,tb->ta", world_to_root, root_position[after] - root_position[before]) / seconds[:, None]
     # the norm of a small rotation's matrix difference is sqrt(2) times its angle
-    rotations = local_rotations[frames][:, joints].reshape(len(frames), -1) / np.sqrt(2)
+    rotations = local_rotations[np.ix_(frames, joints)].reshape(len(frames), -1) / np.sqrt(2)
     return np.concatenate(
         [
             rotations / ROTATION_UNIT_RAD,

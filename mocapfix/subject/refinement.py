@@ -94,7 +94,8 @@ def compute_response_sd(
     Args:
         half_covariance: Its product with its own transpose is the covariance of the unknowns.
     """
-    return np.sqrt(sum(((each @ half_covariance) ** 2).sum(2).mean(1) for each in response) / len(response))
+    squares = [np.square(each.reshape(-1, len(half_covariance)) @ half_covariance).sum(1) for each in response]
+    return np.sqrt(np.mean(squares, axis=0).reshape(-1, 3).mean(1))
 
 
 CALIBRATION_MARKER_SD_M = 0.010  # per axis about its offset; skin moves less, but neighbouring frames are correlated
