@@ -49,12 +49,10 @@ PLACE_WINDOW_S = 0.1  # time over which the place beside a gap is averaged
 
 def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
     """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
-    if not len(position_sd):
-        return np.ones(0, bool)
-    usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE))
+    usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
     is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M)
     border = max(1, round(BORDER_S * rate))
-    return np.convolve(is_unknown, np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
+    return np.convolve(np.r_[is_unknown, False], np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
 
 
 def find_certain_occlusions(

@@ -5,8 +5,6 @@ The methods (`INIT_METHODS`) are:
 - `learned`: those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_ik`)
 - `hybrik-...`: joint positions from the frame's markers, and from these its pose in closed form (`hybrik`)
 - `registration`: the subject's segments registered to the visible markers, down the tree (`segment_registration`)
-
-Only frames at POSE_RATE_HZ are posed; the poses between are interpolated.
 """
 
 from dataclasses import dataclass, replace
