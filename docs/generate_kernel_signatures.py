@@ -50,7 +50,6 @@ def find_called_functions(code: CodeType, scope: dict[str, Any]) -> Iterator[Any
 
 def describe_type(described: Any, shared: dict[types.Type, tuple[int, object]]) -> Any:
     """Return the description of a type, and add the named tuples in it to `shared`, with a number and their description."""
-    described = types.unliteral(described)
     if isinstance(described, types.Array):
         readonly = "" if described.mutable else " readonly"
         return f"{describe_type(described.dtype, shared)}[{described.ndim}{described.layout}]{readonly}"
@@ -78,7 +77,7 @@ def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
     entries = [
         {"kernel": name, "arguments": [describe_type(each, shared) for each in arguments], "callees": callees[name]}
         for name in sorted(kernels, key=lambda name: (name not in common, -len(callees[name]), name))
-        for arguments in kernels[name].signatures
+        for arguments in dict.fromkeys(tuple(map(types.unliteral, each)) for each in kernels[name].signatures)
     ]
     return {"types": [description for _, description in sorted(shared.values(), key=lambda each: each[0])], "kernels": entries}
 
