@@ -45,6 +45,7 @@ from mocapfix.model.windows import (
     is_stored,
     map_arrays,
     plan_windows,
+    release_pages,
     select_frames,
     select_marker_places,
     write_rows,
@@ -57,7 +58,7 @@ from mocapfix.result import CleanedSubject, CleaningResult, join_windows, merge_
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.solve.initial_motion import PREVIEW_POSE_RATE_HZ, initialise_between, initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
-from mocapfix.solve.parallel import map_in_threads
+from mocapfix.solve.parallel import compute_beside, map_in_threads
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
@@ -274,6 +275,7 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
             timer.add_part_times("windows", times)
             if timer.report_progress:
                 timer.report_progress(f"window {len(parts)} of {len(windows)}")
+    compute_beside(gc.collect)
     with timer("join"):
         joined = join_windows(take, review, list(zip(windows, parts, strict=True)), folder)
         return CleanedSubject(choice, joined.body and body and replace(joined.body, subject=body.subject), joined.decided)
@@ -286,6 +288,7 @@ def clean_window(
     """Run all stages on a window. Arrays are written into a folder: the result has 0 frames."""
     gc.collect()  # what earlier windows left: commands do without the collector, which takes a tenth of the time of a short take
     take, timer, kept = extract_window(whole, window), StageTimer(), slice(window.start - window.first, window.end - window.first)
+    release_pages(whole, whole.frame_count)
     choice, body, decided = run_stages(take, choice, review, options, timer, kept)
     relabelled = decided.detected.take
     relabelled = replace(relabelled, relabelled_points=relabelled.source_points)  # in all windows, if labels change in one

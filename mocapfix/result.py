@@ -32,7 +32,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take
-from mocapfix.model.windows import Window, crop_intervals, join_at_cuts, map_arrays, open_array
+from mocapfix.model.windows import Window, crop_intervals, is_stored, join_at_cuts, map_arrays, open_array, release_pages
 from mocapfix.options import FEET_OFF, CleanOptions, OutputOptions, format_arguments
 from mocapfix.output_formats import (
     BVH_FORMAT,
@@ -304,6 +304,8 @@ def _write_format(output: OutputFormat, folder: Path, content: OutputContent, ti
     target, usage = folder / f"{content.input_take.output_stem}.{output.suffix}", f"{output.suffix} {output.usage_note}"
     with timer(output.timer_stage, output.suffix):
         content.report["notes"].extend(output.write_file(target, content) or ())
+    if is_stored(content.input_take):
+        release_pages(content, content.input_take.frame_count)
     if usage in content.report["notes"] and not target.exists():
         content.report["notes"].remove(usage)
 

@@ -6,12 +6,12 @@ marker set and body.
 """
 
 import copyreg
+import mmap
 import tempfile
 import weakref
 from collections.abc import Callable, Collection, Hashable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from itertools import pairwise
-from mmap import mmap
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -26,9 +26,9 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take, TakePart
 
 MAX_PIECE_FRAMES = 36_000  # of a take that is cleaned in one piece: 5 minutes at 120 Hz
-WINDOW_FRAMES = 14_400  # 2 minutes at 120 Hz: two windows of 53 markers at a time take less than 2 GB
+WINDOW_FRAMES = 9_000  # 75 s at 120 Hz: two windows of 53 markers at a time take less than 2 GB
 MAX_WINDOWS_AT_ONCE = 2
-OVERLAP_S = 5.0  # by which a window goes on beyond the frames that are taken from it
+OVERLAP_S = 3.0  # by which a window goes on beyond the frames that are taken from it
 MAX_OVERLAP_S = 20.0  # the same, at most, where a gap ends only there
 CUT_SEARCH_S = 5.0  # around the regular place of a cut, in which the frame with the most complete markers is sought
 CUT_SMOOTHING_S = 1.0  # time around a cut in which markers should be complete
@@ -157,16 +157,12 @@ def crop_intervals(items: Iterable[Value], frames: slice) -> list[Value]:
     """
     cropped: list[Any] = []
     for each in cast("Iterable[Any]", items):
-        first, last, shift = (
-            each.first - frames.start,
-            min(each.last, frames.stop - 1) - frames.start,
-            isinstance(each, MarkerShift),
-        )
-        if shift and 0 <= first < frames.stop - frames.start:
-            settled = each.settled_frame - frames.start
-            cropped.append(replace(each, first=first, last=frames.stop - 1 - frames.start, settled_frame=settled))
-        elif not shift and max(first, 0) <= last:
-            cropped.append(replace(each, first=max(first, 0), last=last))
+        first, end = each.first - frames.start, frames.stop - 1 - frames.start
+        last = min(each.last - frames.start, end)
+        if not isinstance(each, MarkerShift):
+            cropped += [replace(each, first=max(first, 0), last=last)] if max(first, 0) <= last else []
+        elif 0 <= first <= end:
+            cropped.append(replace(each, first=first, last=end, settled_frame=each.settled_frame - frames.start))
     return cropped
 
 
@@ -204,7 +200,7 @@ def _join_two(one: Any, other: Any) -> Any:
 
 def _send_array(array: "np.memmap[Any, Any]") -> Any:
     """Return how an array is pickled: that of a whole file by the file's name."""
-    is_whole = isinstance(array.base, mmap) and len(array.base) == array.nbytes
+    is_whole = isinstance(array.base, mmap.mmap) and len(array.base) == array.nbytes
     return (np.memmap, (array.filename, array.dtype, "r", 0, array.shape)) if is_whole else np.asarray(array).__reduce__()
 
 
@@ -230,6 +226,17 @@ def open_array(folder: tempfile.TemporaryDirectory[str], name: str, like: np.nda
     array = np.memmap(path, like.dtype, "r", shape=(frame_count, *like.shape[1:]))
     weakref.finalize(array.base, id, folder)  # keeps the folder until then
     return array
+
+
+def release_pages(value: object, frame_count: int) -> None:
+    """Give back the memory of what was read from the files of a value's arrays, where the system allows that."""
+
+    def release(_: str, array: np.ndarray) -> np.ndarray:
+        if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            array.base.madvise(mmap.MADV_DONTNEED)
+        return array
+
+    map_arrays(value, frame_count, release)
 
 
 def store_take(take: Take) -> Take:
