@@ -272,7 +272,7 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
     with timer("windows"):
         for cleaned, times in map_in_threads(call, jobs, is_shared=True, most=MAX_WINDOWS_AT_ONCE):
             parts.append(cleaned)
-            timer.add_part_times("windows", times)
+            timer.add_part_times("windows/", times)
             if timer.report_progress:
                 timer.report_progress(f"window {len(parts)} of {len(windows)}")
     compute_beside(gc.collect)

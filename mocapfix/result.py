@@ -451,14 +451,12 @@ def join_windows(
         sample_faults=Faults().add_faults((*gaps, *join_at_cuts(others, cuts, _identify_fault))),
         notes=tuple(dict.fromkeys(note for _, each in parts for note in each.decided.detected.notes)),
     )
-    cleaned = replace(whole.decided.take, part=None)
-    if not label_faults:
-        cleaned = replace(cleaned, relabelled_points=take.relabelled_points)
+    points = whole.decided.take.relabelled_points if label_faults else take.relabelled_points
     runs: list[UnfilledRun] = gather(lambda each: each.unfilled_runs)
     joined_runs = sorted(join_at_cuts(runs, cuts, lambda run: (run.marker, run.reason)), key=lambda run: (run.marker, run.first))
     decided = Decided(
         detected=detected,
-        take=cleaned,
+        take=replace(whole.decided.take, part=None, relabelled_points=points),
         changes=_join_changes(take, review, [change for _, each in parts for change in each.decided.changes], gaps, cuts),
         unfilled_runs=tuple(joined_runs),
         rigid_groups=tuple({group.markers: group for _, each in parts for group in each.decided.rigid_groups}.values()),
@@ -473,16 +471,19 @@ def _join_changes(
     """Return the changes of windows as those of the take, in the order of its markers; those of gaps are named by these."""
     not_found = {each.to_change() for each in review.declined}
     numbers = {take.get_frame_number(cut) for cut in cuts}
-    joined = join_at_cuts(
-        (each for each in changes if each not in not_found), numbers, lambda each: (each.kind, each.markers, each.decision)
-    )
+    found = (each for each in changes if each not in not_found)
+    joined = join_at_cuts(found, numbers, lambda each: (each.kind, each.markers, each.decision))
     reasons = {(take.get_label(gap.marker), take.get_frame_number(gap.first), gap.kind): gap.reason for gap in gaps}
-    joined = [replace(each, why=reasons.get((each.markers[0], each.first, each.kind), each.why)) for each in joined]
     end = take.get_frame_number(take.frame_count - 1)
-    joined = [replace(each, last=end) if each.kind in SHIFT_KINDS else each for each in joined]
-    found = [each for each in joined if each.decision != "accept"]
+    for n, each in enumerate(joined):
+        why, last = (
+            reasons.get((each.markers[0], each.first, each.kind), each.why),
+            end if each.kind in SHIFT_KINDS else each.last,
+        )
+        joined[n] = replace(each, why=why, last=last)
+    declined = [each for each in joined if each.decision != "accept"]
     for each in dict.fromkeys(change for change in changes if change in not_found):
-        same = (x for x in found if (x.kind, x.markers[0]) == (each.kind, each.markers[0]))
+        same = (x for x in declined if (x.kind, x.markers[0]) == (each.kind, each.markers[0]))
         joined += [each] * (not any(overlap_in_time(x, each) for x in same))
     order = {label: m for m, label in reversed(list(enumerate(take.labels)))}
     return tuple(sorted(joined, key=lambda each: (order.get(each.markers[0], len(order)), each.first)))
@@ -495,16 +496,13 @@ def _join_bodies(take: Take, bodies: Sequence[tuple[Window, SolvedBody]], whole:
     is_standing = whole.contacts.is_contact[:, [CONTACT_JOINTS.index(joint) for joint in toes]]
     moved = [body.contacts.move_events(window.start / take.rate, count / take.rate) for window, body in bodies]
     held = [each.held_feet for each in moved]
+    mode = next((each.mode for each in held if each.mode != FEET_OFF), FEET_OFF)
     contacts = replace(
         whole.contacts,
         floor=estimate_floor(position, is_standing, take.rate),
         events=tuple(event for each in moved for event in each.events),
         event_disagreements=tuple(pair for each in moved for pair in each.event_disagreements),
-        held_feet=HeldFeet(
-            next((each.mode for each in held if each.mode != FEET_OFF), FEET_OFF),
-            max(each.largest_displacement_m for each in held),
-            sum(each.yielded_s for each in held),
-        ),
+        held_feet=HeldFeet(mode, max(each.largest_displacement_m for each in held), sum(each.yielded_s for each in held)),
     )
     lost: dict[str, LostPart] = {}
     for window, part in ((window, part) for window, body in bodies for part in body.lost_parts):

@@ -179,15 +179,11 @@ class BodyContacts:
 
     def move_events(self, delay_s: float, duration_s: float) -> "BodyContacts":
         """Return the contacts with the events at a later time, those within a duration from the first frame on."""
-
-        def move(event: GaitEvent) -> GaitEvent:
-            return event._replace(time_s=event.time_s + delay_s)
-
-        half_s = 0.5 / self.rate
-        kept = [move(each) for each in self.events if -half_s <= each.time_s + delay_s < duration_s - half_s]
-        pairs = [EventDisagreement(move(each.event), move(each.other)) for each in self.event_disagreements]
-        pairs = [each for each in pairs if -half_s <= each.event.time_s < duration_s - half_s]
-        return replace(self, events=tuple(kept), event_disagreements=tuple(pairs))
+        start_s, stop_s = -0.5 / self.rate, duration_s - 0.5 / self.rate
+        pairs = [EventDisagreement(*(x._replace(time_s=x.time_s + delay_s) for x in each)) for each in self.event_disagreements]
+        events = [each._replace(time_s=each.time_s + delay_s) for each in self.events]
+        kept = tuple(each for each in pairs if start_s <= each.event.time_s < stop_s)
+        return replace(self, events=tuple(each for each in events if start_s <= each.time_s < stop_s), event_disagreements=kept)
 
     def list_intervals(self, joint: str) -> list[tuple[int, int]]:
         """Return the contacts of a joint as (first, last) frames."""

@@ -51,16 +51,14 @@ class StageTimer:
             self.stage_seconds["total"] = 0.0
             return
         seconds, name = perf_counter() - start, f"{stage}/{part}" if part else stage
-        time = self.part_times.setdefault(name, {"seconds": 0.0, "processor_seconds": 0.0})
-        time["seconds"] = round(time["seconds"] + seconds, 3)
-        time["processor_seconds"] = round(time["processor_seconds"] + process_time() - processor_start, 3)
+        self.add_part_times("", {name: {"seconds": seconds, "processor_seconds": process_time() - processor_start}})
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + seconds, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)
 
-    def add_part_times(self, stage: str, times: Mapping[str, PartTime]) -> None:
-        """Add the times of the parts of a stage, which may have run side by side."""
-        for part, (added) in times.items():
-            time = self.part_times.setdefault(f"{stage}/{part}", {"seconds": 0.0, "processor_seconds": 0.0})
+    def add_part_times(self, prefix: str, times: Mapping[str, PartTime]) -> None:
+        """Add times of parts, which may have run side by side, under their names after a prefix."""
+        for name, added in times.items():
+            time = self.part_times.setdefault(f"{prefix}{name}", {"seconds": 0.0, "processor_seconds": 0.0})
             time["seconds"] = round(time["seconds"] + added["seconds"], 3)
             time["processor_seconds"] = round(time["processor_seconds"] + added["processor_seconds"], 3)
 
