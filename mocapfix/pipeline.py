@@ -262,7 +262,8 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
         choice = identify_subject(survey, options.subject)
         choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, conditioner, StageTimer())
         check_contradictions(detected, body, options)
-    note = f"Cleaned in {len(windows)} windows, which overlap, with the body in {len(frames) / take.rate:.0f} s of the take."
+    with_body = f", with the body in {len(frames) / take.rate:.0f} s of the take" if body else ""
+    note = f"Cleaned in {len(windows)} windows, which overlap{with_body}."
     choice, jobs = replace(choice, notes=(*choice.notes, note), is_learned=False), list[partial[WindowResult]]()
     for window in windows:
         subject = body and select_marker_places(detected, body, int((frames >= window.first).argmax()))

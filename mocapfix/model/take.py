@@ -234,8 +234,8 @@ class Take:
     @property
     def is_ever_visible(self) -> Bool[np.ndarray, " M"]:
         """Whether each marker is visible in any frame, also of the longer take of which this is a part."""
-        here = np.any(self.visible, axis=0)
-        return here if self.part is None else here | np.any(self.part.is_seen, axis=0)
+        beyond = self.part.is_seen if self.part else self.visible[:0]
+        return np.any(np.concatenate([self.visible, beyond]), axis=0)
 
     @property
     def estimated_sd(self) -> Float[np.ndarray, "T M"]:
@@ -286,9 +286,8 @@ class Take:
     @property
     def source_points(self) -> Int[np.ndarray, "T M"]:
         """Index of the file's point that each sample comes from."""
-        if self.relabelled_points is not None:
-            return self.relabelled_points
-        return np.broadcast_to(self.point_indices, (self.frame_count, len(self.labels)))
+        of_labels = np.broadcast_to(self.point_indices, (self.frame_count, len(self.labels)))
+        return of_labels if self.relabelled_points is None else self.relabelled_points
 
     def get_label(self, index: SupportsIndex) -> str:
         """Return the label of a marker or, for an index beyond the markers, of an unlabelled trajectory."""

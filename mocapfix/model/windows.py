@@ -220,10 +220,10 @@ def write_rows(path: Path, first: int, values: np.ndarray) -> np.ndarray:
 
 def open_array(folder: tempfile.TemporaryDirectory[str], name: str, like: np.ndarray, frame_count: int) -> np.ndarray:
     """Return the array in a file of a folder, which is removed with the last of them; `like` itself where there is no file."""
-    path = Path(folder.name) / name
-    if not path.exists():
-        return like
-    array = np.memmap(path, like.dtype, "r", shape=(frame_count, *like.shape[1:]))
+    path, shape = Path(folder.name) / name, (frame_count, *like.shape[1:])
+    if not path.exists() or 0 in shape:
+        return np.empty(shape, like.dtype) if path.exists() else like
+    array = np.memmap(path, like.dtype, "r", shape=shape)
     weakref.finalize(array.base, id, folder)  # keeps the folder until then
     return array
 

@@ -84,6 +84,14 @@ def test_a_window_knows_what_is_seen_around_it():
     assert found == {(0, 0): "gap", (1, 0): "leading gap", (2, 900): "trailing gap", (3, 0): "absent"}
 
 
+def test_a_take_without_labelled_markers_is_stored():
+    take = build_take(np.ones((FRAMES, MARKERS), bool))
+    stored = store_take(replace(take, markers=take.markers[:, :0], labels=(), unlabelled=take))
+    assert stored.markers.shape == (FRAMES, 0, 3)
+    assert stored.unlabelled is not None
+    assert np.allclose(stored.unlabelled.markers, take.markers, atol=1e-6)
+
+
 def test_a_survey_shows_every_marker_in_pieces_with_breaks():
     visible = np.ones((FRAMES, MARKERS), bool)
     visible[:, 4] = False
