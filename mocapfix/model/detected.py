@@ -48,7 +48,7 @@ class MarkerEpochs:
 
     def merge_columns(self, values: Shaped[np.ndarray, "T C *rest"]) -> Shaped[np.ndarray, "T M *rest"]:
         """Return values of markers from values of columns."""
-        merged = values[:, : len(self.column_marker) - len(self.added_columns)].copy()
+        merged = values[:, : len(self.column_marker) - len(self.added_columns)].copy() if len(self.added_columns) else values
         for column in self.added_columns:
             frames = self.is_active[:, column]
             merged[frames, self.column_marker[column]] = values[frames, column]
@@ -201,4 +201,4 @@ class Detected:
 
     def measure_residuals(self, body: BodyFit) -> Float[np.ndarray, "T M"]:
         """Return the distance of each inlier from its place on a body in metres, NaN for other samples."""
-        return np.linalg.norm(self.inlier_take.markers - self.place_on_body(body), axis=-1)
+        return np.where(self.inlier_mask, np.linalg.norm(self.take.markers - self.place_on_body(body), axis=-1), np.nan)
