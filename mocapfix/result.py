@@ -230,6 +230,7 @@ class CleaningResult:
         with timers[0]("write", "cleaned file"):
             target = folder / f"{self._stem}.{get_source_suffixes(self.input_take.path)[0]}"
             unstorable_samples = self.write_source_copy(target)
+            release_pages(self, self.input_take.frame_count if is_stored(self.input_take) else -1)
 
         def write_subject(result: CleaningResult, timer: StageTimer) -> None:
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
@@ -304,8 +305,7 @@ def _write_format(output: OutputFormat, folder: Path, content: OutputContent, ti
     target, usage = folder / f"{content.input_take.output_stem}.{output.suffix}", f"{output.suffix} {output.usage_note}"
     with timer(output.timer_stage, output.suffix):
         content.report["notes"].extend(output.write_file(target, content) or ())
-    if is_stored(content.input_take):
-        release_pages(content, content.input_take.frame_count)
+    release_pages(content, content.input_take.frame_count if is_stored(content.input_take) else -1)
     if usage in content.report["notes"] and not target.exists():
         content.report["notes"].remove(usage)
 

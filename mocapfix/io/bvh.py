@@ -35,6 +35,7 @@ from mocapfix.kernels import euler_angles
 from mocapfix.model.animation import FOOT_JOINT_PATTERN, Animation
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.windows import release_pages
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 
 # Separators of the items of a line, of which there may be several.
@@ -367,6 +368,7 @@ def write_bvh_tree(
                 columns += [positions[joint][frames] * (1 / unit_m)] if joint in positions else []
                 columns.append(np.degrees(angles[:, index]))
             file.write(format_rows(np.hstack(columns), BVH_DECIMALS))
+            release_pages(local_rotations, len(local_rotations))
 
 
 def compute_euler_angles(
