@@ -170,8 +170,7 @@ def join_at_cuts(items: Iterable[Value], cuts: Collection[int], get_key: Callabl
     """Return intervals in order of their first frames, with those as one that meet at a cut and have the same key."""
     joined: list[Any] = []
     latest: dict[Hashable, int] = {}
-    ordered: list[Any] = sorted(items, key=lambda item: item.first)
-    for each in ordered:
+    for each in sorted(cast("Iterable[Any]", items), key=lambda item: item.first):
         key = get_key(each)
         n = latest.get(key, -1)
         if n >= 0 and each.first in cuts and joined[n].last + 1 == each.first:
@@ -189,13 +188,9 @@ def _join_two(one: Any, other: Any) -> Any:
     if not isinstance(one, Change):
         return replace(one, last=other.last)
     main = one if one.samples >= other.samples else other
-    before, after = (
-        SampleState(a.missing + b.missing, c.off_body_mm)
-        for a, b, c in ((one.before, other.before, main.before), (one.after, other.after, main.after))
-    )
-    return replace(
-        main, id=one.id, first=one.first, last=other.last, samples=one.samples + other.samples, before=before, after=after
-    )
+    before = SampleState(one.before.missing + other.before.missing, main.before.off_body_mm)
+    after, samples = SampleState(one.after.missing + other.after.missing, main.after.off_body_mm), one.samples + other.samples
+    return replace(main, id=one.id, first=one.first, last=other.last, samples=samples, before=before, after=after)
 
 
 def _send_array(array: "np.memmap[Any, Any]") -> Any:
