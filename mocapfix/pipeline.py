@@ -262,7 +262,7 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
         choice = identify_subject(survey, options.subject)
         choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, conditioner, StageTimer())
         check_contradictions(detected, body, options)
-    with_body = f", with the body in {len(frames) / take.rate:.0f} s of the take" if body else ""
+    with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
     note = f"Cleaned in {len(windows)} windows, which overlap{with_body}."
     choice, jobs = replace(choice, notes=(*choice.notes, note), is_learned=False), list[partial[WindowResult]]()
     for window in windows:
