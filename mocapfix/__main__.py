@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import os
-import sys
 
 M_ARENA_MAX = -8  # parameter of the memory allocator of glibc: the number of heaps
 
@@ -22,7 +21,7 @@ def main() -> None:
     # rerun logs that it cannot write a file; the command says so in a sentence of its own
     os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off,re_sdk=off")
     gc.disable()
-    if sys.platform == "linux" and (set_parameter := getattr(ctypes.CDLL(None), "mallopt", None)):
+    if set_parameter := getattr(ctypes.pythonapi, "mallopt", None):  # glibc has it
         set_parameter(M_ARENA_MAX, 1)
     from mocapfix.cli import app
 

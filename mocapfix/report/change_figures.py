@@ -97,7 +97,7 @@ def _find_reference_markers(comparison: CleaningComparison, affected: Sequence[i
     The only reference of a joint is its parent.
     """
     take = comparison.cleaned_take
-    if comparison.terms is JOINT_TERMS and comparison.skeleton is not None:
+    if comparison.terms == JOINT_TERMS and comparison.skeleton is not None:
         parent = [*comparison.skeleton.parents, -1][affected[0]]
         return [int(parent)] if parent >= 0 else []
     position = _get_position(take, affected[0])[frames]
@@ -300,7 +300,7 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
     text = f"{join_words(parts)}; every other {terms.sample} is as {terms.measured}.{declined}"
     if not fill["filled"] and not fill["replaced"]:
         return text
-    if terms is JOINT_TERMS:
+    if terms == JOINT_TERMS:
         return f"{text} The method is listed with each change below."
     if report["subject"] is None or report["solve"] is None:
         return f"{text} No body was used: the estimates come from the other markers and the markers’ own trajectories."

@@ -73,7 +73,7 @@ def apply_decisions(original: Take, filled: Filled, review: Review, options: Cle
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
     reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]
-    cleaned = _revert_faults(original, detected, filled.take, reverted) if reverted else filled.take
+    cleaned = _revert_faults(original, detected, filled.take, reverted)
     if is_smoothed:
         cleaned = _smooth_kept_samples(cleaned, detected.take, is_editable)
     body_markers, methods = filled.body_markers, filled.methods
