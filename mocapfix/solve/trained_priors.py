@@ -139,7 +139,8 @@ class Layers:
             if n:
                 rows, derivative = self.evaluate_activation(rows)
                 slopes = slopes * derivative[:, None]
-            rows, slopes = rows @ weight + bias, slopes @ weight
+            flat = slopes.reshape(-1, len(weight))  # one product of matrices is much faster than one for each row
+            rows, slopes = rows @ weight + bias, (flat @ weight).reshape(*slopes.shape[:2], len(bias))
         if self.skip_weight is not None:
             rows, slopes = rows + start @ self.skip_weight, slopes + steps @ self.skip_weight
         return rows, np.broadcast_to(slopes, (len(rows), *slopes.shape[1:]))

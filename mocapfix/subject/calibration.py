@@ -26,8 +26,8 @@ from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
-from mocapfix.subject import refinement
 from mocapfix.subject.average_body import MAX_SIZE_RATIO, MIN_SIZE_RATIO, build_average_subject, estimate_body_size_ratio
+from mocapfix.subject.refinement import Refinement, build_refined_subject, pose_frames, refine_body
 
 
 @dataclass(frozen=True)
@@ -126,28 +126,36 @@ class CalibrationFit:
 
     subject: Subject
     start: Subject  # the average body at the size of the subject
-    unknowns: Float[np.ndarray, " Q"]  # the calibration parameters, all 0 for `start`
     frames: Int[np.ndarray, " N"]  # indices of the calibration frames
-    markers: Float[np.ndarray, "N K 3"]  # metres, the samples in these frames
-    poses: Poses  # in these frames
-    improvement: float  # by how much the refinement decreased its cost, relative to the result
+    refined: Refinement  # of these frames
 
 
-def fit_calibration(
-    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None = None
-) -> CalibrationFit:
-    """Calibrate as `calibrate_subject`, from `previous` if that is of the same take with a few more or fewer samples."""
-    if previous is None:
-        start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
-        unknowns = None
-    else:
-        start, frames, unknowns, poses = previous.start, previous.frames, previous.unknowns, previous.poses
-    subject, refined, first_cost = refinement.refine_subject(
-        start, body, prior, take.markers[frames], poses, unknowns, times_s=frames / take.rate
-    )
+def fit_calibration(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> CalibrationFit:
+    """Calibrate as `calibrate_subject`."""
+    start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
+    return _build_fit(take, start, frames, refine_body(start, body, prior, take.markers[frames], poses))
+
+
+def _build_fit(take: Take, start: Subject, frames: Int[np.ndarray, " N"], refined: Refinement) -> CalibrationFit:
+    subject = build_refined_subject(start, refined.state, refined.curvature, frames / take.rate)
     check_size_ratio(take, subject.skeleton.size_ratio)
-    improvement = (first_cost - refined.cost) / refined.cost
-    return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], refined.poses, improvement)
+    return CalibrationFit(subject, start, frames, refined)
+
+
+def update_calibration(take: Take, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit) -> CalibrationFit:
+    """Return the calibration of the same take with a few more or fewer samples; the previous one where these hardly change it.
+
+    The body of the previous one is solved already.
+    """
+    known, markers = previous.refined, take.markers[previous.frames]
+    if np.array_equal(known.state.problem.marker_positions, markers, equal_nan=True):
+        return previous
+    refined = refine_body(previous.start, body, prior, markers, known.state.poses, known.state.unknowns)
+    old, new = (each.state.problem.attachment.offsets for each in (known, refined))
+    is_near = np.linalg.norm(new - old, axis=1) <= MAX_KEPT_CHANGE_SD * previous.subject.marker_sd
+    if refined.improvement <= MAX_KEPT_IMPROVEMENT and is_near.all():
+        return previous
+    return _build_fit(take, previous.start, previous.frames, refined)
 
 
 def choose_calibration_frames(
@@ -156,7 +164,7 @@ def choose_calibration_frames(
     """Return the average body at the size of the take, the frames that differ most in pose, and its poses in them."""
     start = scale_average_subject(take, marker_set)
     candidates = select_candidate_frames(take.markers)
-    root_position, local_rotations = refinement.pose_frames(start, body, prior, take.markers[candidates])
+    root_position, local_rotations = pose_frames(start, body, prior, take.markers[candidates])
     chosen = select_varied_poses(local_rotations, np.random.default_rng(0))
     return start, candidates[chosen], (root_position[chosen], local_rotations[chosen])
 
@@ -295,23 +303,9 @@ def calibrate_body(
     goes_on = previous is not None and visible is marker_set and detected.label_faults == previous.detected.label_faults
     few = take.markers[select_candidate_frames(take.markers, MAX_PREVIEW_FRAMES)] if is_preview else take.markers
     sampled = replace(take.replace_markers(few), rate=take.rate * len(few) / take.frame_count)
-    fit = update_calibration(sampled, visible, body, prior, previous.fit if previous and goes_on else None)
+    known = previous.fit if previous and goes_on else None
+    fit = update_calibration(sampled, body, prior, known) if known else fit_calibration(sampled, visible, body, prior)
     return Calibrated(fit.subject, fit.subject, columns, take, visible, detected, fit)
-
-
-def update_calibration(
-    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None
-) -> CalibrationFit:
-    """Calibrate from a take, or return the previous calibration where the take hardly changes it: its body is solved already."""
-    if previous is None:
-        return fit_calibration(take, marker_set, body, prior)
-    if np.array_equal(previous.markers, take.markers[previous.frames], equal_nan=True):
-        return previous
-    updated = fit_calibration(take, marker_set, body, prior, previous)
-    old, new = previous.subject, updated.subject
-    marker_change = np.linalg.norm(new.marker_offsets - old.marker_offsets, axis=1)
-    is_negligible = updated.improvement <= MAX_KEPT_IMPROVEMENT and (marker_change <= MAX_KEPT_CHANGE_SD * old.marker_sd).all()
-    return previous if is_negligible else updated
 
 
 def place_moved_markers(calibrated: Calibrated, body: BodyFit) -> Calibrated:

@@ -9,6 +9,7 @@ variation of markers about their places instead of the weights of the fit.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,11 +19,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior
-from mocapfix.solve.minimise import (
-    SharedResponses,
-    compute_shared_responses,
-    minimise_shared,
-)
+from mocapfix.solve.minimise import SharedResponses, compute_shared_responses, minimise_shared
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
 from mocapfix.solve.segment_registration import register_poses
@@ -78,8 +75,8 @@ def compute_shared_covariance(
     correlation = evaluate_matern(np.abs(times_s[:, None] - times_s) / SKIN_CORRELATION_S, 1)
     parts = np.linspace(0, len(times_s), len(marker_weight) + 1).astype(int)[:-1]
     summed = np.add.reduceat(np.add.reduceat(correlation, parts, axis=0), parts, axis=1)
-    weighted = (marker_response * marker_weight[..., None, None]).reshape(len(marker_response), -1)
-    smoothed = (summed @ weighted).reshape(-1, len(basis))
+    weighted = (marker_response * marker_weight[..., None, None]).reshape(len(marker_response), -1).astype(np.float32)
+    smoothed = (summed.astype(np.float32) @ weighted).reshape(-1, len(basis))
     marker_gradient_covariance = residual_sd_m**2 * basis.T @ (smoothed.T @ weighted.reshape(smoothed.shape)) @ basis
     gradient_covariance = marker_gradient_covariance + prior_gradient_covariance
     covariance = np.linalg.solve(curvature, np.linalg.solve(curvature, gradient_covariance).T)
@@ -94,8 +91,9 @@ def compute_response_sd(
     Args:
         half_covariance: Its product with its own transpose is the covariance of the unknowns.
     """
-    squares = [np.square(each.reshape(-1, len(half_covariance)) @ half_covariance).sum(1) for each in response]
-    return np.sqrt(np.mean(squares, axis=0).reshape(-1, 3).mean(1))
+    half = half_covariance.astype(np.float32)
+    squares = [np.square(each.astype(np.float32).reshape(-1, len(half)) @ half).sum(1) for each in response]
+    return np.sqrt(np.mean(squares, axis=0, dtype=float).reshape(-1, 3).mean(1))
 
 
 CALIBRATION_MARKER_SD_M = 0.010  # per axis about its offset; skin moves less, but neighbouring frames are correlated
@@ -144,34 +142,39 @@ def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: 
     return problem.minimise(poses, scales_m, max_iterations=count, damping_ratio=CALIBRATION_DAMPING_RATIO).poses
 
 
-def refine_subject(
+class Refinement(NamedTuple):
+    """Bones, marker offsets and poses that fit some frames best."""
+
+    state: RefinementState
+    curvature: Float[np.ndarray, "Q Q"]  # of the cost there, or near it
+    improvement: float  # by how much the refinement decreased its cost, relative to the result
+
+
+def refine_body(
     start: Subject,
     body: BodyModel,
     prior: MeanPosePrior,
     markers: Float[np.ndarray, "N K 3"],
     poses: Poses,
     unknowns: Float[np.ndarray, " Q"] | None = None,
-    *,
-    times_s: Float[np.ndarray, " N"],
-) -> tuple[Subject, RefinementState, float]:
-    """Return `start` with the bones and marker offsets that fit the frames best, the refined state, and the first state's cost.
+) -> Refinement:
+    """Return the bones and marker offsets, beginning with those of `start`, that fit the frames best.
 
     Args:
         poses: The first ones.
         unknowns: The first values of the calibration parameters, by default 0.
-        times_s: Of the frames: those near each other have similar errors.
     """
-    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start)
 
     def fit(unknowns: np.ndarray, poses: Poses) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
         return solve_and_linearise(parameters, problem, unknowns, poses)
 
+    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start)
     first = fit(np.zeros(len(parameters.information)) if unknowns is None else unknowns, poses)
     state, curvature = minimise_shared(
         lambda unknowns, state: fit(unknowns, state.poses), first, compute_curvature, MAX_REFINEMENT_ROUNDS
     )
-    return build_refined_subject(start, state, curvature, times_s), state, first.cost
+    return Refinement(state, curvature, (first.cost - state.cost) / state.cost)
 
 
 def solve_and_linearise(

@@ -99,13 +99,14 @@ def test_body_of_size_zero_is_rejected(truth, noise):
         calibrate(cloud)
 
 
-def test_next_round_goes_on_from_the_calibration_before(truth):
+def test_next_round_goes_on_from_the_calibration_before(truth, monkeypatch):
+    monkeypatch.setattr(calibration, "MAX_KEPT_IMPROVEMENT", -1.0)
     markers = np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions)
     first = calibration.fit_calibration(Take(markers, MARKER_SET.labels, 30.0), MARKER_SET, BODY, MEAN)
     fewer = markers.copy()
     fewer[np.random.default_rng(0).random(markers.shape[:2]) < 0.02] = np.nan
     take = Take(fewer, MARKER_SET.labels, 30.0)
-    again = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN, first)
+    again = calibration.update_calibration(take, BODY, MEAN, first)
     cold = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN)
     np.testing.assert_array_equal(again.frames, first.frames)
     assert (again.subject.marker_offsets != first.subject.marker_offsets).any()
@@ -123,5 +124,5 @@ def test_calibration_is_kept_if_samples_hardly_change_it():
     within[first.frames[0], 3] = np.nan
     moved[:, 3] += [0.0, 0.03, 0.0]
     for changed, is_kept in ((elsewhere, True), (within, True), (moved, False)):
-        updated = calibration.update_calibration(Take(changed, MARKER_SET.labels, 30.0), MARKER_SET, BODY, MEAN, first)
+        updated = calibration.update_calibration(Take(changed, MARKER_SET.labels, 30.0), BODY, MEAN, first)
         assert (updated is first) == is_kept
