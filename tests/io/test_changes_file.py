@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError
 from mocapfix.io.changes_file import (
+    CHANGES_FILE_LINE_LENGTH,
     Review,
     ReviewedChange,
     ReviewIndex,
@@ -19,7 +20,8 @@ from mocapfix.io.changes_file import (
     read_changes_file,
     write_changes_file,
 )
-from mocapfix.model.changes import Change, Decision, SampleState
+from mocapfix.io.yaml_files import InlineSequence, dump_yaml
+from mocapfix.model.changes import Change, Decision, SampleState, serialize_changes
 from mocapfix.model.faults import Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
 
@@ -76,6 +78,21 @@ def test_any_declined_change_is_read_back_as_written(tmp_path_factory, why, meth
     change = build_change(why=why, method=method, before=SampleState(missing, off_body_mm), decision=decision)
     (found,) = write_and_read(tmp_path_factory.mktemp("review"), change)
     assert found.to_change() == replace(change, samples=0, after=change.before)  # it is not applied
+
+
+words = st.from_regex(r"([a-zA-Z0-9_.()/*:#,~-]{1,9} ?){1,12}", fullmatch=True) | st.sampled_from(
+    ["no", "N", "Null", "1e3", "a, b"]
+)
+
+
+@given(why=words | texts, labels=st.lists(words, min_size=1, max_size=9), off_body_mm=st.none() | st.floats())
+def test_changes_are_written_as_pyyaml_writes_them(tmp_path_factory, why, labels, off_body_mm):
+    path = tmp_path_factory.mktemp("review") / "walk.changes.yaml"
+    change = build_change(why=why, markers=labels, before=SampleState(3, off_body_mm))
+    write_changes_file(path, build_take(), [change])
+    (entry,) = serialize_changes([change])
+    expected = dump_yaml({"changes": [{**entry, "markers": InlineSequence(labels)}]}, CHANGES_FILE_LINE_LENGTH)
+    assert path.read_text("utf-8").endswith(f"\n{expected}")
 
 
 def test_a_file_without_changes_declines_nothing(tmp_path):
