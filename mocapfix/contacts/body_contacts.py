@@ -44,6 +44,7 @@ from mocapfix.solve.measured_segments import (
 )
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import map_in_threads
+from mocapfix.solve.pose_problem import POSE_RATE_HZ
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.stats.sequences import find_runs
 
@@ -150,10 +151,13 @@ def displace_feet(
     motion: Motion,
     joint_position: Float[np.ndarray, "T J 3"],
     displacement: Float[np.ndarray, "T C 3"],
-    *,
+    rate: float,
     markers: LegMarkers | None = None,
 ) -> Motion:
-    """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near any `markers`."""
+    """Return the motion with the feet displaced, in metres, each frame by itself; thighs and shins stay near any `markers`.
+
+    How the root yields is solved at POSE_RATE_HZ and interpolated: displacements are smooth.
+    """
     feet = np.array([skeleton.names.index(joint) for joint in CONTACT_JOINTS])
     frames = np.flatnonzero((np.linalg.norm(displacement, axis=-1) > MIN_DISPLACEMENT_M).any(1))
     if not len(frames):
@@ -163,11 +167,16 @@ def displace_feet(
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
     count = int(points.joints.max()) + 1  # joints after the legs' only follow the root
     root, legs = motion.root_position[frames], motion.local_rotations[frames, :count]
-    free = solve_legs(skeleton, (root, legs), points, (root, legs))
-    step = free[0] - root
+    is_break = np.diff(frames) > 1
+    is_solved = (frames % max(1, round(rate / POSE_RATE_HZ)) == 0) | np.r_[True, is_break] | np.r_[is_break, True]
+    solved, known = np.flatnonzero(is_solved), (root[is_solved], legs[is_solved])
+    targets = points._replace(measured=points.measured[is_solved], weight=points.weight[is_solved])
+    free = solve_legs(skeleton, known, targets, known)
+    changes = free[0] - known[0], known[1].swapaxes(-1, -2) @ free[1]
+    step, turn = kinematics.interpolate_poses(changes, solved, len(frames))
     ratio = np.linalg.norm(step, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
     root = root + step / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
-    legs = solve_legs(skeleton, (root, legs), points, (root, free[1]), root_share=FIXED_ROOT_SHARE)[1]
+    legs = solve_legs(skeleton, (root, legs), points, (root, legs @ turn), root_share=FIXED_ROOT_SHARE)[1]
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[frames], local_rotations[frames, 1:count] = root, legs[:, 1:]
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
@@ -272,12 +281,11 @@ def hold_measured_feet(
     share, moved, filling_motion = np.zeros_like(limit), body, body.motion
     for yield_round in range(MAX_YIELD_ROUNDS):
         before, share = share, np.stack([smooth_share(each, contacts.rate) for each in limit.T], axis=1)
-        changed = np.flatnonzero((share != before).any(1))
-        wanted, near = displacement[changed] * share[changed][:, foot_of_joint, None], leg_markers.select_frames(changed)
-        before_m, motion = body.joint_positions[changed], body.motion.select_frames(changed)
-        part = displace_feet(subject.skeleton, motion, before_m, wanted, markers=near)
-        root_position, local_rotations = moved.motion.root_position.copy(), moved.motion.local_rotations.copy()
-        root_position[changed], local_rotations[changed] = part.root_position, part.local_rotations
+        is_kept = (share == before).all(1)
+        wanted = np.where(is_kept[:, None, None], 0.0, displacement * share[:, foot_of_joint, None])
+        part = displace_feet(subject.skeleton, body.motion, body.joint_positions, wanted, contacts.rate, leg_markers)
+        root_position = np.where(is_kept[:, None], moved.motion.root_position, part.root_position)
+        local_rotations = np.where(is_kept[:, None, None, None], moved.motion.local_rotations, part.local_rotations)
         moved = move_body(body, replace(body.motion, root_position=root_position, local_rotations=local_rotations))
         if yield_round == 0:
             filling_motion = moved.motion

@@ -42,7 +42,7 @@ def make_sliding_motion() -> tuple[Motion, np.ndarray, BodyContacts]:
 
 def hold_feet(motion: Motion, before: np.ndarray, contacts: BodyContacts, *, is_locked: bool) -> Motion:
     displacement = compute_held_displacements(SKELETON, before, contacts, is_locked=is_locked)
-    return displace_feet(SKELETON, motion, before, displacement)
+    return displace_feet(SKELETON, motion, before, displacement, RATE)
 
 
 def compute_joints(motion: Motion) -> np.ndarray:
@@ -118,7 +118,7 @@ def test_a_place_out_of_reach_moves_the_body_no_farther_than_the_limit():
     before = TAKE.joint_positions[::10][:10]
     displacement = np.zeros((10, len(FEET), 3))
     displacement[:, :2] = [0.1, -0.15, 0.1]
-    after = compute_joints(displace_feet(SKELETON, frames, before, displacement))
+    after = compute_joints(displace_feet(SKELETON, frames, before, displacement, RATE))
     legs = [SKELETON.find_joint(joint) for joint in (*LEG_JOINTS, "LeftToeBase", "RightToeBase")]
     others = np.setdiff1d(np.arange(len(SKELETON.names)), legs)
     assert np.linalg.norm(after - before, axis=-1)[:, others].max() <= MAX_ROOT_DISPLACEMENT_M + 1e-6

@@ -77,7 +77,7 @@ def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
     body = move_body(body, TAKE.motion)
     held = hold_measured_feet(body, markers, contacts, is_locked=is_locked).body
     displacement = compute_held_displacements(TAKE.subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)
-    in_full = move_body(body, displace_feet(TAKE.subject.skeleton, body.motion, body.joint_positions, displacement))
+    in_full = move_body(body, displace_feet(TAKE.subject.skeleton, body.motion, body.joint_positions, displacement, RATE))
     assert np.linalg.norm(in_full.joint_positions - body.joint_positions, axis=-1).max() > 0.001
     growth = measure_residual_growth(TAKE.subject.joints, markers, body.marker_positions, held.marker_positions, RATE)
     locked = {joint for chain in LEGS for joint in chain[1:]} if is_locked else set[str]()
