@@ -14,6 +14,7 @@ import mmap
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from operator import call
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -240,11 +241,8 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
     if mode == FEET_OFF or not standing.is_contact.any():
         return StandingBody(body, find_events(), body.motion)
     hold_feet = partial(hold_measured_feet, body, body.take.markers, standing, is_locked=mode == FEET_LOCK)
-
-    def compute(task: Callable[[], Any]) -> Any:
-        return task()
-
-    held, contacts = map_in_threads(compute, (hold_feet, find_events))
+    tasks: list[Callable[[], Any]] = [hold_feet, find_events]
+    held, contacts = map_in_threads(call, tasks)
     subject = body.extended_subject
     motion = reduce_held_uncertainty(subject, held.body.motion, select_held_contacts(standing, held.share))
     filling = reduce_held_uncertainty(subject, held.filling_motion, standing)

@@ -35,7 +35,7 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.solve import initial_motion, kinematics
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.subject.calibration import CalibrationFrames, calibrate_subject, scale_average_subject
+from mocapfix.subject.calibration import CalibrationFrames, fit_calibration, scale_average_subject
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import (
     DAMAGED_ARM_JOINTS,
@@ -78,7 +78,7 @@ def measure_calibration(
         markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
         take = Take(markers, truth.labels, CALIBRATION_RATE_HZ)
         average = scale_average_subject(take, marker_set)
-        calibrated = calibrate_subject(take, marker_set, body, prior)
+        calibrated = fit_calibration(take, marker_set, body, prior).subject
         row: CalibrationRow = {"person": f"seed {seed}"}
         for prefix, subject in (("average_", average), ("", calibrated)):
             errors = compute_calibration_errors(truth, take, subject, body, prior)

@@ -194,7 +194,7 @@ def read_captures(folder: Path) -> Iterator[InitialisationTake]:
 def calibrate_take(take: Take, marker_set: MarkerSet) -> Subject:
     """Return the body that calibration estimates from a take."""
     body = load_cmu31_body()
-    return calibration.calibrate_subject(take, marker_set, body, load_mean_pose_prior("mean-pose", body.skeleton))
+    return calibration.fit_calibration(take, marker_set, body, load_mean_pose_prior("mean-pose", body.skeleton)).subject
 
 
 StartMethod = Callable[[InitialisationTake], Motion]

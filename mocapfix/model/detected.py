@@ -169,11 +169,6 @@ class Detected:
         return self.sample_faults.compute_inlier_mask(self.take, self.replaced_kinds) & self.take.measured
 
     @cached_property
-    def inlier_take(self) -> Take:
-        """The take with its inliers only."""
-        return self.take.masked(self.inlier_mask)
-
-    @cached_property
     def solver_mask(self) -> Bool[np.ndarray, "T M"]:
         """The samples that the solver uses (see `Faults.compute_solver_mask`)."""
         return self.sample_faults.compute_solver_mask(self.take, self.replaced_kinds) & self.take.measured

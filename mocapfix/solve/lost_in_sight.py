@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, list_path
 from mocapfix.model.subject import Subject
 from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
 
@@ -242,7 +242,7 @@ def _compute_rigid_range(difference: np.ndarray) -> tuple[float, float]:
 def _list_chain_lengths(subject: Subject, one: int, other: int) -> list[float]:
     """Return the lengths in metres from a marker along the joints to another marker."""
     parents, offsets = subject.skeleton.parents, subject.skeleton.offsets
-    paths = [_list_ancestors(parents, int(subject.joints[k])) for k in (one, other)]
+    paths = [list_path(int(subject.joints[k]), -1, parents)[::-1] for k in (one, other)]
     common = next(joint for joint in paths[0] if joint in paths[1])
     lengths_m: list[float] = []
     ends: list[np.ndarray] = []  # in the axes of the segment that both paths reach: a joint, or the marker itself
@@ -253,10 +253,3 @@ def _list_chain_lengths(subject: Subject, one: int, other: int) -> list[float]:
             point = offsets[joint]
         ends.append(point)
     return [*lengths_m, float(np.linalg.norm(ends[0] - ends[1]))]
-
-
-def _list_ancestors(parents: np.ndarray, joint: int) -> list[int]:
-    path = [joint]
-    while parents[path[-1]] >= 0:
-        path.append(int(parents[path[-1]]))
-    return path

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.joint_registration import register_limb_frames
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, find_common_joint
+from mocapfix.model.skeleton import Skeleton, find_common_joint, list_path
 from mocapfix.model.subject import Subject
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import run_over_frames
@@ -96,9 +96,7 @@ def find_trunk_chain(skeleton: Skeleton, joints: Int[np.ndarray, " K"]) -> list[
     """Return the joints from below the root to the first joint up the spine that carries three markers or more."""
     for j in range(1, len(skeleton.parents)):
         if (joints == j).sum() >= MIN_TRUNK_MARKERS:
-            chain = [j]
-            while skeleton.parents[chain[0]] > 0:
-                chain.insert(0, int(skeleton.parents[chain[0]]))
+            chain = list_path(j, 0, skeleton.parents)
             if not any((joints == c).any() for c in chain[:-1]):
                 return chain
     return []

@@ -108,18 +108,6 @@ MAX_KEPT_IMPROVEMENT = 0.003
 MAX_KEPT_CHANGE_SD = 3.0
 
 
-def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
-    """Return the bone lengths and marker offsets that explain the take best, with a pose for each frame.
-
-    Args:
-        take: The markers in the order of the marker set, NaN if not visible or an outlier.
-
-    Raises:
-        TakeError: If no frame shows three markers, or the markers do not fit a person's size.
-    """
-    return fit_calibration(take, marker_set, body, prior).subject
-
-
 @dataclass(frozen=True)
 class CalibrationFit:
     """A calibration, from which the next round of detection and calibration goes on."""
@@ -131,7 +119,14 @@ class CalibrationFit:
 
 
 def fit_calibration(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> CalibrationFit:
-    """Calibrate as `calibrate_subject`."""
+    """Return the bone lengths and marker offsets that explain the take best.
+
+    Args:
+        take: The markers in the order of the marker set, NaN if not visible or an outlier.
+
+    Raises:
+        TakeError: If no frame shows three markers, or the markers do not fit a person's size.
+    """
     start, frames, poses = choose_calibration_frames(take, marker_set, body, prior)
     return _build_fit(take, start, frames, refine_body(start, body, prior, take.markers[frames], poses))
 
@@ -170,7 +165,7 @@ def choose_calibration_frames(
 
 
 def scale_average_subject(take: Take, marker_set: MarkerSet) -> Subject:
-    """Return the average body at the size estimated from the take, the start of `calibrate_subject`; raises like it."""
+    """Return the average body at the size estimated from the take, the start of `fit_calibration`; raises like it."""
     if not ((~np.isnan(take.markers[..., 0])).sum(1) >= MIN_CALIBRATION_MARKERS).any():
         raise TakeError(f"{take.name}: no frame shows three markers of the body, so it cannot be calibrated.")
     ratio = estimate_body_size_ratio(marker_set, take.markers)

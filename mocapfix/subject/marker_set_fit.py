@@ -21,7 +21,7 @@ from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import refinement
-from mocapfix.subject.calibration import calibrate_subject, select_candidate_frames
+from mocapfix.subject.calibration import fit_calibration, select_candidate_frames
 from mocapfix.subject.library import load_whole_body_marker_sets
 
 KEPT_FRAME_SHARE = 0.9  # of a marker's frames; those with the largest residuals may be swaps, ghosts or wrong poses
@@ -245,7 +245,7 @@ def calibrate_on_frames(
     selected = take.select(columns, take.visible)
     markers = selected.markers[frames]
     sparse = selected.replace_markers(markers[sample_evenly(len(frames), MAX_LEARNING_FRAMES)])
-    subject = calibrate_subject(sparse, marker_set, body, prior)
+    subject = fit_calibration(sparse, marker_set, body, prior).subject
     poses = refinement.pose_frames(subject, body, prior, markers)
     joint_poses = kinematics.compute_tree_poses(kinematics.build_kinematic_tree(subject.skeleton), *poses)
     predicted = kinematics.predict_markers(subject, poses)

@@ -22,7 +22,7 @@ def lengths(skeleton):
 
 
 def calibrate(markers, labels=MARKER_SET.labels, rate=30.0):
-    return calibration.calibrate_subject(Take(markers, labels, rate), MARKER_SET, BODY, MEAN)
+    return calibration.fit_calibration(Take(markers, labels, rate), MARKER_SET, BODY, MEAN).subject
 
 
 @pytest.fixture(scope="module")
