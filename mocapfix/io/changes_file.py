@@ -7,6 +7,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -264,11 +265,9 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
     Raises:
         WriteError: If the folder cannot be written; an existing file stays as it is then.
     """
-    entries: list[Mapping[str, Any]] = [
-        {**entry, **_describe_remarks(review.reviewed_ids, review.notes, entry["id"])} for entry in serialize_changes(changes)
-    ]
+    remarks = partial(_describe_remarks, review.reviewed_ids, review.notes)
+    lines = [_format_entry({**entry, **remarks(entry["id"])}) for entry in serialize_changes(changes)]
     frames = (take.first_frame, take.get_frame_number(take.frame_count - 1))
-    lines = [_format_entries(entries)] if entries else []
     text = join_changes_file(take.name, frames, lines, [each.entry for each in review.corrections])
     with replace_atomically(Path(path)) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
@@ -288,7 +287,7 @@ def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str]
 def format_change(change: ChangeModel) -> str:
     """Return the lines of one change in a changes file."""
     remarks = _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
-    return _format_entries([change.model_dump(exclude={"reviewed", "note"}) | remarks])
+    return _format_entry(change.model_dump(exclude={"reviewed", "note"}) | remarks)
 
 
 def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes: Mapping[str, str], name: str) -> dict[str, Any]:
@@ -300,10 +299,6 @@ def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes
 _PLAIN_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|,? (?=[\w(]))*", re.ASCII | re.IGNORECASE)
 _PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?|null")
 _NOT_PLAIN = "\0"  # in place of a value that YAML has in quotes or otherwise
-
-
-def _format_entries(changes: Sequence[Mapping[str, Any]]) -> str:
-    return "".join(map(_format_entry, changes))
 
 
 def _format_entry(entry: Mapping[str, Any]) -> str:

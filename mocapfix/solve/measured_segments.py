@@ -47,7 +47,7 @@ def measure_residual_growth(
         By joint, the growth in metres of each window of w frames that begins at frames 0 to T - w; 0 in windows without markers.
     """
     growth = compute_lengths(markers - after) - compute_lengths(markers - before)
-    length = min(get_window_length(rate), len(growth))
+    length = min(max(1, round(RESIDUAL_WINDOW_S * rate)), len(growth))
     by_joint: dict[int, Float[np.ndarray, " W"]] = {}
     for joint in np.unique(joints).tolist():
         of_segment = growth[:, joints == joint]
@@ -55,11 +55,6 @@ def measure_residual_growth(
         total, count = (np.r_[0.0, np.cumsum(each.sum(1))] for each in (np.where(is_seen, of_segment, 0.0), is_seen))
         by_joint[joint] = (total[length:] - total[:-length]) / np.maximum(count[length:] - count[:-length], 1)
     return by_joint
-
-
-def get_window_length(rate: float) -> int:
-    """Return the frames of a window of RESIDUAL_WINDOW_S."""
-    return max(1, round(RESIDUAL_WINDOW_S * rate))
 
 
 def find_excess_windows(growth: Float[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
