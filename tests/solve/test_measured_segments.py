@@ -15,8 +15,8 @@ from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.measured_segments import (
     MAX_RESIDUAL_GROWTH_M,
+    RESIDUAL_WINDOW_S,
     compute_allowed_share,
-    get_window_length,
     measure_residual_growth,
     smooth_share,
     yield_to_markers,
@@ -36,7 +36,7 @@ def test_growth_is_the_change_of_the_mean_distance_in_each_window():
     after[10:, 0, 0] = 0.016
     markers[:, 1] = np.nan
     growth = measure_residual_growth(np.array([4, 4]), markers, before, after, 60.0)[4]
-    assert len(growth) == 30 + 1 - get_window_length(60.0)
+    assert len(growth) == 30 + 1 - round(60 * RESIDUAL_WINDOW_S)
     np.testing.assert_allclose(growth[[0, 4, 7, 10]], [0.0, 0.0, 0.003, 0.006], atol=1e-12)
 
 
