@@ -138,7 +138,7 @@ def _build_fit(take: Take, start: Subject, frames: Int[np.ndarray, " N"], refine
 
 
 def update_calibration(take: Take, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit) -> CalibrationFit:
-    """Return the calibration with a few more or fewer samples: the previous one, whose body is solved, where they change little."""
+    """Return the calibration with some more or fewer samples: the previous one, whose body is solved, if these hardly count."""
     known, markers = previous.refined, take.markers[previous.frames]
     if np.array_equal(known.state.problem.marker_positions, markers, equal_nan=True):
         return previous
