@@ -12,7 +12,7 @@ import yaml
 from gallery_scene import Studio, compute_error_mm, save_page
 from playwright.sync_api import Page, ViewportSize
 
-from mocapfix.cli.app import run_demo
+from mocapfix.cli.commands import run_demo
 from mocapfix.io.capture import read_take
 from mocapfix.review.review_session import ReviewSession
 from mocapfix.review.server import ReviewServer

@@ -3,8 +3,23 @@
 import ctypes
 import gc
 import os
+import sys
+from types import ModuleType
 
 M_ARENA_MAX = -8  # parameter of the memory allocator of glibc: the number of heaps
+
+
+class UncheckedShapes(ModuleType):
+    """Stands for jaxtyping: only tests and type checkers read shapes, and the library takes a tenth of the start to import."""
+
+    def __getattr__(self, _name: str) -> "UncheckedShapes":
+        return self
+
+    def __getitem__(self, annotation: tuple[type, str]) -> type:
+        return annotation[0]
+
+
+sys.modules.setdefault("jaxtyping", UncheckedShapes("jaxtyping"))  # in the second process too, which runs this module first
 
 
 def main() -> None:

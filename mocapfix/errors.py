@@ -50,10 +50,7 @@ class OptionError(MocapfixError):
 
     def __init__(self, name: str, flag: str, job_key: str, problem: str) -> None:
         super().__init__(f"{name} {problem}.")
-        self.name = name
-        self.flag = flag
-        self.job_key = job_key
-        self.problem = problem
+        self.name, self.flag, self.job_key, self.problem = name, flag, job_key, problem
 
 
 def describe_error(error: BaseException) -> str:

@@ -100,14 +100,9 @@ class SubjectOptions(StageOptions):
         job_key="known_sets_only",
     )  # fmt: skip
     subject: "str | Path | Subject | tuple[tuple[str, Path], ...] | None" = define_option(
-        None,
-        "--subject",
-        "FILE|NAME=FILE,...",
-        "subject file, or one for each subject",
-        default_text="calibrated from the take",
-        is_file=True,
-        for_markers=True,
-    )
+        None, "--subject", "FILE|NAME=FILE,...", "subject file, or one for each subject",
+        default_text="calibrated from the take", is_file=True, for_markers=True,
+    )  # fmt: skip
     like: str | Path | None = define_option(
         None, "--like", "TAKE", "a labelled take of the same person, by which a take without labels is labelled",
         default_text="none", is_file=True,
@@ -439,18 +434,19 @@ def format_arguments(options: CleanOptions) -> list[str]:
     return arguments
 
 
-def parse_arguments(arguments: Sequence[str]) -> CleanOptions:
-    """Return the options in the arguments of an earlier cleaning, without those that this version does not have.
-
-    Raises OptionError.
-    """
+def parse_arguments(arguments: Sequence[str]) -> tuple[CleanOptions, list[str]]:
+    """Return the options in the arguments of `mocapfix clean`, and the other arguments. Raises OptionError."""
     by_flag, texts = {flag: option for option in OPTIONS for flag in (option.flag, *option.aliases)}, dict[str, list[str]]()
-    rest = list(arguments)
+    rest, others = list(arguments), list[str]()
     while rest:
-        flag, equals, text = rest.pop(0).partition("=")
-        option = by_flag.get(flag)
-        if option is not None and isinstance(option.default, bool):
+        argument = rest.pop(0)
+        flag, equals, text = argument.partition("=")
+        option, has_next = by_flag.get(flag), bool(rest) and not rest[0].startswith("-")
+        if option is not None and isinstance(option.default, bool) and not equals:
             texts[option.name] = []
-        elif option is not None and (equals or rest):
+        elif option is not None and not isinstance(option.default, bool) and (equals or has_next):
             texts.setdefault(option.name, []).append(text if equals else rest.pop(0))
-    return build_clean_options(**{name: OPTION_BY_NAME[name].parse(each) if each else True for name, each in texts.items()})
+        else:
+            others.append(argument)
+    values = {name: OPTION_BY_NAME[name].parse(each) if each else True for name, each in texts.items()}
+    return build_clean_options(**values), others

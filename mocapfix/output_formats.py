@@ -215,10 +215,6 @@ def show_cleaning(folder: Path, report: Report, comparison: CleaningComparison, 
     write_html_report(folder / f"{stem}.{HTML_SUFFIX}", report, comparison, sheets)
 
 
-def _finish_showing(_: Path, content: OutputContent) -> None:
-    return content.shown.finish() if content.shown else None
-
-
 def _write_json_report(target: Path, content: OutputContent) -> None:
     target.write_text(json.dumps(content.report, indent=1) + "\n", encoding="utf-8")
 
@@ -245,7 +241,13 @@ DEFAULT_FORMATS = (
     OutputFormat(
         CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
-    OutputFormat(HTML_SUFFIX, _finish_showing, (RECORDING_SUFFIX,), is_in_preview=False, timer_stage="show"),
+    OutputFormat(
+        HTML_SUFFIX,
+        lambda _, content: content.shown and content.shown.finish(),
+        (RECORDING_SUFFIX,),
+        is_in_preview=False,
+        timer_stage="show",
+    ),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {

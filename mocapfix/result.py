@@ -37,7 +37,6 @@ from mocapfix.options import FEET_OFF, CleanOptions, OutputOptions, format_argum
 from mocapfix.output_formats import (
     BVH_FORMAT,
     DEFAULT_FORMATS,
-    ExportedMotion,
     OutputContent,
     OutputFormat,
     build_exported_motion,
@@ -257,7 +256,9 @@ class CleaningResult:
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final_report["times"] = timer.part_times
-        content = replace(self, report=final_report)._drop_samples(unstorable).build_content(exported_motion)
+        result = replace(self, report=final_report)._drop_samples(unstorable)
+        written = result.contacts, result.changes, result.review, result.subject_report, result.comparison
+        content = OutputContent(self.input_take, result.output_take, exported_motion, *written)
         source_suffixes, default = get_source_suffixes(self.input_take.path), (BVH_FORMAT, *DEFAULT_FORMATS)
         formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes
@@ -272,11 +273,6 @@ class CleaningResult:
         finally:
             if content.shown:
                 content.shown.leave()  # it writes into the folder
-
-    def build_content(self, exported: ExportedMotion | None) -> OutputContent:
-        """Return what the files of a take of at most one subject are written from, with the motion as it is written."""
-        written = self.contacts, self.changes, self.review, self.subject_report, self.comparison
-        return OutputContent(self.input_take, self.output_take, exported, *written)
 
     def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> "CleaningResult":
         """Return the result without the samples (frame, marker) that the cleaned file cannot store."""

@@ -1,7 +1,6 @@
 """What the children of a batch's workers do: clean a take, and write its record."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -59,11 +58,6 @@ def try_to_hash(path: Path) -> str:
         return hash_file(path)
     except OSError:
         return ""
-
-
-def sort_by_size(requests: Sequence[CleanRequest]) -> list[CleanRequest]:
-    """Return requests in the order in which they are given out: large files first, so that the workers end together."""
-    return sorted(requests, key=lambda request: -measure_size(request.path))
 
 
 def measure_size(path: Path) -> int:

@@ -19,7 +19,8 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from mocapfix.batch.take_figures import SubjectFigures
 from mocapfix.io.files import LOCK_TEXT_ENCODING, build_lock, hold_process_lock, make_output_folder, replace_atomically
-from mocapfix.io.yaml_files import StrictModel, dump_yaml, read_yaml_model
+from mocapfix.io.shipped import dump_yaml
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.model.system import avoid_reserved_name
 from mocapfix.options import CleanOptions
 

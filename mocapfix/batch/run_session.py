@@ -23,8 +23,8 @@ from mocapfix.batch.jobs import (
     CleanRequest,
     clean_take,
     find_current_record,
+    measure_size,
     run_with_retries,
-    sort_by_size,
     try_to_hash,
 )
 from mocapfix.batch.records import (
@@ -427,7 +427,8 @@ def clean_takes_on_cluster(
 ) -> None:
     """Clean takes on the workers of a cluster and add their records."""
     progress.start_stage(CLEAN_STAGE, len(requests) + len(records), len(records))
-    tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in sort_by_size(requests))
+    ordered = sorted(requests, key=lambda request: -measure_size(request.path))  # so that the workers end together
+    tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in ordered)
     by_take = {each.take: each for each in requests}
     for task, result in run_tasks(client, clean_take, tasks, progress.start_job, progress.show_message):
         record = result if isinstance(result, TakeRecord) else explain_lost_take(by_take[task.name], result)

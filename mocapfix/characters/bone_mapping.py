@@ -32,8 +32,8 @@ from mocapfix.characters.character import (
     get_next_segment,
 )
 from mocapfix.errors import SceneError, format_name_list
-from mocapfix.io.shipped import find_shipped_folder, read_shipped_yaml
-from mocapfix.io.yaml_files import JointName, StrictModel, find_by_name, read_yaml_model
+from mocapfix.io.shipped import find_by_name, find_shipped_folder, read_shipped_yaml
+from mocapfix.io.yaml_files import JointName, StrictModel, read_yaml_model
 from mocapfix.model.skeleton import find_ancestor, find_common_joint, is_below, list_path, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS
 from mocapfix.stats.rigid_alignment import split_along_line

@@ -18,8 +18,8 @@ from pydantic import BeforeValidator, Field, FiniteFloat, PositiveFloat
 from mocapfix.characters.character import REQUIRED_SEGMENTS, SEGMENTS, BoneMapping, Character, CharacterSource, build_bone_mapping
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.io.yaml_files import MAX_LINE_LENGTH, InlineSequence, StrictModel, dump_yaml, read_yaml_model
+from mocapfix.io.shipped import MAX_LINE_LENGTH, InlineSequence, dump_yaml, find_shipped_folder
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.model.skeleton import UNLIMITED_RAD, Skeleton, decompose_transforms
 from mocapfix.options import RIG_NAMES
 

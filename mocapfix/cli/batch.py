@@ -20,17 +20,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from mocapfix.batch.cluster import BatchProgress
-from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options
+from mocapfix.cli import console
 from mocapfix.cli.clean import describe_laboratory
-from mocapfix.cli.console import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    compile_kernels_first,
-    print_error,
-    print_line,
-    print_usage_error,
-    stderr_console,
-)
+from mocapfix.cli.commands import FlagOption, build_options_argument, describe_option, parse_options
 from mocapfix.errors import MocapfixError, describe_error
 from mocapfix.option import split_names
 from mocapfix.options import CleanOptions
@@ -96,14 +88,14 @@ def run_batch(
     from mocapfix.output_formats import list_output_formats
 
     if not takes:
-        return print_usage_error("batch: name a folder, a pattern or a session file.")
+        return console.print_usage_error("batch: name a folder, a pattern or a session file.")
     if problem := run.find_problem():
-        return print_usage_error(problem)
+        return console.print_usage_error(problem)
     parsed = parse_options(options)
     try:
         list_output_formats(parsed.output)
     except MocapfixError as error:
-        return print_usage_error(describe_error(error))
+        return console.print_usage_error(describe_error(error))
 
     from mocapfix.batch.cluster import ClusterOptions, check_dask_installed
 
@@ -117,7 +109,7 @@ def run_batch(
 
     is_session = len(takes) == 1 and Path(takes[0]).suffix.lower() in SESSION_SUFFIXES
     if is_session and parsed != CleanOptions():
-        return print_usage_error("With a session file the options of cleaning are in that file.")
+        return console.print_usage_error("With a session file the options of cleaning are in that file.")
     session = read_session_file(Path(takes[0])) if is_session else list_session(takes, output_folder, parsed)
     load_requested_subject(session.options.subject)  # a name that is wrong is so for all takes
     settings = BatchSettings(
@@ -131,7 +123,7 @@ def run_batch(
         people=session.people,
     )
     if run.scheduler is None and not run.slurm and not run.ssh:
-        compile_kernels_first(lambda text: None)
+        console.compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:
         records = run_session(session.takes, settings, progress, partial(write_session_page, title=session.title))
     return print_outcome(records, progress.shown_failures, output_folder, session.options)
@@ -143,9 +135,9 @@ def list_session(names: Sequence[str], output_folder: Path, options: CleanOption
 
     listed = find_takes(names, output_folder)
     for path in listed.unreadable:
-        print_error(f"{path}: cannot be read, so its takes are not cleaned; check its permissions.")
+        console.print_error(f"{path}: cannot be read, so its takes are not cleaned; check its permissions.")
     for path in listed.skipped:
-        print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
+        console.print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
     return Session("", listed.takes, {}, options)
 
 
@@ -158,17 +150,17 @@ def print_outcome(
     failed = [record for record in records if record.status == "failed"]
     for record in failed:
         if record.take not in shown_failures:
-            print_error(f"{record.take} failed in an earlier batch (--repeat-failed cleans it again): {record.error}")
-    print_line(
+            console.print_error(f"{record.take} failed in an earlier batch (--repeat-failed cleans it again): {record.error}")
+    console.print_line(
         f"{len(records) - len(failed):,} of {len(records):,} takes are done, {len(failed):,} failed. "
         f"Page: {escape(str(output_folder / PAGE_NAME))}"
     )
     laboratory = {record.take: next((each.laboratory for each in record.subjects if each.laboratory), "") for record in records}
     if note := describe_laboratory(laboratory, options):
-        print_line(escape(note))
+        console.print_line(escape(note))
     if len(failed) < len(records):
-        print_line(f"To look at the changes in the browser: mocapfix review {escape(shlex.quote(str(output_folder)))}")
-    return EXIT_FAILED if failed else EXIT_DONE
+        console.print_line(f"To look at the changes in the browser: mocapfix review {escape(shlex.quote(str(output_folder)))}")
+    return console.EXIT_FAILED if failed else console.EXIT_DONE
 
 
 MAX_SHOWN_JOBS = 3  # running jobs that are named beside the bar
@@ -231,7 +223,7 @@ class PlainProgress(BatchProgress):
             when it is surveyed and when it is cleaned, is printed once.
     """
 
-    def __init__(self, console: Console = stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, console: Console = console.stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._read_clock = console, read_clock
         self._counts = StageCounts()
         self._last_line_s = 0.0
@@ -277,7 +269,7 @@ class PlainProgress(BatchProgress):
 class BarProgress(PlainProgress):
     """Progress as one bar at the bottom of a terminal; failures and messages are printed above it."""
 
-    def __init__(self, console: Console = stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, console: Console = console.stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(console, read_clock)
         columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[counts]}"))
         self.bar = Progress(*columns, console=console, transient=False, refresh_per_second=REFRESH_RATE_HZ)
@@ -305,7 +297,7 @@ def format_running_jobs(names: list[str]) -> str:
 
 
 @contextmanager
-def show_batch_progress(console: Console = stderr_console) -> Generator[PlainProgress]:
+def show_batch_progress(console: Console = console.stderr_console) -> Generator[PlainProgress]:
     """Yield what draws the progress of a batch: a bar on a terminal, lines elsewhere."""
     if not console.is_terminal:
         yield PlainProgress(console)

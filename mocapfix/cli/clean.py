@@ -1,8 +1,5 @@
-"""The command `mocapfix clean`: clean takes one after the other and summarise what was changed.
-
-The command `mocapfix inspect`: list the faults of a take without cleaning it.
-
-The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoint scene.
+"""What `mocapfix clean`, `inspect` and `run` do: clean takes one after the other and summarise what was changed, list the faults
+of a take without cleaning it, run a scene, which is a cleaning job or a 2-D keypoint scene.
 """
 
 import json
@@ -11,33 +8,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import (
-    FlagOption,
-    OverwriteOption,
-    TakeArgument,
-    TakesArgument,
-    build_options_argument,
-    describe_option,
-    parse_options,
-)
-from mocapfix.cli.console import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    TakeAttempts,
-    print_json,
-    print_line,
-    print_note,
-    print_usage_error,
-    show_progress,
-    stdout_console,
-)
-from mocapfix.errors import MocapfixError, SceneError, WriteError, describe_error
+from mocapfix.cli import console
+from mocapfix.cli.console import print_line, print_note, print_usage_error, show_progress
+from mocapfix.errors import MocapfixError, WriteError, describe_error
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
 from mocapfix.model.system import count_cores
 from mocapfix.options import CleanOptions
@@ -52,42 +30,22 @@ if TYPE_CHECKING:
     from mocapfix.report.report import FaultEntry, FillSection, InspectionReport, Report, TakeSection
 
 
-def run_clean(
-    takes: TakesArgument,
-    options: Annotated[object, build_options_argument()],
-    output_folder: Annotated[
-        Path | None,
-        describe_option("DIR", "folder for the output files", "TAKE.mocapfix/ beside the take", name="out", aliases=["-o"]),
-    ] = None,
-    overwrite: OverwriteOption = False,
-    as_json: Annotated[
-        FlagOption, tyro.conf.arg(name="json", help="print the report only, as JSON (an array for several takes or subjects)")
-    ] = False,
-    clips: Annotated[
-        Path | None, describe_option("FILE", "also write the --character with the motions of all takes as its animations", "none")
-    ] = None,
-) -> int:
-    """Clean takes: correct labels, replace spikes, fill gaps.
-
-    Writes the cleaned file, a BVH, the list of changes, a report and a before/after recording.
-    """
+def find_usage_problem(takes: Sequence[Path], options: CleanOptions, clips: Path | None, overwrite: bool) -> str:
+    """Return which arguments do not fit together, "" if all do. Raises WriteError if the file of clips exists."""
     if not takes:
-        return print_usage_error("clean: name at least one take.")
-    parsed = parse_options(options)
-    if parsed.review.review_files and len(takes) > 1:
-        return print_usage_error("--changes is for one take; clean the others separately.")
-    if parsed.output != CleanOptions().output:
+        return "clean: name at least one take."
+    if options.review.review_files and len(takes) > 1:
+        return "--changes is for one take; clean the others separately."
+    if options.output != CleanOptions().output:
         from mocapfix.output_formats import list_output_formats
 
         try:
-            list_output_formats(parsed.output)
+            list_output_formats(options.output)
         except MocapfixError as error:
-            return print_usage_error(describe_error(error))
-    if clips is not None:
-        if problem := find_clips_problem(clips, parsed.output.characters, takes):
-            return print_usage_error(problem)
-        check_outputs_absent([clips], overwrite)
-    return clean_takes(takes, output_folder, parsed, overwrite=overwrite, as_json=as_json, clips=clips)
+            return describe_error(error)
+    problem = find_clips_problem(clips, options.output.characters, takes) if clips else ""
+    check_outputs_absent([clips] if clips and not problem else [], overwrite)
+    return problem
 
 
 def find_clips_problem(target: Path, characters: Sequence[str | Path], takes: Sequence[Path]) -> str:
@@ -120,6 +78,8 @@ def clean_takes(
         output_folder: Where the output files go; None for TAKE.mocapfix/ beside each take.
         clips: File for the motions of all takes as animations of the character, if there is one.
     """
+    if problem := find_usage_problem(takes, options, clips, overwrite):
+        return print_usage_error(problem)
     from mocapfix.io.capture import read_capture
     from mocapfix.model.stage_timer import StageTimer
 
@@ -127,7 +87,7 @@ def clean_takes(
     clip_paths: list[Path] = []
     written: set[Path] = set()
     laboratory: dict[str, str] = {}
-    attempts = TakeAttempts()
+    attempts = console.TakeAttempts()
     is_shared = count_cores() > 1 and not options.initialise.is_fast
     modules = "mocapfix.fill.gap_filling", "mocapfix.report.recording", "mocapfix.report.html_report"
     with start_second_process(*modules) if is_shared else nullcontext():
@@ -169,8 +129,8 @@ def clean_takes(
     if not as_json and (note := describe_laboratory(laboratory, options)):
         print_line(escape(note))
     if as_json and reports:
-        print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
-    return EXIT_FAILED if attempts.failed else EXIT_DONE
+        console.print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
+    return console.EXIT_FAILED if attempts.failed else console.EXIT_DONE
 
 
 def choose_output_folder(take: Path) -> Path:
@@ -271,23 +231,18 @@ def format_take_name(take: "TakeSection") -> str:
     return f"{take['file']} ({take['person']})" if "person" in take else take["file"]
 
 
-def run_inspect(
-    take: TakeArgument,
-    options: Annotated[object, build_options_argument(("read", "subject"))],
-    as_json: Annotated[FlagOption, tyro.conf.arg(name="json", help="print JSON (an array for several subjects)")] = False,
-) -> int:
-    """List the faults of a take: all that clean would detect. Writes nothing."""
+def inspect_take(take: Path, options: CleanOptions, as_json: bool) -> int:
+    """Print the faults of a take; return the exit status."""
     from mocapfix import pipeline
 
-    parsed = parse_options(options)
     with show_progress(take.name) as progress:
-        inspections = pipeline.inspect(take, parsed, progress=progress)
+        inspections = pipeline.inspect(take, options, progress=progress)
     if as_json:
-        print_json(inspections if len(inspections) > 1 else inspections[0])
-        return EXIT_DONE
+        console.print_json(inspections if len(inspections) > 1 else inspections[0])
+        return console.EXIT_DONE
     for inspection in inspections:
         print_faults(inspection)
-    return EXIT_DONE
+    return console.EXIT_DONE
 
 
 def print_faults(inspection: "InspectionReport") -> None:
@@ -300,7 +255,7 @@ def print_faults(inspection: "InspectionReport") -> None:
     print_line(f"{escape(format_take_name(take))}: {size}.")
     print_notes(inspection["notes"], "with --json")
     if not inspection["faults"]:
-        stdout_console.print("No faults were detected.")
+        console.stdout_console.print("No faults were detected.")
         return
     severity_heading = "severity" if is_animation else "severity, mm"
     table = Table(point, "kind", "frames", severity_heading, "confidence", "reason")
@@ -308,7 +263,7 @@ def print_faults(inspection: "InspectionReport") -> None:
         frames, severity = f"{fault['first']}-{fault['last']}", _format_severity(fault, is_animation)
         what = escape(fault["marker"]), fault["kind"], frames, severity
         table.add_row(*what, f"{fault['confidence']:.0%}", escape(fault["reason"]))
-    stdout_console.print(table)
+    console.stdout_console.print(table)
 
 
 def _format_severity(fault: "FaultEntry", with_unit: bool) -> str:
@@ -317,29 +272,6 @@ def _format_severity(fault: "FaultEntry", with_unit: bool) -> str:
     if fault["severity_m"] is None:
         return ""
     return f"{fault['severity_m'] * 1e3:.0f}{' mm' if with_unit else ''}"
-
-
-def run_scene(
-    scene: Annotated[
-        str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or the name of a shipped scene")
-    ],
-    output_folder: Annotated[
-        Path | None, describe_option("DIR", "folder for the output files", "SCENE.mocapfix/", name="out", aliases=["-o"])
-    ] = None,
-    overwrite: OverwriteOption = False,
-) -> int:
-    """Run a scene: clean takes as a job file describes, or estimate motion and camera from 2-D keypoints."""
-    from mocapfix.io.shipped import find_shipped_folder, read_yaml
-
-    shipped_folder = find_shipped_folder("scenes")
-    path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped_folder / f"{Path(scene).name}.yaml"
-    if path.parent == shipped_folder and not path.is_file():
-        names = ", ".join(sorted(each.stem for each in shipped_folder.glob("*.yaml")))
-        raise SceneError(f"There is no scene named {scene!r}; choose one of: {names}; or name a .yaml file.")
-    kind = read_yaml(path).get("kind")
-    if not isinstance(kind, str) or kind not in SCENE_RUNNERS:
-        raise SceneError(f"{path}: kind: must be one of {', '.join(SCENE_RUNNERS)}, not {kind!r}.")
-    return SCENE_RUNNERS[kind](path, output_folder or Path(f"{path.stem}.mocapfix"), overwrite)
 
 
 def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
@@ -375,7 +307,7 @@ def run_keypoints_job(path: Path, output_folder: Path, overwrite: bool) -> int:
         f"{report['seconds']['total']:.1f} s."
     )
     print_output_files(outputs)
-    return EXIT_DONE
+    return console.EXIT_DONE
 
 
 SCENE_RUNNERS = {"clean": run_cleaning_job, "keypoints-2d": run_keypoints_job}

@@ -13,23 +13,14 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import (
+from mocapfix.cli import console
+from mocapfix.cli.commands import (
     OverwriteOption,
     TakeArgument,
     TakesArgument,
     build_options_argument,
     describe_option,
     parse_options,
-)
-from mocapfix.cli.console import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    TakeAttempts,
-    print_line,
-    print_note,
-    print_usage_error,
-    show_progress,
-    stdout_console,
 )
 from mocapfix.errors import WriteError
 
@@ -44,8 +35,8 @@ def run_marker_set_list() -> int:
     table = Table("name", "title", "markers", "of them optional")
     for each in load_shipped_marker_sets():
         table.add_row(each.name, each.title, str(len(each.labels)), str(len(each.optional_labels)))
-    stdout_console.print(table)
-    return EXIT_DONE
+    console.stdout_console.print(table)
+    return console.EXIT_DONE
 
 
 def run_marker_set_show(
@@ -55,14 +46,15 @@ def run_marker_set_show(
     from mocapfix.subject.library import load_marker_set
 
     marker_set = load_marker_set(name)
-    stdout_console.print(f"[bold]{escape(marker_set.name)}[/]: {escape(marker_set.title)}, {len(marker_set.labels)} markers.")
+    size = f"{len(marker_set.labels)} markers"
+    console.stdout_console.print(f"[bold]{escape(marker_set.name)}[/]: {escape(marker_set.title)}, {size}.")
     _print_segments(marker_set)
     named = zip(marker_set.labels, marker_set.aliases, strict=True)
     if aliases := [f"{label} ({', '.join(names)})" for label, names in named if names]:
-        print_line(f"Other names: {escape(', '.join(aliases))}.")
+        console.print_line(f"Other names: {escape(', '.join(aliases))}.")
     if optional := [label for label in marker_set.labels if label in marker_set.optional_labels]:
-        print_line(f"Optional: {escape(', '.join(optional))}.")
-    return EXIT_DONE
+        console.print_line(f"Optional: {escape(', '.join(optional))}.")
+    return console.EXIT_DONE
 
 
 def run_marker_set_learn(
@@ -90,25 +82,25 @@ def run_marker_set_learn(
     from mocapfix.subject.library import write_marker_set
 
     check_outputs_absent([output_path], overwrite)
-    with show_progress(take.name) as progress:
+    with console.show_progress(take.name) as progress:
         read = parse_options(options).read
         learned = learn_marker_set(
             take, output_path.stem, like=like, subject_prefix=subject_prefix, options=read, progress=progress
         )
         write_marker_set(output_path, learned.marker_set, learned.file_comment)
     marker_count, residual_mm = len(learned.marker_set.labels), learned.mean_residual_m * 1e3
-    print_line(f"[bold]{escape(str(output_path))}[/]: {marker_count} markers, mean residual {residual_mm:.1f} mm.")
-    print_line(f"  {escape(learned.guess_description)}")
+    console.print_line(f"[bold]{escape(str(output_path))}[/]: {marker_count} markers, mean residual {residual_mm:.1f} mm.")
+    console.print_line(f"  {escape(learned.guess_description)}")
     _print_segments(learned.marker_set)
     for name, labels in learned.marker_set.props.items():
-        print_line(f"  prop: {escape(name)}, {escape(', '.join(labels))}.")
+        console.print_line(f"  prop: {escape(name)}, {escape(', '.join(labels))}.")
     for label, joint_name in learned.ambiguous_markers.items():
-        print_line(f"  ambiguous: {escape(label)} may be attached to {joint_name} instead.")
+        console.print_line(f"  ambiguous: {escape(label)} may be attached to {joint_name} instead.")
     for label, reason in learned.excluded_markers.items():
-        print_line(f"  not included: {escape(label)} {escape(reason)}.")
+        console.print_line(f"  not included: {escape(label)} {escape(reason)}.")
     command = escape(shlex.join(["mocapfix", "clean", str(take), "--marker-set", str(output_path)]))
-    print_line(f"  To clean with it: {command}")
-    return EXIT_DONE
+    console.print_line(f"  To clean with it: {command}")
+    return console.EXIT_DONE
 
 
 def _print_segments(marker_set: "MarkerSet") -> None:
@@ -118,7 +110,7 @@ def _print_segments(marker_set: "MarkerSet") -> None:
     for joint in sorted(set(marker_set.joints.tolist())):
         labels = [label for label, j in zip(marker_set.labels, marker_set.joints, strict=True) if j == joint]
         table.add_row(load_cmu31_body().skeleton.names[joint], escape(", ".join(labels)))
-    stdout_console.print(table)
+    console.stdout_console.print(table)
 
 
 MARKER_SET_COMMANDS = {"list": run_marker_set_list, "show": run_marker_set_show, "learn": run_marker_set_learn}
@@ -155,12 +147,12 @@ def run_calibrate(
     )
 
     if not takes:
-        return print_usage_error("calibrate: name at least one take.")
+        return console.print_usage_error("calibrate: name at least one take.")
     parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
     if is_file:
         check_outputs_absent([output], overwrite)
-    attempts = TakeAttempts()
-    with show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
+    attempts = console.TakeAttempts()
+    with console.show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
         progress("calibrate")
         if is_file:
             people = calibrate_one_person(takes, parsed, prior, attempts.attempt)
@@ -176,12 +168,12 @@ def run_calibrate(
     for person, of_person in zip(people, files, strict=True):
         subject = person.calibration.subject
         size = f"{len(subject.labels)} markers on {len(subject.skeleton.names)} joints, from {subject.frame_count} frames"
-        print_line(f"{escape(str(of_person.main))}: {size}.")
+        console.print_line(f"{escape(str(of_person.main))}: {size}.")
         for note in person.describe():
-            print_note(note)
+            console.print_note(note)
         for take, path in of_person.by_take.items():
-            print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
-    return EXIT_FAILED if attempts.failed else EXIT_DONE
+            console.print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
+    return console.EXIT_FAILED if attempts.failed else console.EXIT_DONE
 
 
 def run_label(
@@ -207,12 +199,12 @@ def run_label(
         raise WriteError(f"{take}: would be replaced by its labelled copy; name another file with --output.")
     check_outputs_absent([target], overwrite)
     parsed = parse_options(options)
-    with show_progress(take.name, needs_kernels=True) as progress:
+    with console.show_progress(take.name, needs_kernels=True) as progress:
         labelled = pipeline.label(take, parsed, progress=progress)
     assert labelled.labelled_file is not None
     with replace_atomically(target) as part:
         part.write_bytes(labelled.labelled_file)
-    print_line(f"[bold]{escape(str(target))}[/]")
+    console.print_line(f"[bold]{escape(str(target))}[/]")
     for note in labelled.notes:
-        print_note(note)
-    return EXIT_DONE
+        console.print_note(note)
+    return console.EXIT_DONE

@@ -40,8 +40,8 @@ from mocapfix.fill.neighbour_clusters import (
     measure_distance_changes,
 )
 from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
-from mocapfix.io.changes_file import RequestedFill
 from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.faults import RequestedFill
 from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import combine_estimates
 from mocapfix.stats.sequences import find_runs, sample_evenly

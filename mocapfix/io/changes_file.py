@@ -10,86 +10,20 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.yaml_files import InlineSequence, StrictModel, dump_yaml, read_yaml_model
+from mocapfix.io.shipped import InlineSequence, dump_yaml
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
-from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultKind, FaultReview, Fragment
+from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultReview, Fragment
 from mocapfix.model.take import Take
 from mocapfix.model.windows import crop_intervals
 
-CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
-RequestedFill = Literal["spline", "cluster", "body", "empty"]
-MARKER_COUNTS: dict[CorrectionKind, int] = {"wrong": 1, "missing": 1, "swap": 2, "assign": 2, "fill": 1}
-"""how many markers, or trajectories, a correction of each kind names"""
-MAX_NOTE_LENGTH = 2000
-
-NoteText = Annotated[str, Field(max_length=MAX_NOTE_LENGTH)]
-
-
-class _IntervalStateModel(StrictModel):
-    missing: int
-    off_body_mm: float | None
-
-
-class ChangeModel(StrictModel):
-    """A change in a changes file; see mocapfix.model.changes.Change."""
-
-    id: str
-    kind: FaultKind
-    markers: list[str] = Field(min_length=1)
-    first: int
-    last: int
-    samples: int
-    why: str
-    method: str
-    before: _IntervalStateModel
-    after: _IntervalStateModel
-    predicted_mm: float | None
-    decision: Decision
-    reviewed: bool = False  # whether a person has decided
-    note: NoteText = ""  # what the reviewer wrote about it
-
-
-class CorrectionModel(StrictModel):
-    """A correction by the reviewer, over frames in the file's own numbers, inclusive."""
-
-    # wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled. swap: the
-    # labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the marker, which is
-    # named first. fill: the missing or wrong samples are filled by `method`
-    kind: CorrectionKind
-    markers: list[str]  # labels
-    first: int
-    last: int
-    method: RequestedFill | None = None  # how to fill; null unless the kind is fill
-    note: NoteText = ""
-
-    @model_validator(mode="after")
-    def _check_markers_and_method(self) -> "CorrectionModel":
-        count = MARKER_COUNTS[self.kind]
-        if len(set(self.markers)) != count or len(self.markers) != count:
-            names = {"swap": "two markers", "assign": "a marker and an unlabelled trajectory"}.get(self.kind, "one marker")
-            raise ValueError(f"{self.kind} must name {names}")
-        if (self.method is not None) != (self.kind == "fill"):
-            text = "fill must have a method: spline, cluster, body or empty" if self.kind == "fill" else "only fill has a method"
-            raise ValueError(text)
-        return self
-
-
-class ChangesFileModel(StrictModel):
-    """A changes file."""
-
-    take: str  # name of the take
-    frames: tuple[int, int]  # its first and last frame
-    changes: list[ChangeModel]
-    # those of the reviewer, in the order in which they are applied
-    corrections: list[CorrectionModel] = Field(default_factory=list)
-
+if TYPE_CHECKING:
+    from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel
 
 MARK_REASONS = {"wrong": "A reviewer marked the samples as wrong.", "missing": "A reviewer marked the samples as missing."}
 SWAP_REASON = "A reviewer exchanged the labels."
@@ -100,7 +34,7 @@ ASSIGNMENT_REASON = "A reviewer assigned the trajectory to the marker."
 class Correction:
     """A correction of a take."""
 
-    entry: CorrectionModel  # the correction as in the file
+    entry: "CorrectionModel"  # the correction as in the file
     markers: tuple[int, ...]  # indices of its markers and of an unlabelled trajectory in the take
     first: int  # first, last: frame indices, inclusive
     last: int
@@ -128,7 +62,7 @@ def list_label_corrections(corrections: Sequence[Correction]) -> list[Fault]:
     return [fault for each in corrections if (fault := each.label_fault)]
 
 
-def locate_correction(entry: CorrectionModel, take: Take, place: str) -> Correction:
+def locate_correction(entry: "CorrectionModel", take: Take, place: str) -> Correction:
     """Return a correction with the indices of its markers and frames.
 
     Raises:
@@ -151,7 +85,7 @@ def _index_labels(take: Take, all_labels: Sequence[str] = ()) -> dict[str, int]:
 
 
 def _locate_entry(
-    entry: CorrectionModel | ChangeModel, take: Take, index_by_label: Mapping[str, int], place: str
+    entry: "CorrectionModel | ChangeModel", take: Take, index_by_label: Mapping[str, int], place: str
 ) -> tuple[tuple[int, ...], int, int]:
     """Return the indices of the markers and of the first and last frame of an entry. Raises SceneError if there are none."""
     if unknown := [label for label in entry.markers if label not in index_by_label]:
@@ -166,7 +100,7 @@ def _locate_entry(
 class ReviewedChange:
     """A change that a review declined."""
 
-    entry: ChangeModel  # the change as in the file
+    entry: "ChangeModel"  # the change as in the file
     markers: tuple[int, ...]  # indices of its markers and unlabelled trajectories in the take
     first: int  # first, last: frame indices, inclusive
     last: int
@@ -273,7 +207,9 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
         part.write_text(text, encoding="utf-8", newline="\n")
 
 
-def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str], corrections: Sequence[CorrectionModel]) -> str:
+def join_changes_file(
+    take: str, frames: tuple[int, int], changes: Sequence[str], corrections: Sequence["CorrectionModel"]
+) -> str:
     """Return the text of a changes file, given the lines of its changes."""
     text = CHANGES_FILE_HEADER + dump_yaml({"take": take, "frames": InlineSequence(frames)}, CHANGES_FILE_LINE_LENGTH)
     text += f"{CHANGES_KEY}:\n" + "".join(changes) if changes else dump_yaml({CHANGES_KEY: []})
@@ -284,7 +220,7 @@ def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str]
     return text
 
 
-def format_change(change: ChangeModel) -> str:
+def format_change(change: "ChangeModel") -> str:
     """Return the lines of one change in a changes file."""
     remarks = _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
     return _format_entry(change.model_dump(exclude={"reviewed", "note"}) | remarks)
@@ -334,7 +270,7 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
     names = [take.name for take in takes]
     path_by_take: dict[str, str | Path] = {}
     for path in paths:
-        name = read_yaml_model(ChangesFileModel, Path(path)).take
+        name = _read_model(path).take
         if name not in names:
             is_subject = any(name.startswith(f"{each} (") for each in names)
             remedy = ", or select the subject with --subject-prefix" if is_subject else ""
@@ -349,12 +285,18 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
     ]
 
 
+def _read_model(path: str | Path) -> "ChangesFileModel":
+    from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
+
+    return read_yaml_model(ChangesFileModel, Path(path))
+
+
 def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = ()) -> Review:
     """Return the review in a changes file. Markers of other subjects have higher indices.
 
     Raises SceneError with the file and the key if the file is invalid or is for another take.
     """
-    file = read_yaml_model(ChangesFileModel, Path(path))
+    file = _read_model(path)
     if file.take != take.name:
         raise SceneError(f"{path}: take: the file is for {file.take}, not for {take.name}; use the changes file of this take.")
     first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)

@@ -7,19 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
-from pydantic import NonNegativeInt, RootModel
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.errors import SceneError, format_name_list
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.resampling import FRAME_TOLERANCE
-from mocapfix.io.yaml_files import read_yaml_model
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
-
-
-class _ContactsModel(RootModel[dict[str, list[tuple[NonNegativeInt, NonNegativeInt]]]]):
-    """A file of contacts: by joint, the first and last frame of each."""
 
 
 def read_contacts(path: Path, frame_count: int) -> Mapping[str, Bool[np.ndarray, " T"]]:
@@ -28,8 +22,13 @@ def read_contacts(path: Path, frame_count: int) -> Mapping[str, Bool[np.ndarray,
     Raises:
         SceneError: If the file is invalid or has frames that the animation lacks. The message names the joint.
     """
+    from pydantic import NonNegativeInt, TypeAdapter
+
+    from mocapfix.io.yaml_files import read_validated_yaml
+
+    model = TypeAdapter(dict[str, list[tuple[NonNegativeInt, NonNegativeInt]]])
     contacts, known = dict[str, Bool[np.ndarray, " T"]](), (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS)
-    for joint, ranges in read_yaml_model(_ContactsModel, path).root.items():
+    for joint, ranges in read_validated_yaml(model.validate_python, path).items():
         if joint not in known:
             raise SceneError(f"{path}: {joint}: a file of contacts has no such joint; its joints are {format_name_list(known)}.")
         contacts[joint] = np.zeros(frame_count, bool)

@@ -1,19 +1,24 @@
-"""Strict models of the YAML files that users write and edit, their types, and the one YAML writer."""
+"""Strict models of the YAML files that users write and edit, and their types.
 
-from collections.abc import Callable, Mapping
+Modules that write such files as well import this one where they read: pydantic takes a tenth of a second.
+"""
+
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
-from yaml.representer import SafeRepresenter
+import pydantic
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
 from mocapfix.errors import SceneError, format_name_list
-from mocapfix.io.shipped import is_existing_file, read_yaml
+from mocapfix.io.shipped import read_yaml
+from mocapfix.model.faults import CorrectionKind, Decision, FaultKind, RequestedFill
+from mocapfix.model.marker_set import fold_label
 from mocapfix.model.skeleton import load_cmu31_body
 
 YamlModel = TypeVar("YamlModel", bound=BaseModel)
-NamedItem = TypeVar("NamedItem")
+Validated = TypeVar("Validated")
 
 # Replacements, by pydantic's error type, of messages that are written for programmers.
 PYDANTIC_MESSAGES = {
@@ -27,7 +32,6 @@ PYDANTIC_MESSAGES = {
     "union_tag_not_found": "is missing",
     "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
 }
-MAX_LINE_LENGTH = 130  # characters in a line of a written file
 
 
 class StrictModel(BaseModel):
@@ -41,7 +45,7 @@ def read_yaml_model(model: type[YamlModel], path: Path) -> YamlModel:
     return read_validated_yaml(model.model_validate, path)
 
 
-def read_validated_yaml(validate: Callable[[Any], YamlModel], path: Path) -> YamlModel:
+def read_validated_yaml(validate: Callable[[Any], Validated], path: Path) -> Validated:
     """Read a YAML file and validate it.
 
     Args:
@@ -65,61 +69,6 @@ def read_validated_yaml(validate: Callable[[Any], YamlModel], path: Path) -> Yam
         raise SceneError(f"{path}: {key}: {message}.") from error
 
 
-def find_by_name(
-    name_or_path: str | Path, shipped: Mapping[str, NamedItem], item_kind: str, read: Callable[[Path], NamedItem]
-) -> NamedItem:
-    """Return a shipped item by its name, or read it from a YAML file.
-
-    Args:
-        name_or_path: Name of a shipped item, or path of a YAML file.
-        item_kind: What an item is, for the error message.
-        read: Reads an item from a file.
-
-    Raises:
-        SceneError: If there is neither a shipped item nor a file of that name. The message lists the shipped items.
-    """
-    if (item := shipped.get(str(name_or_path))) is not None:
-        return item
-    if not is_existing_file(name_or_path):
-        raise SceneError(
-            f"{name_or_path}: no such {item_kind}; name one of {format_name_list(list(shipped))}, or give a YAML file."
-        )
-    return read(Path(name_or_path))
-
-
-class InlineMapping(dict[str, Any]):
-    """A mapping that is written on one line, such as that of a bone or a marker."""
-
-
-class InlineSequence(list[Any]):
-    """A list that is written on one line, such as the labels of a change."""
-
-
-def dump_yaml(data: Mapping[str, Any], max_line_length: int = MAX_LINE_LENGTH) -> str:
-    """Return the YAML text of a mapping, with the keys in its order."""
-    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=max_line_length, allow_unicode=True)
-
-
-# The compiled writer, which gives the same text several times faster, where PyYAML was built with it.
-_SafeDumper: type[yaml.SafeDumper] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class _YamlDumper(_SafeDumper):
-    """PyYAML's safe writer, extended by InlineMapping and InlineSequence."""
-
-
-def _represent_inline(dumper: SafeRepresenter, mapping: InlineMapping) -> yaml.MappingNode:
-    return dumper.represent_mapping("tag:yaml.org,2002:map", mapping, flow_style=True)
-
-
-def _represent_inline_sequence(dumper: SafeRepresenter, sequence: InlineSequence) -> yaml.SequenceNode:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", sequence, flow_style=True)
-
-
-_YamlDumper.add_representer(InlineMapping, _represent_inline)
-_YamlDumper.add_representer(InlineSequence, _represent_inline_sequence)
-
-
 def _validate_joint_name(name: str) -> str:
     names = load_cmu31_body().skeleton.names
     if name not in names:
@@ -129,3 +78,139 @@ def _validate_joint_name(name: str) -> str:
 
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 JointName = Annotated[str, AfterValidator(_validate_joint_name)]
+
+MARKER_COUNTS: dict[CorrectionKind, int] = {"wrong": 1, "missing": 1, "swap": 2, "assign": 2, "fill": 1}
+"""how many markers, or trajectories, a correction of each kind names"""
+MAX_NOTE_LENGTH = 2000
+
+NoteText = Annotated[str, Field(max_length=MAX_NOTE_LENGTH)]
+
+
+class _IntervalStateModel(StrictModel):
+    missing: int
+    off_body_mm: float | None
+
+
+class ChangeModel(StrictModel):
+    """A change in a changes file; see mocapfix.model.changes.Change."""
+
+    id: str
+    kind: FaultKind
+    markers: list[str] = Field(min_length=1)
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: _IntervalStateModel
+    after: _IntervalStateModel
+    predicted_mm: float | None
+    decision: Decision
+    reviewed: bool = False  # whether a person has decided
+    note: NoteText = ""  # what the reviewer wrote about it
+
+
+class CorrectionModel(StrictModel):
+    """A correction by the reviewer, over frames in the file's own numbers, inclusive."""
+
+    # wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled. swap: the
+    # labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the marker, which is
+    # named first. fill: the missing or wrong samples are filled by `method`
+    kind: CorrectionKind
+    markers: list[str]  # labels
+    first: int
+    last: int
+    method: RequestedFill | None = None  # how to fill; null unless the kind is fill
+    note: NoteText = ""
+
+    @pydantic.model_validator(mode="after")
+    def _check_markers_and_method(self) -> "CorrectionModel":
+        count = MARKER_COUNTS[self.kind]
+        if len(set(self.markers)) != count or len(self.markers) != count:
+            names = {"swap": "two markers", "assign": "a marker and an unlabelled trajectory"}.get(self.kind, "one marker")
+            raise ValueError(f"{self.kind} must name {names}")
+        if (self.method is not None) != (self.kind == "fill"):
+            text = "fill must have a method: spline, cluster, body or empty" if self.kind == "fill" else "only fill has a method"
+            raise ValueError(text)
+        return self
+
+
+class ChangesFileModel(StrictModel):
+    """A changes file."""
+
+    take: str  # name of the take
+    frames: tuple[int, int]  # its first and last frame
+    changes: list[ChangeModel]
+    # those of the reviewer, in the order in which they are applied
+    corrections: list[CorrectionModel] = Field(default_factory=list)
+
+
+class BoneModel(StrictModel):
+    parent: str | None
+    offset: Vector3
+    end: Vector3 | None = None
+    sd: FiniteFloat = Field(ge=0)
+
+
+class MarkerModel(StrictModel):
+    joint: JointName
+    place: Vector3
+    spread: FiniteFloat = Field(ge=0)
+    sd: FiniteFloat = Field(ge=0)
+
+
+class SubjectModel(StrictModel):
+    marker_set: str
+    frames: NonNegativeInt
+    bones: dict[str, BoneModel]
+    markers: dict[str, MarkerModel]
+    notes: tuple[str, ...] = ()
+
+
+class SetMarkerModel(StrictModel):
+    """A marker in a marker set file: its place is a landmark, or a joint with an offset."""
+
+    landmark: str | None = None
+    joint: JointName | None = None
+    offset: Vector3 | None = None
+    spread: FiniteFloat | None = Field(default=None, gt=0)
+    aliases: tuple[str, ...] = ()
+    optional: bool = False
+
+    @pydantic.model_validator(mode="after")
+    def _check_place(self) -> "SetMarkerModel":
+        if self.landmark is not None:
+            if self.joint is not None or self.offset is not None:
+                raise ValueError("the place of a marker is either a landmark or a joint with an offset, not both")
+        elif self.joint is None or self.offset is None or self.spread is None:
+            raise ValueError("a marker needs a joint, an offset and a spread, or a landmark")
+        return self
+
+
+class MarkerSetModel(StrictModel):
+    name: str
+    title: str
+    also_called: tuple[str, ...] = ()
+    skeleton: Literal["cmu31"]
+    laboratory: bool = False
+    point_sd: FiniteFloat = Field(default=0.0, ge=0)
+    markers: dict[str, SetMarkerModel] = Field(min_length=1)
+    props: dict[str, tuple[str, ...]] = Field(default_factory=dict[str, tuple[str, ...]])
+
+    @pydantic.field_validator("markers")
+    @classmethod
+    def _check_names_unique(cls, markers: dict[str, SetMarkerModel]) -> dict[str, SetMarkerModel]:
+        names = Counter(fold_label(name) for label, marker in markers.items() for name in (label, *marker.aliases))
+        if repeated := [name for name, count in names.items() if count > 1]:
+            raise ValueError(f"{format_name_list(repeated)} names more than one marker; case and separators are ignored")
+        if empty := [label for label in markers if not fold_label(label)]:
+            raise ValueError(f"{format_name_list(empty)} has neither letters nor digits")
+        return markers
+
+    @pydantic.model_validator(mode="after")
+    def _check_props(self) -> "MarkerSetModel":
+        names = Counter(fold_label(label) for labels in self.props.values() for label in labels)
+        names.update({fold_label(name) for label, marker in self.markers.items() for name in (label, *marker.aliases)})
+        if repeated := [name for name, count in names.items() if count > 1]:
+            raise ValueError(f"props: {format_name_list(repeated)} is on more than one prop, or also on the body")
+        return self

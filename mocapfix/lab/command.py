@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.markup import escape
 
-from mocapfix.cli.arguments import FlagOption, JsonOption, TakesArgument, describe_option
+from mocapfix.cli.commands import FlagOption, JsonOption, TakesArgument, describe_option
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_line, print_usage_error, show_progress
 from mocapfix.lab.results import print_results
 from mocapfix.options import CHARACTER_PRESETS
@@ -19,8 +19,7 @@ MotionFolderOption = Annotated[
     Path | None, tyro.conf.arg(metavar="FOLDER", help="motion with the test subjects; by default motion is composed")
 ]
 UnseenPosesOption = Annotated[
-    Path | None,
-    tyro.conf.arg(metavar="FOLDER", help="motion with the test subjects; by default 1,000 shipped poses of theirs"),
+    Path | None, tyro.conf.arg(metavar="FOLDER", help="motion with the test subjects; by default 1,000 shipped poses of theirs")
 ]
 CapturesOption = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help="captures to be measured instead, or as well")]
 TakeCountOption = Annotated[int, tyro.conf.arg(metavar="N", help="number of takes")]

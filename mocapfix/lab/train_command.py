@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 import tyro
 from rich.markup import escape
 
-from mocapfix.cli.arguments import OverwriteOption
+from mocapfix.cli.commands import OverwriteOption
 from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
 from mocapfix.errors import WriteError
 from mocapfix.io.files import check_outputs_absent

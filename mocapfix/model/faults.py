@@ -15,6 +15,8 @@ FaultKind = Literal[
     "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide", "root shift",
 ]  # fmt: skip
 Decision = Literal["accept", "reject", "keep"]  # what a reviewer decides about a change (see `mocapfix.model.changes.Change`)
+CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
+RequestedFill = Literal["spline", "cluster", "body", "empty"]
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
 
 # Missing samples.

@@ -17,9 +17,9 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
-from mocapfix.io.changes_file import ChangeModel, ChangesFileModel, CorrectionModel, locate_correction
+from mocapfix.io.changes_file import locate_correction
 from mocapfix.io.files import hold_process_lock
-from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel, read_yaml_model
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
@@ -231,7 +231,7 @@ class OpenTake:
 
     def withdraw(self) -> dict[str, Any]:
         with self.lock:
-            take_files.withdraw_approval(self.take)
+            self.take.approval_path.unlink(missing_ok=True)
             return self._describe_state()
 
     def start_cleaning(self, formats: Sequence[str], rigs: Sequence[str], report: Callable[[RunStatus], None]) -> RunStatus:
@@ -413,7 +413,8 @@ class ReviewSession:
             if name not in self._open:
                 take = self._takes[name]
                 self._hold_folder(take.folder)
-                self._open[name] = OpenTake(take, take_files.find_takes_of_one_file(take, list(self._takes.values())))
+                of_file = [each for each in self._takes.values() if (each.folder, each.name) == (take.folder, take.name)]
+                self._open[name] = OpenTake(take, of_file)
             opened = self._open.pop(name)
             self._open[name] = opened  # the last is the one that was used last
             for other in list(self._open.values())[:-MAX_OPEN_VIEWS]:

@@ -21,18 +21,10 @@ from pydantic import Field, ValidationError
 from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import (
-    CHANGES_SUFFIX,
-    MAX_NOTE_LENGTH,
-    ChangeModel,
-    ChangesFileModel,
-    CorrectionModel,
-    format_change,
-    join_changes_file,
-)
+from mocapfix.io.changes_file import CHANGES_SUFFIX, format_change, join_changes_file
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_atomically, return_free_memory
-from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.io.yaml_files import MAX_NOTE_LENGTH, ChangeModel, ChangesFileModel, CorrectionModel, StrictModel, read_yaml_model
 from mocapfix.model.animation import Animation, build_tip_take
 from mocapfix.model.faults import Decision
 from mocapfix.model.take import Take
@@ -69,7 +61,7 @@ class CleanedTake:
     @cached_property
     def options(self) -> CleanOptions:
         """The options with which the take was cleaned; the files that they name are relative to the folder."""
-        return parse_arguments(self.arguments[1:])
+        return parse_arguments(self.arguments[1:])[0]
 
     @property
     def input_path(self) -> Path | None:
@@ -133,11 +125,6 @@ def read_cleaned_take(root: Path, folder: Path, stem: str) -> CleanedTake:
     return take
 
 
-def find_takes_of_one_file(take: CleanedTake, takes: Sequence[CleanedTake]) -> list[CleanedTake]:
-    """Return the subjects that were cleaned with a take from one file, itself among them."""
-    return [each for each in takes if each.folder == take.folder and each.name == take.name]
-
-
 MAX_NAME_LENGTH = 200
 ReviewState = Literal["untouched", "in review", "approved"]
 
@@ -170,10 +157,6 @@ def write_approval(take: CleanedTake, name: str) -> Approval:
     with replace_atomically(take.approval_path) as part:
         part.write_text(approval.model_dump_json(indent=1) + "\n", encoding="utf-8")
     return approval
-
-
-def withdraw_approval(take: CleanedTake) -> None:
-    take.approval_path.unlink(missing_ok=True)
 
 
 def hash_changes(path: Path) -> str:

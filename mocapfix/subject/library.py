@@ -5,27 +5,27 @@ shipped one that fits its labels. Landmarks have one place each on the average b
 keypoints refer. A subject file has one person's bones and marker offsets, which people can read, edit and use again.
 """
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, FiniteFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
 
 from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.io.yaml_files import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, find_by_name, read_yaml_model
-from mocapfix.model.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, fold_label, index_labels_by_prefix
+from mocapfix.io.shipped import InlineMapping, dump_yaml, find_by_name, find_shipped_folder, keep_parsed, read_shipped_yaml
+from mocapfix.model.marker_set import MIN_SINGLE_LIMB_MARKERS, MarkerSet, index_labels_by_prefix
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SubjectOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS
+
+if TYPE_CHECKING:
+    from mocapfix.io.yaml_files import BoneModel, SetMarkerModel
 
 SUBJECT_FILE_HEADER = """\
 # A subject of mocapfix: one person's bones and the markers on them. All lengths are in metres.
@@ -39,7 +39,9 @@ LENGTH_DECIMALS = 7  # decimals of the lengths in the file: a tenth of a microme
 
 def read_subject(path: str | Path) -> Subject:
     """Return the subject in a file, possibly edited. Raises SceneError with the file and the path of the invalid key."""
-    model = read_yaml_model(_SubjectModel, Path(path))
+    from mocapfix.io.yaml_files import SubjectModel, read_yaml_model
+
+    model = read_yaml_model(SubjectModel, Path(path))
     _check_bones(Path(path), model.bones)
     skeleton, markers = load_cmu31_body().skeleton, model.markers.values()
     bones = [model.bones[name] for name in skeleton.names]
@@ -99,29 +101,7 @@ def _round_length(value: float) -> float:
     return round(float(value), LENGTH_DECIMALS)
 
 
-class _BoneModel(StrictModel):
-    parent: str | None
-    offset: Vector3
-    end: Vector3 | None = None
-    sd: FiniteFloat = Field(ge=0)
-
-
-class _MarkerModel(StrictModel):
-    joint: JointName
-    place: Vector3
-    spread: FiniteFloat = Field(ge=0)
-    sd: FiniteFloat = Field(ge=0)
-
-
-class _SubjectModel(StrictModel):
-    marker_set: str
-    frames: NonNegativeInt
-    bones: dict[str, _BoneModel]
-    markers: dict[str, _MarkerModel]
-    notes: tuple[str, ...] = ()
-
-
-def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
+def _check_bones(path: Path, bones: dict[str, "BoneModel"]) -> None:
     """Raise SceneError unless the bones are those of the CMU skeleton, the only tree that the solver supports."""
     skeleton = load_cmu31_body().skeleton
     for name, bone in bones.items():
@@ -141,7 +121,6 @@ def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
         raise SceneError(f"{path}: bones.{missing[0]}: is missing.")
 
 
-LANDMARK_FILE = "skeletons/landmarks.yaml"
 MIRROR_X = np.array([-1.0, 1.0, 1.0])  # the body rests facing +Z, so left and right differ in the sign of x
 MAX_MEDIAN_DISTANCE_M = 0.008  # from the median plane, of a landmark of pelvis, trunk or head of neither side
 
@@ -175,19 +154,8 @@ def find_landmark(name: str) -> Landmark:
 @cache
 def load_landmarks() -> dict[str, Landmark]:
     """Return the left and the median landmarks by their names without a side, from scenes/skeletons/landmarks.yaml."""
-    path = find_shipped_folder("scenes") / LANDMARK_FILE
-    models = read_yaml_model(_LandmarkFile, path).landmarks
-    return {name: Landmark(model.joint, np.array(model.offset, float), model.spread) for name, model in models.items()}
-
-
-class _LandmarkModel(StrictModel):
-    joint: JointName
-    offset: Vector3
-    spread: PositiveFloat
-
-
-class _LandmarkFile(StrictModel):
-    landmarks: dict[str, _LandmarkModel]
+    landmarks = read_shipped_yaml("skeletons/landmarks.yaml")["landmarks"].items()
+    return {name: Landmark(each["joint"], np.array(each["offset"], float), each["spread"]) for name, each in landmarks}
 
 
 def _is_median(landmark: Landmark) -> bool:
@@ -200,7 +168,10 @@ MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed
 
 @cache
 def load_shipped_marker_sets() -> tuple[MarkerSet, ...]:
-    return tuple(_read_marker_set(path) for path in sorted((find_shipped_folder("scenes") / "marker-sets").glob("*.yaml")))
+    scenes, package = find_shipped_folder("scenes"), Path(__file__).parent.parent
+    paths = sorted(scenes.glob("marker-sets/*.yaml"))
+    others = [*sorted(scenes.glob("skeletons/*.yaml")), package / "model" / "marker_set.py", Path(__file__)]
+    return keep_parsed("marker-sets", [*paths, *others], lambda: tuple(_read_marker_set(path) for path in paths))
 
 
 def load_whole_body_marker_sets() -> tuple[MarkerSet, ...]:
@@ -272,9 +243,13 @@ def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "")
 
 
 def _read_marker_set(path: Path) -> MarkerSet:
-    model = read_yaml_model(_MarkerSetModel, path)
+    from mocapfix.io.yaml_files import MarkerSetModel, read_yaml_model
+
+    model = read_yaml_model(MarkerSetModel, path)
     markers = model.markers.values()
-    places = [marker.locate() for marker in markers]
+    places = [_locate_marker(marker, f"{path}: markers.{label}.landmark") for label, marker in model.markers.items()]
+    if small := [name for name, labels in model.props.items() if len(labels) < MIN_GROUP_MARKERS]:
+        raise SceneError(f"{path}: props: {format_name_list(small)} has fewer than {MIN_GROUP_MARKERS} markers.")
     skeleton = load_cmu31_body().skeleton
     return MarkerSet(
         name=model.name,
@@ -293,70 +268,18 @@ def _read_marker_set(path: Path) -> MarkerSet:
     )
 
 
-class _SetMarkerModel(StrictModel):
-    landmark: str | None = None
-    joint: JointName | None = None
-    offset: Vector3 | None = None
-    spread: FiniteFloat | None = Field(default=None, gt=0)
-    aliases: tuple[str, ...] = ()
-    optional: bool = False
-
-    @field_validator("landmark")
-    @classmethod
-    def _check_landmark(cls, name: str | None) -> str | None:
-        if name is not None:
-            find_landmark(name)
-        return name
-
-    @model_validator(mode="after")
-    def _check_place(self) -> "_SetMarkerModel":
-        if self.landmark is not None:
-            if self.joint is not None or self.offset is not None:
-                raise ValueError("the place of a marker is either a landmark or a joint with an offset, not both")
-        elif self.joint is None or self.offset is None or self.spread is None:
-            raise ValueError("a marker needs a joint, an offset and a spread, or a landmark")
-        return self
-
-    def locate(self) -> Landmark:
-        """Return the place of the marker: that of its landmark, or its own joint, offset and spread."""
-        if self.landmark is not None:
-            landmark = find_landmark(self.landmark)
-            return landmark._replace(spread=self.spread or landmark.spread)
-        assert self.joint is not None
-        assert self.offset is not None
-        assert self.spread is not None
-        return Landmark(self.joint, np.array(self.offset, float), self.spread)
-
-
-class _MarkerSetModel(StrictModel):
-    name: str
-    title: str
-    also_called: tuple[str, ...] = ()
-    skeleton: Literal["cmu31"]
-    laboratory: bool = False
-    point_sd: FiniteFloat = Field(default=0.0, ge=0)
-    markers: dict[str, _SetMarkerModel] = Field(min_length=1)
-    props: dict[str, tuple[str, ...]] = Field(default_factory=dict[str, tuple[str, ...]])
-
-    @field_validator("markers")
-    @classmethod
-    def _check_names_unique(cls, markers: dict[str, _SetMarkerModel]) -> dict[str, _SetMarkerModel]:
-        names = Counter(fold_label(name) for label, marker in markers.items() for name in (label, *marker.aliases))
-        if repeated := [name for name, count in names.items() if count > 1]:
-            raise ValueError(f"{format_name_list(repeated)} names more than one marker; case and separators are ignored")
-        if empty := [label for label in markers if not fold_label(label)]:
-            raise ValueError(f"{format_name_list(empty)} has neither letters nor digits")
-        return markers
-
-    @model_validator(mode="after")
-    def _check_props(self) -> "_MarkerSetModel":
-        names = Counter(fold_label(label) for labels in self.props.values() for label in labels)
-        names.update({fold_label(name) for label, marker in self.markers.items() for name in (label, *marker.aliases)})
-        if repeated := [name for name, count in names.items() if count > 1]:
-            raise ValueError(f"props: {format_name_list(repeated)} is on more than one prop, or also on the body")
-        if small := [name for name, labels in self.props.items() if len(labels) < MIN_GROUP_MARKERS]:
-            raise ValueError(f"props: {format_name_list(small)} has fewer than {MIN_GROUP_MARKERS} markers")
-        return self
+def _locate_marker(marker: "SetMarkerModel", key: str) -> Landmark:
+    """Return the place of a marker: that of its landmark, or its own joint, offset and spread."""
+    if marker.landmark is None:
+        assert marker.joint is not None
+        assert marker.offset is not None
+        assert marker.spread is not None
+        return Landmark(marker.joint, np.array(marker.offset, float), marker.spread)
+    try:
+        landmark = find_landmark(marker.landmark)
+    except ValueError as error:
+        raise SceneError(f"{key}: {error}.") from error
+    return landmark._replace(spread=marker.spread or landmark.spread)
 
 
 UNASSIGNED_SUBJECT = "others"  # the name of the take of the markers that belong to no body, nor to a part of one

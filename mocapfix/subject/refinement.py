@@ -216,12 +216,7 @@ def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
 
 
 def respond_in_frames(
-    problem: PoseProblem,
-    poses: Poses,
-    frames: Int[np.ndarray, " N"],
-    *,
-    only_errors: bool = False,
-    has_responses: bool = False,
+    problem: PoseProblem, poses: Poses, frames: Int[np.ndarray, " N"], *, only_errors: bool = False, has_responses: bool = False
 ) -> SharedResponses:
     """Return the responses of some of the frames to the unknowns of the body (see `compute_shared_responses`)."""
     part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])

@@ -11,15 +11,14 @@ from mocapfix.errors import SceneError
 from mocapfix.fill.gap_estimates import FillRequest
 from mocapfix.fill.gap_filling import EMPTY_REASON, explain_requested_fills
 from mocapfix.io.changes_file import (
-    CorrectionKind,
-    CorrectionModel,
     Review,
     build_fault_review,
     locate_correction,
     read_changes_file,
     write_changes_file,
 )
-from mocapfix.model.faults import Fault, Fragment
+from mocapfix.io.yaml_files import CorrectionModel
+from mocapfix.model.faults import CorrectionKind, Fault, Fragment
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.io.test_changes_file import build_change, build_take
 

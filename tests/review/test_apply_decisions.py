@@ -14,6 +14,7 @@ from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io import capture, changes_file
 from mocapfix.io.changes_file import Review
 from mocapfix.io.patches import patch_c3d
+from mocapfix.io.yaml_files import ChangeModel
 from mocapfix.model.changes import Filled, compare_samples, serialize_changes
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault, FaultReview, Faults, Fragment, MarkerShift
@@ -203,7 +204,7 @@ def test_gap_within_a_rejected_burst_is_filled():
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
-    entry = changes_file.ChangeModel.model_validate(serialize_changes([change])[0] | {"decision": "reject"})
+    entry = ChangeModel.model_validate(serialize_changes([change])[0] | {"decision": "reject"})
     rejected = changes_file.ReviewedChange(entry, (0,), 5, 14)
     after, changes = decide(before, detection, repaired, reviewed=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}

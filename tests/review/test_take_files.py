@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mocapfix import pipeline
 from mocapfix.errors import MocapfixError, ReadError, SceneError
 from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import ChangeModel, ChangesFileModel, read_changes_file, write_changes_file
-from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.io.changes_file import read_changes_file, write_changes_file
+from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, read_yaml_model
 from mocapfix.model.animation import Animation
 from mocapfix.model.changes import serialize_changes
 from mocapfix.report.sample_states import SampleOutcome, classify_samples
