@@ -153,25 +153,21 @@ class TakeAttempts:
     """The attempts at a take, one line for each, in a file that only the process holds which cleans the take."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
-        self._path, self._lines = path, lines
-
-    def count_all(self) -> int:
-        """Return the number of attempts with any key."""
-        return len(self._lines)
+        self._path, self.lines = path, lines
 
     def count(self, key: str) -> int:
         """Return how many attempts with this key were begun since the take was last done or failed."""
-        return self._lines.count(key)
+        return self.lines.count(key)
 
     def begin(self, key: str) -> int:
         """Note that an attempt begins; return how many with this key have begun."""
-        self._lines.append(key)
-        self._path.write_text("".join(f"{line}\n" for line in self._lines), encoding=LOCK_TEXT_ENCODING)
+        self.lines.append(key)
+        self._path.write_text("".join(f"{line}\n" for line in self.lines), encoding=LOCK_TEXT_ENCODING)
         return self.count(key)
 
     def clear(self) -> None:
         """Forget the attempts, after their number was written into the record."""
-        self._lines.clear()
+        self.lines.clear()
         self._path.unlink(missing_ok=True)
 
 
@@ -185,7 +181,7 @@ def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
         lines = path.read_text(encoding=LOCK_TEXT_ENCODING).splitlines() if path.exists() else []
         attempts = TakeAttempts(path, lines)
         yield attempts
-        if not attempts.count_all():
+        if not attempts.lines:
             attempts.clear()
             with suppress(PermissionError):  # on Windows its file is removed with the lock
                 Path(lock.lock_file).unlink(missing_ok=True)

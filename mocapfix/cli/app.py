@@ -19,7 +19,6 @@ from mocapfix.model.system import get_system
 from mocapfix.options import UP_AXES, parse_arguments
 
 DEBUG_FLAG = "--debug"
-UP_FLAG = "--up"
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
 
 
@@ -53,8 +52,8 @@ def join_axis_arguments(arguments: Iterable[str]) -> list[str]:
     """Return arguments in which a negative up axis is no flag: ["--up=-y"] for ["--up", "-y"]."""
     joined: list[str] = []
     for argument in arguments:
-        if joined and joined[-1] == UP_FLAG and argument.upper() in UP_AXES:
-            joined[-1] = f"{UP_FLAG}={argument}"
+        if joined and joined[-1] == "--up" and argument.upper() in UP_AXES:
+            joined[-1] = f"--up={argument}"
         else:
             joined.append(argument)
     return joined

@@ -136,8 +136,6 @@ class CorrectionModel(StrictModel):
 
 
 class ChangesFileModel(StrictModel):
-    """A changes file."""
-
     take: str  # name of the take
     frames: tuple[int, int]  # its first and last frame
     changes: list[ChangeModel]
@@ -168,8 +166,6 @@ class SubjectModel(StrictModel):
 
 
 class SetMarkerModel(StrictModel):
-    """A marker in a marker set file: its place is a landmark, or a joint with an offset."""
-
     landmark: str | None = None
     joint: JointName | None = None
     offset: Vector3 | None = None
