@@ -8,15 +8,18 @@ a weight that hardly matters beside the distances.
 Tracklets are grouped by these relations, the strongest first, and each group belongs to the person whose labels it has for the
 longer time. A tracklet that belongs to the other person than its label names shows an exchange, provided that the label of the
 other person does not have another of their points. It is undone before each subject is cleaned as a take of its own.
+
+Most pairs of many subjects show at once that they exchanged nothing: an exchange begins or ends with a leap to where the other
+person's label was, or else puts a label beside the other person while it contradicts its own. Only the others are searched.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise, product
+from itertools import chain, combinations, pairwise, product
 
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import format_name_list
 from mocapfix.io.changes_file import Review
@@ -27,7 +30,7 @@ from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.parallel import map_in_threads
-from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, estimate_distance_statistics
+from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, MAX_NEAR_DISTANCE_M, estimate_distance_statistics
 from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
@@ -197,9 +200,8 @@ RELATIVE_TOLERANCE = 0.1
 MAX_CROSSED_SD_RATIO = 0.5
 COMPARISON_INTERVAL_S = 0.025  # interval of the frames in which the distances are compared
 MIN_PERSON_LEAP_M = 0.05  # nearer to the other person's label than to its own: a sample may be exchanged
-# A sample whose distances are broken in more than this share of the comparisons, for some time, may be exchanged.
-MIN_BROKEN_SHARE = 0.7
-MIN_BROKEN_DURATION_S = 0.1
+MARKER_SPEED_M_PER_S = 10.0  # speed of a fast hand: a sample farther from where the other person's label was is not its next
+MIN_BROKEN_DURATION_S = 0.1  # for so long, the distances of a label must be broken that may be exchanged
 # A marker that was hidden is about where it was, within a constant and a distance that grows with the time.
 POSITION_TOLERANCE_M = 0.1
 PERSON_SPEED_M_PER_S = 2.0
@@ -221,19 +223,74 @@ class MarkerPairs:
     tolerance_m: Float[np.ndarray, " E"]  # deviations (E,) from which they are broken
 
 
-def detect_subject_exchanges(take: Take, first_subject: str, second_subject: str) -> list[Fault]:
-    """Detect the labels that two subjects of a take have exchanged, and when.
+@dataclass(frozen=True)
+class SubjectSamples:
+    """The M markers of one subject, and what tells whether labels may have been exchanged with another one."""
+
+    take: Take
+    latest_seen: Int[np.ndarray, "T M"]  # the last frame, up to each one, in which a marker is visible; -1 for none
+    latest_missing: Int[np.ndarray, "T M"]  # the last one in which it is missing
+    steps: Int[np.ndarray, "2 N"]  # frame and marker of the samples far from the last earlier ones of their labels
+    box_m: Float[np.ndarray, "2 S 3"]  # the smallest and largest coordinates in the compared frames, NaN without a marker
+
+    @staticmethod
+    def measure(take: Take) -> "SubjectSamples":
+        """Measure the samples of one subject's take."""
+        seen, missing = find_latest(take.visible), find_latest(~take.visible)
+        start = np.take_along_axis(take.markers, np.maximum(seen[:-1], 0)[..., None], axis=0)
+        frames, labels = np.nonzero((compute_lengths(take.markers[1:] - start) > MIN_PERSON_LEAP_M) & (seen[:-1] >= 0))
+        compared = take.markers[_select_compared_frames(take)]
+        box_m = np.stack([np.fmin.reduce(compared, axis=1, initial=np.nan), np.fmax.reduce(compared, axis=1, initial=np.nan)])
+        return SubjectSamples(take, seen, missing, np.stack([frames + 1, labels]), box_m)
+
+    def measure_steps(
+        self, frames: Int[np.ndarray, " N"], labels: Int[np.ndarray, " N"], positions: Float[np.ndarray, "N 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """Measure how far positions are from the last earlier samples of labels, which move on as the rest of the subject.
+
+        Returns:
+            The distances in metres and the times in seconds, NaN and infinite where there is no earlier sample.
+        """
+        start = self.latest_seen[frames - 1, labels]
+        expected = self.take.markers[np.maximum(start, 0), labels]
+        hidden = np.flatnonzero((start >= 0) & (start < frames - 1))
+        first, last = start[hidden], frames[hidden]
+        is_seen = (self.latest_missing[last] < first[:, None])[..., None]
+        moved = np.where(is_seen, self.take.markers[last] - self.take.markers[first], 0.0).sum(1)
+        expected[hidden] += moved / np.maximum(is_seen.sum(1), 1)
+        is_known = start >= 0
+        times_s = np.where(is_known, (frames - start) / self.take.rate, np.inf)
+        return np.where(is_known, compute_lengths(positions - expected), np.nan), times_s
+
+
+def find_latest(mask: Bool[np.ndarray, "T M"]) -> Int[np.ndarray, "T M"]:
+    """Return the last frame, up to each one, that is in the mask, -1 for none."""
+    return np.maximum.accumulate(np.where(mask, np.arange(len(mask))[:, None], -1), axis=0)
+
+
+def detect_subject_exchanges(one: SubjectSamples, two: SubjectSamples) -> list[Fault]:
+    """Detect the labels that two subjects have exchanged, and when.
 
     Returns:
-        A label swap for each label and interval, ordered by first frame.
+        A label swap for each label and interval, ordered by first frame, with the indices of the markers of both, one after the
+        other.
     """
-    pairs = find_marker_pairs(take, first_subject, second_subject)
-    if not len(pairs.partners) or not _is_exchange_possible(take, pairs):
+    first, second = one.take, two.take
+    positions = np.concatenate([first.markers, second.markers], axis=1)
+    prefixes = first.subject_prefixes
+    take = Take(positions, first.labels + second.labels, first.rate, first.first_frame, first.path, subject_prefixes=prefixes)
+    pairs = _compare_markers(take, find_shared_labels(one, two) + np.array([[0], [len(first.labels)]]))
+    if not len(pairs.partners):
+        return []
+    compared = _select_compared_frames(take)
+    coordinates_m = np.ascontiguousarray(take.markers[compared[:, None], pairs.columns.ravel()].T)
+    is_near, compared_rate = find_near_frames(one, two), take.rate * len(compared) / take.frame_count
+    if not does_label_leap(one, two) and not _fits_other(pairs, coordinates_m, is_near, compared_rate):
         return []
     columns = np.unique(pairs.columns)
     tracklets = np.full(take.visible.shape, -1)
     tracklets[:, columns] = link_points(take.markers[:, columns], take.rate).tracklet_indices
-    relations, label_s = _compare_tracklets(take, pairs, tracklets)
+    relations, label_s = _compare_tracklets(take, pairs, tracklets, coordinates_m)
     person = assign_persons(relations, label_s)
     support = compute_support(relations, label_s, person)
     is_wrong = np.stack([person != 0, person != 1])  # of a tracklet under each subject's label
@@ -252,16 +309,41 @@ def detect_subject_exchanges(take: Take, first_subject: str, second_subject: str
     return sorted(faults, key=lambda fault: fault.first)
 
 
-def find_marker_pairs(take: Take, first_subject: str, second_subject: str) -> MarkerPairs:
-    """Find the labels that two subjects of a take have in common, and the distances that tell whose a sample is."""
-    columns: list[tuple[int, int]] = []
-    own = {(subject, label): m for m, (subject, label) in enumerate(zip(take.marker_subjects, take.bare_labels, strict=True))}
-    for (subject, label), m in own.items():
-        other = own.get((second_subject, label))
-        if subject == first_subject and other is not None and take.visible[:, m].any() and take.visible[:, other].any():
-            columns.append((m, other))
-    index = np.array(columns, int).reshape(-1, 2).T
-    return _compare_markers(take, index)
+def find_shared_labels(one: SubjectSamples, two: SubjectSamples) -> Int[np.ndarray, "2 K"]:
+    """Find the markers of two subjects that are visible in any frame and have the same label."""
+    seen = [{each.take.bare_labels[m]: int(m) for m in np.flatnonzero(each.take.visible.any(0))} for each in (one, two)]
+    return np.array([(m, seen[1][label]) for label, m in seen[0].items() if label in seen[1]], int).reshape(-1, 2).T
+
+
+def is_exchange_possible(one: SubjectSamples, two: SubjectSamples) -> bool:
+    """Return whether a label leaps to the other subject, or the subjects are near one another in any frame."""
+    return does_label_leap(one, two) or bool(find_near_frames(one, two).any())
+
+
+def does_label_leap(one: SubjectSamples, two: SubjectSamples) -> bool:
+    """Return whether a sample is nearer to where the other subject's label was than to where its own was."""
+    shared = find_shared_labels(one, two)
+    for own, other, (markers, others) in ((one, two, shared), (two, one, shared[::-1])):
+        other_of_marker = np.full(len(own.take.labels), -1)
+        other_of_marker[markers] = others
+        frames, labels = own.steps[:, other_of_marker[own.steps[1]] >= 0]
+        positions = own.take.markers[frames, labels]
+        own_m, _ = own.measure_steps(frames, labels, positions)
+        other_m, hidden_s = other.measure_steps(frames, other_of_marker[labels], positions)
+        largest_m = np.minimum(own_m - MIN_PERSON_LEAP_M, POSITION_TOLERANCE_M + MARKER_SPEED_M_PER_S * hidden_s)
+        if (other_m < largest_m).any():
+            return True
+    return False
+
+
+def find_near_frames(one: SubjectSamples, two: SubjectSamples) -> Bool[np.ndarray, " S"]:
+    """Find the compared frames in which any markers of two subjects may be as near as those of one segment."""
+    gap_m = np.maximum(one.box_m[0] - two.box_m[1], two.box_m[0] - one.box_m[1])
+    return compute_lengths(np.maximum(gap_m, 0.0)) < MAX_NEAR_DISTANCE_M
+
+
+def _select_compared_frames(take: Take) -> Int[np.ndarray, " S"]:
+    return np.arange(0, take.frame_count, max(1, round(COMPARISON_INTERVAL_S * take.rate)))
 
 
 def _compare_markers(take: Take, columns: Int[np.ndarray, "2 K"]) -> MarkerPairs:
@@ -287,87 +369,82 @@ def _compare_markers(take: Take, columns: Int[np.ndarray, "2 K"]) -> MarkerPairs
     return MarkerPairs(columns, partners, steady_m[:, k, p], tolerance_m)
 
 
-def _is_exchange_possible(take: Take, pairs: MarkerPairs) -> bool:
-    """Return whether a label leaps to where the other subject's was, or its distances are broken for some time."""
-    own, other = (take.markers[:, pairs.columns[p]] for p in range(2))
-    for one, two in ((own, other), (other, own)):
-        own_step, other_step = _measure_steps(one, one), _measure_steps(two, one)
-        if (other_step < own_step - MIN_PERSON_LEAP_M).any():
-            return True
-    step = max(1, round(COMPARISON_INTERVAL_S * take.rate))
-    min_length = max(1, round(MIN_BROKEN_DURATION_S * take.rate / step))
-    for p in range(2):
-        one, two = (take.markers[::step, pairs.columns[p, labels]] for labels in pairs.partners.T)
-        error_m = np.abs(compute_lengths(one - two) - pairs.length_m[p])
-        is_partner = (pairs.partners[:, :, None] == np.arange(pairs.columns.shape[1])).any(1).astype(float)
-        broken, known = (each.astype(float) @ is_partner for each in (error_m > pairs.tolerance_m, ~np.isnan(error_m)))
-        is_broken = (known > 0) & (broken > MIN_BROKEN_SHARE * known)
-        if any(last - first + 1 >= min_length for k in range(is_broken.shape[1]) for first, last in find_runs(is_broken[:, k])):
-            return True
-    return False
+def _measure_deviations(
+    pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], p: int, q: int
+) -> Float[np.ndarray, "E S"]:
+    """Measure the distances from the first labels on subject `p` to the second ones on `q`.
+
+    Args:
+        coordinates_m: Those of the first subject's labels and then of the second one's, in the compared frames.
+
+    Returns:
+        By how many tolerances they differ from those on the subject to which they are more similar.
+    """
+    count, (one, two) = pairs.columns.shape[1], pairs.partners.T
+    distance_m = compute_lengths(np.moveaxis(coordinates_m[:, p * count + one] - coordinates_m[:, q * count + two], 0, -1))
+    return np.abs((distance_m - pairs.length_m[..., None]) / pairs.tolerance_m[:, None]).min(0)
 
 
-def _measure_steps(before: np.ndarray, after: np.ndarray) -> Float[np.ndarray, "S K"]:
-    """Return the distance of each sample of `after` from the last earlier sample of `before`, NaN where there is none."""
-    latest = np.maximum.accumulate(np.where(np.isnan(before[..., 0]), -1, np.arange(len(before))[:, None]), axis=0)[:-1]
-    start = np.take_along_axis(before, np.maximum(latest, 0)[..., None], axis=0)
-    return np.where(latest >= 0, compute_lengths(after[1:] - start), np.nan)
+def _fits_other(pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], is_near: np.ndarray, rate: float) -> bool:
+    """Return whether the distance of two labels is broken on the subjects for some time, and is kept from one to the other.
+
+    Args:
+        coordinates_m: As for `_measure_deviations`.
+        is_near: Whether the subjects are near one another in each of the S frames.
+        rate: Compared frames per second.
+    """
+    own = np.fmin(*(_measure_deviations(pairs, coordinates_m, p, p) for p in range(2)))
+    across = np.fmax(*(_measure_deviations(pairs, coordinates_m, p, 1 - p) for p in range(2)))
+    min_frames = max(1, round(MIN_BROKEN_DURATION_S * rate))
+    runs = chain.from_iterable(map(find_runs, is_near & (own > 1) & (across < 1)))
+    return any(last - first + 1 >= min_frames for first, last in runs)
 
 
 def _compare_tracklets(
-    take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]
+    take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"], coordinates_m: Float[np.ndarray, "3 L S"]
 ) -> tuple[TrackletRelations, Float[np.ndarray, " N"]]:
     """Compare the distances between tracklets with those on the subjects.
+
+    Args:
+        coordinates_m: As for `_measure_deviations`.
 
     Returns:
         The evidence for pairs of tracklets to belong to the same person, and for how many seconds longer each tracklet has
         labels of the first subject than of the second.
     """
-    count, frames = int(tracklets.max()) + 1, np.arange(0, take.frame_count, max(1, round(COMPARISON_INTERVAL_S * take.rate)))
-    label_s = np.zeros(count)
+    label_s = np.zeros(int(tracklets.max()) + 1)
     for p, sign in enumerate((1.0, -1.0)):
         shown = tracklets[:, pairs.columns[p]]
-        label_s += sign * np.bincount(shown[shown >= 0], minlength=count) / take.rate
+        label_s += sign * np.bincount(shown[shown >= 0], minlength=len(label_s)) / take.rate
     relations: list[TrackletRelations] = []
-    frame_s = len(frames) and take.frame_count / take.rate / len(frames)
-    coordinates = np.ascontiguousarray(take.markers[frames[:, None], pairs.columns.ravel()].T)
-    shown, count = np.ascontiguousarray(tracklets[frames[:, None], pairs.columns.ravel()].T), pairs.columns.shape[1]
+    frame_s = take.frame_count / take.rate / coordinates_m.shape[2]
+    shown = np.ascontiguousarray(tracklets[_select_compared_frames(take)[:, None], pairs.columns.ravel()].T)
     for p, q in product(range(2), repeat=2):
-        one, two = p * count + pairs.partners[:, 0], q * count + pairs.partners[:, 1]
-        distance_m = compute_lengths(np.moveaxis(coordinates[:, one] - coordinates[:, two], 0, -1))
-        deviation = (distance_m - pairs.length_m[..., None]) / pairs.tolerance_m[:, None]
-        evidence = (0.5 - np.minimum(1.0, (deviation**2).min(0))) * frame_s / EVIDENCE_UNIT_S
-        relations.append(TrackletRelations.sum_runs(shown[one].ravel(), shown[two].ravel(), evidence.ravel()))
+        deviation = _measure_deviations(pairs, coordinates_m, p, q)
+        evidence = (0.5 - np.minimum(1.0, deviation**2)) * frame_s / EVIDENCE_UNIT_S
+        one, two = (shown[side * pairs.columns.shape[1] + pairs.partners[:, end]] for end, side in enumerate((p, q)))
+        relations.append(TrackletRelations.sum_runs(one.ravel(), two.ravel(), evidence.ravel()))
     return TrackletRelations.collect([*relations, _compare_positions(take, pairs, tracklets)]), label_s
 
 
 def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]) -> TrackletRelations:
     """Return whether each tracklet begins nearer to where its own label was before, or to where the other person's was."""
-    related: list[tuple[int, int]] = []
-    evidence: list[float] = []
-    seen = np.flatnonzero(tracklets.max(0) >= 0)
-    shown = tracklets[:, seen]
-    first = np.full(shown.max(initial=-1) + 2, -1)  # the place of the first sample of each tracklet, and of no tracklet
-    first[shown.ravel()[::-1]] = np.arange(shown.size)[::-1]
-    latest = dict(
-        zip(seen.tolist(), np.maximum.accumulate(np.where(shown >= 0, np.arange(len(shown))[:, None], -1)).T, strict=True)
-    )
-    label = {int(m): (p, k) for p in range(2) for k, m in enumerate(pairs.columns[p])}
-    for n, place in enumerate(first[:-1].tolist()):
-        t, column = place // len(seen), int(seen[place % len(seen)])
-        own_person, k = label[column]
-        own_t, other_t = (int(latest[int(m)][t - 1]) if t else -1 for m in (column, pairs.columns[1 - own_person, k]))
-        if min(own_t, other_t) < 0:
-            continue
-        own, other = (own_t, column), (other_t, int(pairs.columns[1 - own_person, k]))
-        own_m, other_m = (float(np.linalg.norm(take.markers[t, column] - take.markers[each])) for each in (own, other))
-        hidden_s = (t - min(own_t, other_t)) / take.rate
-        nearer = np.clip((other_m - own_m) / (POSITION_TOLERANCE_M + PERSON_SPEED_M_PER_S * hidden_s), -1.0, 1.0)
-        for each, sign in ((own, 1.0), (other, -1.0)):
-            if hidden_s <= MAX_HIDDEN_S and tracklets[each] != n:
-                related.append((min(n, int(tracklets[each])), max(n, int(tracklets[each]))))
-                evidence.append(sign * POSITION_EVIDENCE * float(nearer))
-    return TrackletRelations(np.array(related, int).reshape(-1, 2), np.array(evidence))
+    frames, columns = np.nonzero(tracklets >= 0)
+    numbers, first = np.unique(tracklets[frames, columns], return_index=True)
+    t, own = frames[first], columns[first]
+    other_of_column = np.arange(len(take.labels))
+    other_of_column[pairs.columns] = pairs.columns[::-1]
+    places = [(find_latest(tracklets >= 0)[t - 1, each], each) for each in (own, other_of_column[own])]
+    own_m, other_m = (compute_lengths(take.markers[t, own] - take.markers[each]) for each in places)
+    earliest = np.where(t > 0, np.minimum(places[0][0], places[1][0]), -1)
+    hidden_s = (t - earliest) / take.rate
+    nearer = np.clip((other_m - own_m) / (POSITION_TOLERANCE_M + PERSON_SPEED_M_PER_S * hidden_s), -1.0, 1.0)
+    parts: list[TrackletRelations] = []
+    for place, sign in zip(places, (1.0, -1.0), strict=True):
+        is_related = (earliest >= 0) & (hidden_s <= MAX_HIDDEN_S) & (tracklets[place] != numbers)
+        both = np.sort(np.column_stack([numbers, tracklets[place]])[is_related], axis=1)
+        parts.append(TrackletRelations(both, sign * POSITION_EVIDENCE * nearer[is_related]))
+    return TrackletRelations.collect(parts)
 
 
 @dataclass(frozen=True)
@@ -411,10 +488,11 @@ def correct_subject_labels(
     columns = {name: np.flatnonzero(subjects == name) for name in names}
     while done < len(pairs):
         markers = replace(corrected, unlabelled=None, labelled_file=None, computed_points=None)
-        own = {name: markers.extract_markers(columns[name], name) for name in names}
-        for detected in map_in_threads(_detect_in_pair, [(own[a], own[b]) for a, b in pairs[done:]], is_shared=True):
-            both = np.concatenate([columns[name] for name in pairs[done]]).tolist()
-            done += 1
+        own = {name: SubjectSamples.measure(markers.extract_markers(columns[name], name)) for name in names}
+        searched = [n for n in range(done, len(pairs)) if is_exchange_possible(*(own[name] for name in pairs[n]))]
+        samples, done = [tuple(own[name] for name in pairs[n]) for n in searched], len(pairs)
+        for n, detected in zip(searched, map_in_threads(_detect_in_pair, samples, is_shared=True), strict=True):
+            both = np.concatenate([columns[name] for name in pairs[n]]).tolist()
             found = [
                 fault
                 for fault in (replace(f, marker=both[f.marker], other_markers=(both[f.other_markers[0]],)) for f in detected)
@@ -425,16 +503,13 @@ def correct_subject_labels(
             if found:  # the pairs that follow are compared with these labels corrected
                 corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])
                 faults += found
+                done = n + 1
                 break
     return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
 
 
-def _detect_in_pair(pair: tuple[Take, Take]) -> list[Fault]:
-    """Detect the labels that the subjects of two takes have exchanged. Faults have the indices of the markers of both."""
-    one, two = pair
-    positions = np.concatenate([one.markers, two.markers], axis=1)
-    take = Take(positions, one.labels + two.labels, one.rate, one.first_frame, one.path, subject_prefixes=one.subject_prefixes)
-    return detect_subject_exchanges(take, one.subject_name, two.subject_name)
+def _detect_in_pair(pair: tuple[SubjectSamples, ...]) -> list[Fault]:
+    return detect_subject_exchanges(*pair)
 
 
 def _build_declined_filter(take: Take, reviews: Sequence[Review]) -> Callable[[Fault], bool]:

@@ -1,10 +1,20 @@
 """Labels exchanged between two people: of a marker, of a limb and of the whole person, for a while and to the end of the take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mocapfix.lab.label_recovery import place_two_people
-from mocapfix.labels.subject_exchanges import TrackletRelations, assign_persons, compute_support, detect_subject_exchanges
+from mocapfix.labels import subject_exchanges
+from mocapfix.labels.subject_exchanges import (
+    SubjectSamples,
+    TrackletRelations,
+    assign_persons,
+    compute_support,
+    is_exchange_possible,
+)
+from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.synthetic import compose_take
 
@@ -27,6 +37,18 @@ def two_people(request: pytest.FixtureRequest) -> Take:
 
 def find_pairs(take: Take, labels: tuple[str, ...]) -> list[tuple[int, int]]:
     return [(take.labels.index(f"P1:{label}"), take.labels.index(f"P2:{label}")) for label in labels]
+
+
+def measure_subjects(take: Take, *names: str) -> list[SubjectSamples]:
+    subjects = np.array(take.marker_subjects, object)
+    return [SubjectSamples.measure(take.extract_markers(np.flatnonzero(subjects == name), name)) for name in names]
+
+
+def detect_subject_exchanges(take: Take, first: str, second: str) -> list[Fault]:
+    one, two = measure_subjects(take, first, second)
+    faults = subject_exchanges.detect_subject_exchanges(one, two)
+    assert not faults or is_exchange_possible(one, two)
+    return faults
 
 
 def test_nothing_is_found_where_nothing_was_exchanged(two_people: Take) -> None:
@@ -57,6 +79,22 @@ def test_an_exchange_that_begins_and_ends_in_a_gap_is_found(two_people: Take) ->
     faults = detect_subject_exchanges(exchanged.masked(hidden), "P1", "P2")
     assert {fault.markers for fault in faults} == set(pairs)
     assert all(240 <= fault.first <= 262 and 408 <= fault.last <= 430 for fault in faults)
+
+
+def test_only_subjects_that_are_near_or_to_whom_labels_leap_are_searched(two_people: Take) -> None:
+    markers = two_people.markers.copy()
+    markers[:, len(markers[0]) // 2 :, 0] += 5.0
+    apart = replace(two_people, markers=markers)
+    spike = markers.copy()
+    spike[300, two_people.labels.index("P1:LFHD"), 0] += 4.0  # nearer to the other head, but not where that was
+    assert is_exchange_possible(*measure_subjects(two_people, "P1", "P2"))
+    for take in (apart, replace(apart, markers=spike)):
+        assert not is_exchange_possible(*measure_subjects(take, "P1", "P2"))
+    for first, last in ((0, len(markers) - 1), (200, 203)):
+        pairs = find_pairs(apart, ARM)
+        exchanged = apart.exchange_labels_in_turn([(pair, first, last) for pair in pairs])
+        faults = detect_subject_exchanges(exchanged, "P1", "P2")
+        assert {fault.markers for fault in faults} == set(pairs)
 
 
 def test_labels_that_one_subject_lacks_are_not_compared(two_people: Take) -> None:
