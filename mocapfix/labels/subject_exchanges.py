@@ -30,7 +30,12 @@ from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.parallel import map_in_threads
-from mocapfix.stats.marker_distances import BROKEN_DISTANCE_SD, MAX_NEAR_DISTANCE_M, estimate_distance_statistics
+from mocapfix.stats.marker_distances import (
+    BROKEN_DISTANCE_SD,
+    MAX_NEAR_DISTANCE_M,
+    build_trajectories,
+    estimate_distance_statistics,
+)
 from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject.library import UNASSIGNED_SUBJECT
@@ -228,44 +233,36 @@ class SubjectSamples:
     """The M markers of one subject, and what tells whether labels may have been exchanged with another one."""
 
     take: Take
-    latest_seen: Int[np.ndarray, "T M"]  # the last frame, up to each one, in which a marker is visible; -1 for none
-    latest_missing: Int[np.ndarray, "T M"]  # the last one in which it is missing
+    previous_frame: Int[np.ndarray, "T M"]  # the last earlier frame in which a marker is visible, -1 for none
+    missing_count: Int[np.ndarray, "T M"]  # number of frames, up to each one, in which it is missing
     steps: Int[np.ndarray, "2 N"]  # frame and marker of the samples far from the last earlier ones of their labels
     box_m: Float[np.ndarray, "2 S 3"]  # the smallest and largest coordinates in the compared frames, NaN without a marker
 
     @staticmethod
     def measure(take: Take) -> "SubjectSamples":
         """Measure the samples of one subject's take."""
-        seen, missing = find_latest(take.visible), find_latest(~take.visible)
-        start = np.take_along_axis(take.markers, np.maximum(seen[:-1], 0)[..., None], axis=0)
-        frames, labels = np.nonzero((compute_lengths(take.markers[1:] - start) > MIN_PERSON_LEAP_M) & (seen[:-1] >= 0))
+        previous = build_trajectories(take.markers, take.rate).previous_frame
+        step = take.markers - np.take_along_axis(take.markers, np.maximum(previous, 0)[..., None], axis=0)
+        steps = np.stack(np.nonzero((previous >= 0) & (compute_lengths(step) > MIN_PERSON_LEAP_M)))
         compared = take.markers[_select_compared_frames(take)]
-        box_m = np.stack([np.fmin.reduce(compared, axis=1, initial=np.nan), np.fmax.reduce(compared, axis=1, initial=np.nan)])
-        return SubjectSamples(take, seen, missing, np.stack([frames + 1, labels]), box_m)
+        box_m = np.stack([limit.reduce(compared, axis=1, initial=np.nan) for limit in (np.fmin, np.fmax)])
+        return SubjectSamples(take, previous, np.cumsum(~take.visible, axis=0), steps, box_m)
 
     def measure_steps(
         self, frames: Int[np.ndarray, " N"], labels: Int[np.ndarray, " N"], positions: Float[np.ndarray, "N 3"]
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-        """Measure how far positions are from the last earlier samples of labels, which move on as the rest of the subject.
+    ) -> Float[np.ndarray, "2 N"]:
+        """Return how far positions are from the last earlier samples of labels, which move on as the markers seen since then.
 
-        Returns:
-            The distances in metres and the times in seconds, NaN and infinite where there is no earlier sample.
+        The distances in metres and the times in seconds are NaN where there is no earlier sample.
         """
-        start = self.latest_seen[frames - 1, labels]
-        expected = self.take.markers[np.maximum(start, 0), labels]
+        start = self.previous_frame[frames, labels]
         hidden = np.flatnonzero((start >= 0) & (start < frames - 1))
         first, last = start[hidden], frames[hidden]
-        is_seen = (self.latest_missing[last] < first[:, None])[..., None]
-        moved = np.where(is_seen, self.take.markers[last] - self.take.markers[first], 0.0).sum(1)
-        expected[hidden] += moved / np.maximum(is_seen.sum(1), 1)
-        is_known = start >= 0
-        times_s = np.where(is_known, (frames - start) / self.take.rate, np.inf)
-        return np.where(is_known, compute_lengths(positions - expected), np.nan), times_s
-
-
-def find_latest(mask: Bool[np.ndarray, "T M"]) -> Int[np.ndarray, "T M"]:
-    """Return the last frame, up to each one, that is in the mask, -1 for none."""
-    return np.maximum.accumulate(np.where(mask, np.arange(len(mask))[:, None], -1), axis=0)
+        is_seen = (self.missing_count[last] == self.missing_count[first])[..., None]
+        step = positions - self.take.markers[np.maximum(start, 0), labels]
+        moved = np.where(is_seen, self.take.markers[last] - self.take.markers[first], 0.0)
+        step[hidden] -= moved.sum(1) / np.maximum(is_seen.sum(1), 1)
+        return np.where(start >= 0, [compute_lengths(step), (frames - start) / self.take.rate], np.nan)
 
 
 def detect_subject_exchanges(one: SubjectSamples, two: SubjectSamples) -> list[Fault]:
@@ -324,14 +321,14 @@ def does_label_leap(one: SubjectSamples, two: SubjectSamples) -> bool:
     """Return whether a sample is nearer to where the other subject's label was than to where its own was."""
     shared = find_shared_labels(one, two)
     for own, other, (markers, others) in ((one, two, shared), (two, one, shared[::-1])):
-        other_of_marker = np.full(len(own.take.labels), -1)
-        other_of_marker[markers] = others
-        frames, labels = own.steps[:, other_of_marker[own.steps[1]] >= 0]
+        other_label = np.full(len(own.take.labels), -1)
+        other_label[markers] = others
+        frames, labels = own.steps[:, other_label[own.steps[1]] >= 0]
         positions = own.take.markers[frames, labels]
-        own_m, _ = own.measure_steps(frames, labels, positions)
-        other_m, hidden_s = other.measure_steps(frames, other_of_marker[labels], positions)
-        largest_m = np.minimum(own_m - MIN_PERSON_LEAP_M, POSITION_TOLERANCE_M + MARKER_SPEED_M_PER_S * hidden_s)
-        if (other_m < largest_m).any():
+        own_m = own.measure_steps(frames, labels, positions)[0]
+        other_m, hidden_s = other.measure_steps(frames, other_label[labels], positions)
+        near_m = np.minimum(own_m - MIN_PERSON_LEAP_M, POSITION_TOLERANCE_M + MARKER_SPEED_M_PER_S * hidden_s)
+        if (other_m < near_m).any():
             return True
     return False
 
@@ -434,9 +431,10 @@ def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray
     t, own = frames[first], columns[first]
     other_of_column = np.arange(len(take.labels))
     other_of_column[pairs.columns] = pairs.columns[::-1]
-    places = [(find_latest(tracklets >= 0)[t - 1, each], each) for each in (own, other_of_column[own])]
+    previous = build_trajectories(take.markers, take.rate).previous_frame
+    places = [(previous[t, each], each) for each in (own, other_of_column[own])]
     own_m, other_m = (compute_lengths(take.markers[t, own] - take.markers[each]) for each in places)
-    earliest = np.where(t > 0, np.minimum(places[0][0], places[1][0]), -1)
+    earliest = np.minimum(places[0][0], places[1][0])
     hidden_s = (t - earliest) / take.rate
     nearer = np.clip((other_m - own_m) / (POSITION_TOLERANCE_M + PERSON_SPEED_M_PER_S * hidden_s), -1.0, 1.0)
     parts: list[TrackletRelations] = []
