@@ -160,7 +160,7 @@ def detect_sample_faults(
     lost = gaps.detect_lost_segments(take, marker_set) if marker_set else []
     faults = Faults((*gaps.detect_gaps(take, memory), *virtual, *lost, *noisy, *isolated_spikes, *exact, *bursts))
     is_sound = faults.compute_inlier_mask(measured) & ~build_fault_mask(exact, shape)
-    return faults.add_faults(ghosts.detect_ghosts(take.masked(is_sound)))
+    return faults.add_faults(memory.recall_whole("ghosts", is_sound, lambda: ghosts.detect_ghosts(take.masked(is_sound))))
 
 
 MIN_VISIBLE_MARKERS = 3  # inliers in at least one frame: fewer do not determine the position of anything

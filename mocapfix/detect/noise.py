@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 
 class RoundMemory:
-    """Results that were computed from the samples of single markers of one take, each with the samples that were used."""
+    """Results that were computed from the samples of one take, each with the samples that were used."""
 
     def __init__(self) -> None:
         self._results: dict[Hashable, tuple[np.ndarray, object]] = {}
@@ -54,6 +54,17 @@ class RoundMemory:
             if known is None or not (is_none_left or np.array_equal(samples, known)):
                 self._results[key, marker] = samples.copy(), compute(marker)
         return [self._results[key, marker][1] for marker in range(is_used.shape[1])]  # pyright: ignore[reportReturnType]
+
+    def recall_whole(self, key: Hashable, is_used: Bool[np.ndarray, "T M"], compute: Callable[[], Result]) -> Result:
+        """Return the result of all markers together under `key`. It is computed unless it is known from the same samples."""
+        known, result = self._results.get(key, (None, None))
+        if known is None or not np.array_equal(known, is_used):
+            known, result = self._results[key] = is_used, compute()
+        return result  # pyright: ignore[reportReturnType]
+
+    def find_partners(self, take: Take) -> Int[np.ndarray, "M K"]:
+        """Find the markers with the steadiest distances to each marker, -1 where there are fewer."""
+        return self.recall_whole("partners", take.visible, lambda: estimate_distances(take.markers).partner)
 
 
 MIN_SHARED_COSINE = 0.8  # smallest cosine of the angle between two deviations that are alike
@@ -229,12 +240,12 @@ def detect_jitter(
     """
     min_noise_m = min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2
     faults: list[Fault] = []
-    memory, partners = memory or RoundMemory(), None
+    memory = memory or RoundMemory()
     noise = memory.recall(("bursts", min_noise_m), is_usable, lambda m: _measure_noise(take, m, is_usable[:, m], min_noise_m))
     memory.recall("usual residual", is_usable, lambda m: noise[m][0])  # for `estimate_noise_levels`
     for m, (label, (usual_m, threshold_m, bursts)) in enumerate(zip(take.bare_labels, noise, strict=True)):
         for burst in bursts:
-            partners = estimate_distances(take.markers).partner if partners is None else partners
+            partners = memory.find_partners(take)
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, threshold_m):
                 continue
             duration_s = (burst.last - burst.first + 1) / take.rate
@@ -328,8 +339,8 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
     Returns:
         The faults, ordered by marker and first frame. Their severity is the largest distance from the path in metres.
     """
-    faults, partners = list[Fault](), None
-    excursions = (memory or RoundMemory()).recall(
+    faults, memory = list[Fault](), memory or RoundMemory()
+    excursions = memory.recall(
         ("excursions", min_distance_m, max_duration_s),
         take.visible,
         lambda m: _find_excursions(take, m, min_distance_m, max_duration_s),
@@ -337,7 +348,7 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
     for m, (label, excursion) in enumerate(zip(take.bare_labels, excursions, strict=True)):
         if not len(excursion.frames):
             continue
-        partners = estimate_distances(take.markers).partner if partners is None else partners
+        partners = memory.find_partners(take)
         is_spike = ~_find_shared_excursions(take, m, excursion, partners[m][partners[m] >= 0])
         distance_m = np.zeros(take.frame_count)
         distance_m[excursion.frames[is_spike]] = np.linalg.norm(excursion.deviation[is_spike], axis=-1)
