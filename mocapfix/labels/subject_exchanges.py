@@ -15,6 +15,7 @@ person's label was, or else puts a label beside the other person while it contra
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from heapq import heapify, heappop, heappush
 from itertools import chain, combinations, pairwise, product
 
 import numpy as np
@@ -44,7 +45,6 @@ MAX_PAIR_EVIDENCE = 20.0  # largest evidence of one pair of tracklets: the frame
 # Weight of a second with a person's label, in the unit of the evidence.
 LABEL_WEIGHT_PER_S = 0.02
 MAX_ASSIGNMENT_PASSES = 20
-MIN_AGREEMENT_GAIN = 1e-9  # smallest agreement with the evidence that an exchange of sides must gain: less is rounding
 
 
 @dataclass(frozen=True)
@@ -82,115 +82,65 @@ class TrackletRelations:
 def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Assign each tracklet to person 0 or 1.
 
-    Tracklets are joined by the strongest evidence first, which makes trees of them. Parts of a tree, and then single tracklets,
-    are exchanged between the persons as long as this agrees better with all evidence. Each tree is assigned by its labels.
+    Groups of tracklets are joined, as those of one person or of two, those with the most evidence about one another first, and
+    the evidence about others is added up (greedy additive edge contraction, Keuper et al. 2015). Each of the groups that are left
+    is assigned by its labels. Then single tracklets are exchanged as long as this agrees better with all evidence.
 
     Args:
         relations: The evidence about pairs of tracklets.
         label_s: How many seconds longer each tracklet has labels of person 0 than of person 1.
     """
-    evidence, count = relations.limited_evidence, len(label_s)
-    weights = scipy.sparse.csr_array((MAX_PAIR_EVIDENCE + 1 - np.abs(evidence), tuple(relations.pairs.T)), (count, count))
-    signs = {(a, b): 1 if each > 0 else -1 for (a, b), each in zip(relations.pairs.tolist(), evidence.tolist(), strict=True)}
-    tree = scipy.sparse.csgraph.minimum_spanning_tree(weights)
-    side, is_reached = np.ones(count), np.zeros(count, bool)
-    for root in range(count):
-        if is_reached[root]:
-            continue
-        order, parents = scipy.sparse.csgraph.depth_first_order(tree, root, directed=False)
-        is_reached[order] = True
-        for n in order[1:].tolist():
-            side[n] = side[parents[n]] * signs[min(n, parents[n]), max(n, parents[n])]
-        if len(order) > 1:
-            _exchange_subtrees(side, order, parents, relations)
-        if side[order] @ label_s[order] < 0:
-            side[order] *= -1
-    return np.where(_agree(side.astype(int), relations, label_s) > 0, 0, 1)
+    side, groups = np.ones(len(label_s)), {n: [n] for n in range(len(label_s))}
+    evidence: list[dict[int, float]] = [{} for _ in groups]
+    for (a, b), each in zip(relations.pairs.tolist(), relations.limited_evidence.tolist(), strict=True):
+        evidence[a][b] = evidence[b][a] = each
+    queue = [(-abs(each), a, b) for a, others in enumerate(evidence) for b, each in others.items() if a < b and each]
+    heapify(queue)
+    while queue:
+        strength, a, b = heappop(queue)
+        if -strength != abs(evidence[a].get(b, 0.0)):
+            continue  # one of the groups has been joined to another since
+        a, b = (a, b) if len(evidence[a]) > len(evidence[b]) else (b, a)
+        sign = np.sign(evidence[a].pop(b))
+        side[groups[b]] *= sign
+        groups[a] += groups.pop(b)
+        del evidence[b][a]
+        for other in evidence[b]:
+            total = evidence[a].get(other, 0.0) + sign * evidence[other].pop(b)
+            evidence[a][other] = evidence[other][a] = total
+            if total:
+                heappush(queue, (-abs(total), a, other))
+        evidence[b] = {}
+    for group in groups.values():
+        side[group] *= 1 if side[group] @ label_s[group] >= 0 else -1
+    return np.where(_agree(side, relations, label_s) > 0, 0, 1)
 
 
-def _exchange_subtrees(
-    side: Float[np.ndarray, " N"], order: Int[np.ndarray, " n"], parents: Int[np.ndarray, " N"], relations: TrackletRelations
-) -> None:
-    """Turn the sides of parts of a tree in place, as long as this agrees better with the evidence.
-
-    Args:
-        side: 1 or -1 for each tracklet.
-        order: The tracklets of the tree in depth-first order, so that each subtree is an interval of it.
-        parents: The parent of each tracklet in the tree.
-    """
-    position = np.full(len(side), -1)
-    position[order] = np.arange(len(order))
-    stop = np.arange(1, len(order) + 1)  # of each subtree
-    for i in range(len(order) - 1, 0, -1):
-        stop[position[parents[order[i]]]] = max(stop[position[parents[order[i]]]], stop[i])
-    is_in_tree = position[relations.pairs[:, 0]] >= 0
-    (a, b), evidence = relations.pairs[is_in_tree].T, relations.limited_evidence[is_in_tree]
-    first, second = position[a], position[b]
-    ancestor = _find_common_ancestors(
-        np.r_[0, position[parents[order[1:]]]], np.minimum(first, second), np.maximum(first, second)
-    )
-    for _ in range(MAX_ASSIGNMENT_PASSES):
-        agreement = evidence * side[a] * side[b]
-        ends, apexes = (
-            np.bincount(at, weights, len(order))
-            for at, weights in ((np.r_[first, second], np.r_[agreement, agreement]), (ancestor, agreement))
-        )
-        total = np.r_[0.0, np.cumsum(ends - 2 * apexes)]
-        across = (total[stop] - total[:-1])[1:]  # of the pairs with exactly one end in each subtree
-        worst = int(across.argmin())
-        if across[worst] > -MIN_AGREEMENT_GAIN:
-            return
-        side[order[worst + 1 : stop[worst + 1]]] *= -1
-
-
-def _find_common_ancestors(
-    parent: Int[np.ndarray, " n"], first: Int[np.ndarray, " P"], last: Int[np.ndarray, " P"]
-) -> Int[np.ndarray, " P"]:
-    """Return the lowest common ancestors of the nodes `first` < `last` of a tree whose nodes are numbered in depth-first order.
-
-    It is the first of the parents of all nodes behind `first` up to `last`; tables have the minima over 1, 2, 4, ... nodes.
-    """
-    tables = [parent]
-    while 2 ** len(tables) < len(parent):
-        half = 2 ** (len(tables) - 1)
-        tables.append(np.minimum(tables[-1], np.r_[tables[-1][half:], np.full(half, len(parent))]))
-    level = np.floor(np.log2(np.maximum(last - first, 1))).astype(int)
-    table = np.stack(tables)
-    return np.minimum(table[level, first + 1], table[level, last + 1 - 2**level])
-
-
-def _agree(side: Int[np.ndarray, " N"], relations: TrackletRelations, label_s: np.ndarray) -> Int[np.ndarray, " N"]:
+def _agree(side: Float[np.ndarray, " N"], relations: TrackletRelations, label_s: np.ndarray) -> Float[np.ndarray, " N"]:
     """Return the sides (1 or -1) after single tracklets changed theirs where this agrees better with the others."""
-    side = side.copy()
-    neighbours = _list_neighbours(len(side), relations)
+    side, evidence = side.copy(), _build_evidence_matrix(relations, len(side))
     for _ in range(MAX_ASSIGNMENT_PASSES):
-        is_changed = False
-        for n, (others, evidence) in enumerate(neighbours):
-            pull = float((evidence * side[others]).sum()) + LABEL_WEIGHT_PER_S * label_s[n]
-            if pull * side[n] < 0:
-                side[n] *= -1
-                is_changed = True
-        if not is_changed:
+        before = side.copy()
+        for n, (first, stop) in enumerate(pairwise(evidence.indptr)):
+            pull = evidence.data[first:stop] @ side[evidence.indices[first:stop]] + LABEL_WEIGHT_PER_S * label_s[n]
+            side[n] *= -1 if pull * side[n] < 0 else 1
+        if np.array_equal(side, before):
             break
     return side
+
+
+def _build_evidence_matrix(relations: TrackletRelations, count: int) -> scipy.sparse.csr_array:
+    """Return the evidence (N, N) about each pair of tracklets, in both orders."""
+    places = np.concatenate([relations.pairs, relations.pairs[:, ::-1]]).T
+    return scipy.sparse.csr_array((np.tile(relations.limited_evidence, 2), tuple(places)), (count, count))
 
 
 def compute_support(
     relations: TrackletRelations, label_s: Float[np.ndarray, " N"], person: Int[np.ndarray, " N"]
 ) -> Float[np.ndarray, " N"]:
     """Compute the evidence for each tracklet's person, given those of the others, over that for the other person."""
-    side = np.where(person == 0, 1, -1)
-    pull = [float((evidence * side[others]).sum()) for others, evidence in _list_neighbours(len(side), relations)]
-    return side * (np.array(pull) + LABEL_WEIGHT_PER_S * label_s)
-
-
-def _list_neighbours(count: int, relations: TrackletRelations) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the other tracklets and the evidence about them for each tracklet."""
-    both = np.concatenate([relations.pairs, relations.pairs[:, ::-1]])
-    evidence = np.concatenate([relations.limited_evidence] * 2)
-    order = np.argsort(both[:, 0], kind="stable")
-    starts = np.searchsorted(both[order, 0], np.arange(count + 1))
-    return [(both[order[a:b], 1], evidence[order[a:b]]) for a, b in pairwise(starts)]
+    side = np.where(person == 0, 1.0, -1.0)
+    return side * (_build_evidence_matrix(relations, len(side)) @ side + LABEL_WEIGHT_PER_S * label_s)
 
 
 MIN_OWN_DISTANCE_FRACTION = 0.3  # of the frames with correct distances: an exchange may last for most of a take
