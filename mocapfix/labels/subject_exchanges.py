@@ -47,39 +47,26 @@ LABEL_WEIGHT_PER_S = 0.02
 MAX_ASSIGNMENT_PASSES = 20
 
 
-@dataclass(frozen=True)
-class TrackletRelations:
-    """Evidence about R pairs of tracklets."""
+def sum_evidence(
+    one: Int[np.ndarray, " F"], two: Int[np.ndarray, " F"], evidence: Float[np.ndarray, " F"], count: int
+) -> scipy.sparse.csr_array:
+    """Sum the evidence that tracklets are of the same person (positive) or of two (negative).
 
-    pairs: Int[np.ndarray, "R 2"]  # indices (R, 2) of tracklets, the smaller first
-    evidence: Float[np.ndarray, " R"]  # positive for the same person, negative for two persons
+    Args:
+        one: Tracklets, -1 for none.
+        two: The other tracklet of each pair.
+        evidence: The evidence about each pair, NaN for none. A pair may occur several times.
+        count: Number of tracklets, N.
 
-    @staticmethod
-    def collect(parts: "Sequence[TrackletRelations]") -> "TrackletRelations":
-        """Return the relations with the evidence of all parts on the same pair added up."""
-        if not parts:
-            return TrackletRelations(np.zeros((0, 2), int), np.zeros(0))
-        pairs, index = np.unique(np.concatenate([part.pairs for part in parts]), axis=0, return_inverse=True)
-        return TrackletRelations(pairs, np.bincount(index.ravel(), np.concatenate([part.evidence for part in parts]), len(pairs)))
-
-    @staticmethod
-    def sum_runs(
-        one: Int[np.ndarray, " F"], two: Int[np.ndarray, " F"], evidence: Float[np.ndarray, " F"]
-    ) -> "TrackletRelations":
-        """Return the relations of F frames with tracklets `one` and `two` (-1 for none), one for each run of the same pair."""
-        is_known = (one >= 0) & (two >= 0) & (one != two) & ~np.isnan(evidence)
-        low, high, known = np.minimum(one, two)[is_known], np.maximum(one, two)[is_known], evidence[is_known]
-        starts = np.flatnonzero(np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)][: len(low)])
-        pairs = np.column_stack([low[starts], high[starts]])
-        return TrackletRelations(pairs, np.add.reduceat(known, starts) if len(starts) else known)
-
-    @property
-    def limited_evidence(self) -> Float[np.ndarray, " R"]:
-        """The evidence, no larger than frames that depend on each other allow."""
-        return np.clip(self.evidence, -MAX_PAIR_EVIDENCE, MAX_PAIR_EVIDENCE)
+    Returns:
+        The evidence (N, N) about each pair, in both orders.
+    """
+    is_known = (one >= 0) & (two >= 0) & (one != two) & ~np.isnan(evidence)
+    total = scipy.sparse.csr_array((evidence[is_known], (one[is_known], two[is_known])), (count, count))
+    return scipy.sparse.csr_array(total + total.T)
 
 
-def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+def assign_persons(evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Assign each tracklet to person 0 or 1.
 
     Groups of tracklets are joined, as those of one person or of two, those with the most evidence about one another first, and
@@ -87,60 +74,48 @@ def assign_persons(relations: TrackletRelations, label_s: Float[np.ndarray, " N"
     is assigned by its labels. Then single tracklets are exchanged as long as this agrees better with all evidence.
 
     Args:
-        relations: The evidence about pairs of tracklets.
+        evidence: The evidence about pairs of tracklets, as `sum_evidence` returns it.
         label_s: How many seconds longer each tracklet has labels of person 0 than of person 1.
     """
     side, groups = np.ones(len(label_s)), {n: [n] for n in range(len(label_s))}
-    evidence: list[dict[int, float]] = [{} for _ in groups]
-    for (a, b), each in zip(relations.pairs.tolist(), relations.limited_evidence.tolist(), strict=True):
-        evidence[a][b] = evidence[b][a] = each
-    queue = [(-abs(each), a, b) for a, others in enumerate(evidence) for b, each in others.items() if a < b and each]
+    others_of = [
+        dict(zip(evidence.indices[a:b].tolist(), evidence.data[a:b].tolist(), strict=True)) for a, b in pairwise(evidence.indptr)
+    ]
+    queue = [(-abs(each), a, b) for a, others in enumerate(others_of) for b, each in others.items() if a < b and each]
     heapify(queue)
     while queue:
         strength, a, b = heappop(queue)
-        if -strength != abs(evidence[a].get(b, 0.0)):
+        if -strength != abs(others_of[a].get(b, 0.0)):
             continue  # one of the groups has been joined to another since
-        a, b = (a, b) if len(evidence[a]) > len(evidence[b]) else (b, a)
-        sign = np.sign(evidence[a].pop(b))
+        a, b = (a, b) if len(others_of[a]) > len(others_of[b]) else (b, a)
+        sign = np.sign(others_of[a].pop(b))
         side[groups[b]] *= sign
         groups[a] += groups.pop(b)
-        del evidence[b][a]
-        for other in evidence[b]:
-            total = evidence[a].get(other, 0.0) + sign * evidence[other].pop(b)
-            evidence[a][other] = evidence[other][a] = total
+        del others_of[b][a]
+        for other in others_of[b]:
+            total = others_of[a].get(other, 0.0) + sign * others_of[other].pop(b)
+            others_of[a][other] = others_of[other][a] = total
             if total:
                 heappush(queue, (-abs(total), a, other))
-        evidence[b] = {}
+        others_of[b] = {}
     for group in groups.values():
         side[group] *= 1 if side[group] @ label_s[group] >= 0 else -1
-    return np.where(_agree(side, relations, label_s) > 0, 0, 1)
-
-
-def _agree(side: Float[np.ndarray, " N"], relations: TrackletRelations, label_s: np.ndarray) -> Float[np.ndarray, " N"]:
-    """Return the sides (1 or -1) after single tracklets changed theirs where this agrees better with the others."""
-    side, evidence = side.copy(), _build_evidence_matrix(relations, len(side))
     for _ in range(MAX_ASSIGNMENT_PASSES):
         before = side.copy()
-        for n, (first, stop) in enumerate(pairwise(evidence.indptr)):
-            pull = evidence.data[first:stop] @ side[evidence.indices[first:stop]] + LABEL_WEIGHT_PER_S * label_s[n]
+        for n, (a, b) in enumerate(pairwise(evidence.indptr)):
+            pull = evidence.data[a:b] @ side[evidence.indices[a:b]] + LABEL_WEIGHT_PER_S * label_s[n]
             side[n] *= -1 if pull * side[n] < 0 else 1
         if np.array_equal(side, before):
             break
-    return side
-
-
-def _build_evidence_matrix(relations: TrackletRelations, count: int) -> scipy.sparse.csr_array:
-    """Return the evidence (N, N) about each pair of tracklets, in both orders."""
-    places = np.concatenate([relations.pairs, relations.pairs[:, ::-1]]).T
-    return scipy.sparse.csr_array((np.tile(relations.limited_evidence, 2), tuple(places)), (count, count))
+    return np.where(side > 0, 0, 1)
 
 
 def compute_support(
-    relations: TrackletRelations, label_s: Float[np.ndarray, " N"], person: Int[np.ndarray, " N"]
+    evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"], person: Int[np.ndarray, " N"]
 ) -> Float[np.ndarray, " N"]:
     """Compute the evidence for each tracklet's person, given those of the others, over that for the other person."""
     side = np.where(person == 0, 1.0, -1.0)
-    return side * (_build_evidence_matrix(relations, len(side)) @ side + LABEL_WEIGHT_PER_S * label_s)
+    return side * (evidence @ side + LABEL_WEIGHT_PER_S * label_s)
 
 
 MIN_OWN_DISTANCE_FRACTION = 0.3  # of the frames with correct distances: an exchange may last for most of a take
@@ -237,9 +212,9 @@ def detect_subject_exchanges(one: SubjectSamples, two: SubjectSamples) -> list[F
     columns = np.unique(pairs.columns)
     tracklets = np.full(take.visible.shape, -1)
     tracklets[:, columns] = link_points(take.markers[:, columns], take.rate).tracklet_indices
-    relations, label_s = _compare_tracklets(take, pairs, tracklets, coordinates_m)
-    person = assign_persons(relations, label_s)
-    support = compute_support(relations, label_s, person)
+    evidence, label_s = _compare_tracklets(take, pairs, tracklets, coordinates_m)
+    person = assign_persons(evidence, label_s)
+    support = compute_support(evidence, label_s, person)
     is_wrong = np.stack([person != 0, person != 1])  # of a tracklet under each subject's label
     faults: list[Fault] = []
     for k in range(pairs.columns.shape[1]):
@@ -349,32 +324,33 @@ def _fits_other(pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], i
 
 def _compare_tracklets(
     take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"], coordinates_m: Float[np.ndarray, "3 L S"]
-) -> tuple[TrackletRelations, Float[np.ndarray, " N"]]:
+) -> tuple[scipy.sparse.csr_array, Float[np.ndarray, " N"]]:
     """Compare the distances between tracklets with those on the subjects.
 
     Args:
         coordinates_m: As for `_measure_deviations`.
 
     Returns:
-        The evidence for pairs of tracklets to belong to the same person, and for how many seconds longer each tracklet has
-        labels of the first subject than of the second.
+        The evidence about pairs of tracklets, no larger than frames that depend on each other allow, and for how many seconds
+        longer each tracklet has labels of the first subject than of the second.
     """
     label_s = np.zeros(int(tracklets.max()) + 1)
     for p, sign in enumerate((1.0, -1.0)):
         shown = tracklets[:, pairs.columns[p]]
         label_s += sign * np.bincount(shown[shown >= 0], minlength=len(label_s)) / take.rate
-    relations: list[TrackletRelations] = []
+    total = _compare_positions(take, pairs, tracklets)
     frame_s = take.frame_count / take.rate / coordinates_m.shape[2]
     shown = np.ascontiguousarray(tracklets[_select_compared_frames(take)[:, None], pairs.columns.ravel()].T)
     for p, q in product(range(2), repeat=2):
         deviation = _measure_deviations(pairs, coordinates_m, p, q)
         evidence = (0.5 - np.minimum(1.0, deviation**2)) * frame_s / EVIDENCE_UNIT_S
         one, two = (shown[side * pairs.columns.shape[1] + pairs.partners[:, end]] for end, side in enumerate((p, q)))
-        relations.append(TrackletRelations.sum_runs(one.ravel(), two.ravel(), evidence.ravel()))
-    return TrackletRelations.collect([*relations, _compare_positions(take, pairs, tracklets)]), label_s
+        total = total + sum_evidence(one.ravel(), two.ravel(), evidence.ravel(), len(label_s))
+    total.data = np.clip(total.data, -MAX_PAIR_EVIDENCE, MAX_PAIR_EVIDENCE)
+    return total, label_s
 
 
-def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]) -> TrackletRelations:
+def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]) -> scipy.sparse.csr_array:
     """Return whether each tracklet begins nearer to where its own label was before, or to where the other person's was."""
     frames, columns = np.nonzero(tracklets >= 0)
     numbers, first = np.unique(tracklets[frames, columns], return_index=True)
@@ -387,12 +363,10 @@ def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray
     earliest = np.minimum(places[0][0], places[1][0])
     hidden_s = (t - earliest) / take.rate
     nearer = np.clip((other_m - own_m) / (POSITION_TOLERANCE_M + PERSON_SPEED_M_PER_S * hidden_s), -1.0, 1.0)
-    parts: list[TrackletRelations] = []
-    for place, sign in zip(places, (1.0, -1.0), strict=True):
-        is_related = (earliest >= 0) & (hidden_s <= MAX_HIDDEN_S) & (tracklets[place] != numbers)
-        both = np.sort(np.column_stack([numbers, tracklets[place]])[is_related], axis=1)
-        parts.append(TrackletRelations(both, sign * POSITION_EVIDENCE * nearer[is_related]))
-    return TrackletRelations.collect(parts)
+    is_compared = (earliest >= 0) & (hidden_s <= MAX_HIDDEN_S)
+    evidence = np.where(is_compared, POSITION_EVIDENCE * nearer, np.nan)
+    before, count = [tracklets[place] for place in places], int(tracklets.max()) + 1
+    return sum_evidence(numbers, before[0], evidence, count) - sum_evidence(numbers, before[1], evidence, count)
 
 
 @dataclass(frozen=True)

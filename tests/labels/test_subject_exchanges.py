@@ -9,10 +9,10 @@ from mocapfix.lab.label_recovery import place_two_people
 from mocapfix.labels import subject_exchanges
 from mocapfix.labels.subject_exchanges import (
     SubjectSamples,
-    TrackletRelations,
     assign_persons,
     compute_support,
     is_exchange_possible,
+    sum_evidence,
 )
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
@@ -105,26 +105,24 @@ def test_labels_that_one_subject_lacks_are_not_compared(two_people: Take) -> Non
 
 
 def test_tracklets_are_assigned_by_their_relations_and_groups_by_their_labels() -> None:
-    pairs = np.array([[0, 1], [1, 2], [0, 2], [3, 4]])
-    relations = TrackletRelations(pairs, np.array([5.0, -4.0, -1.0, 3.0]))
+    one, two = np.array([[0, 1], [1, 2], [0, 2], [3, 4]]).T
+    evidence = sum_evidence(one, two, np.array([5.0, -4.0, -1.0, 3.0]), 5)
     label_s = np.array([2.0, -1.0, -2.0, 0.1, -4.0])
-    person = assign_persons(relations, label_s)
+    person = assign_persons(evidence, label_s)
     assert person.tolist() == [0, 0, 1, 1, 1]
-    support = compute_support(relations, label_s, person)
+    support = compute_support(evidence, label_s, person)
     assert support[1] == pytest.approx(5 + 4 - 0.02)
     assert support[3] == pytest.approx(3 - 0.002)
 
 
 def test_one_wrong_strong_relation_does_not_exchange_a_group() -> None:
-    pairs = np.array([[0, 1], [2, 3], [1, 2], [0, 2], [0, 3], [1, 3]])
-    relations = TrackletRelations(pairs, np.array([9.0, 9.0, -6.0, 4.0, 4.0, 4.0]))
-    assert assign_persons(relations, np.ones(4)).tolist() == [0, 0, 0, 0]
+    one, two = np.array([[0, 1], [2, 3], [1, 2], [0, 2], [0, 3], [1, 3]]).T
+    evidence = sum_evidence(one, two, np.array([9.0, 9.0, -6.0, 4.0, 4.0, 4.0]), 4)
+    assert assign_persons(evidence, np.ones(4)).tolist() == [0, 0, 0, 0]
 
 
-def test_evidence_of_one_pair_is_added_up_and_limited() -> None:
-    one, two = np.array([4, 4, -1, 4, 7]), np.array([2, 2, 3, 2, 7])
-    run = TrackletRelations.sum_runs(one, two, np.array([1.0, 2.0, 5.0, np.nan, 1.0]))
-    total = TrackletRelations.collect([run, TrackletRelations(np.array([[2, 4]]), np.array([40.0]))])
-    assert (total.pairs.tolist(), total.evidence.tolist()) == ([[2, 4]], [43.0])
-    assert total.limited_evidence.tolist() == [20.0]
-    assert not len(TrackletRelations.collect([]).pairs)
+def test_evidence_of_one_pair_is_added_up() -> None:
+    one, two = np.array([4, 4, -1, 2, 7]), np.array([2, 2, 3, 4, 7])
+    total = sum_evidence(one, two, np.array([1.0, 2.0, 5.0, 40.0, 1.0]), 8).toarray()
+    assert total[2, 4] == total[4, 2] == total.sum() / 2 == 43.0
+    assert not sum_evidence(one, two, np.full(5, np.nan), 8).nnz
