@@ -13,7 +13,7 @@ Most pairs of many subjects show at once that they exchanged nothing: an exchang
 person's label was, or else puts a label beside the other person while it contradicts its own. Only the others are searched.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from itertools import chain, combinations, pairwise, product
@@ -27,7 +27,7 @@ from mocapfix.io.changes_file import Review
 from mocapfix.labels.label_swaps import build_exchange_fault
 from mocapfix.labels.tracklets import link_points
 from mocapfix.model.changes import Change, build_changes, compute_editable_mask
-from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault
+from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.solve.parallel import map_in_threads
@@ -190,14 +190,14 @@ class SubjectSamples:
         return np.where(start >= 0, [compute_lengths(step), (frames - start) / self.take.rate], np.nan)
 
 
-def detect_subject_exchanges(one: SubjectSamples, two: SubjectSamples) -> list[Fault]:
+def detect_subject_exchanges(both: tuple[SubjectSamples, SubjectSamples]) -> list[Fault]:
     """Detect the labels that two subjects have exchanged, and when.
 
     Returns:
         A label swap for each label and interval, ordered by first frame, with the indices of the markers of both, one after the
         other.
     """
-    first, second = one.take, two.take
+    (one, two), (first, second) = both, (each.take for each in both)
     positions = np.concatenate([first.markers, second.markers], axis=1)
     prefixes = first.subject_prefixes
     take = Take(positions, first.labels + second.labels, first.rate, first.first_frame, first.path, subject_prefixes=prefixes)
@@ -403,7 +403,7 @@ def correct_subject_labels(
     if len(names) < 2 or (options.detect.repair_kinds and "swap" not in options.detect.repair_kinds):
         return SubjectExchanges(take, take)
     is_editable = compute_editable_mask(take, options.fill)
-    is_declined = _build_declined_filter(take, reviews)
+    declined = [each for review in reviews for each in review.declined if each.entry.kind == "swap"]
     faults: list[Fault] = []
     corrected = take
     pairs, done, subjects = list(combinations(names, 2)), 0, np.array(take.marker_subjects, object)
@@ -412,15 +412,18 @@ def correct_subject_labels(
         markers = replace(corrected, unlabelled=None, labelled_file=None, computed_points=None)
         own = {name: SubjectSamples.measure(markers.extract_markers(columns[name], name)) for name in names}
         searched = [n for n in range(done, len(pairs)) if is_exchange_possible(*(own[name] for name in pairs[n]))]
-        samples, done = [tuple(own[name] for name in pairs[n]) for n in searched], len(pairs)
-        for n, detected in zip(searched, map_in_threads(_detect_in_pair, samples, is_shared=True), strict=True):
+        samples, done = [(own[pairs[n][0]], own[pairs[n][1]]) for n in searched], len(pairs)
+        for n, detected in zip(searched, map_in_threads(detect_subject_exchanges, samples, is_shared=True), strict=True):
             both = np.concatenate([columns[name] for name in pairs[n]]).tolist()
             found = [
                 fault
                 for fault in (replace(f, marker=both[f.marker], other_markers=(both[f.other_markers[0]],)) for f in detected)
                 if fault.confidence >= MIN_LABEL_CONFIDENCE
                 and is_editable[fault.frame_slice][:, list(fault.markers)].all()
-                and not is_declined(fault)
+                and not any(
+                    each.entry.markers == [take.labels[m] for m in fault.markers] and overlap_in_time(each, fault)
+                    for each in declined
+                )
             ]
             if found:  # the pairs that follow are compared with these labels corrected
                 corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])
@@ -428,20 +431,6 @@ def correct_subject_labels(
                 done = n + 1
                 break
     return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
-
-
-def _detect_in_pair(pair: tuple[SubjectSamples, ...]) -> list[Fault]:
-    return detect_subject_exchanges(*pair)
-
-
-def _build_declined_filter(take: Take, reviews: Sequence[Review]) -> Callable[[Fault], bool]:
-    declined = [each for review in reviews for each in review.declined if each.entry.kind == "swap"]
-
-    def is_declined(fault: Fault) -> bool:
-        labels = [take.labels[m] for m in fault.markers]
-        return any(each.entry.markers == labels and each.first <= fault.last and fault.first <= each.last for each in declined)
-
-    return is_declined
 
 
 def _describe_exchanges(exchanges: SubjectExchanges, subject: str) -> list[str]:

@@ -46,7 +46,7 @@ def measure_subjects(take: Take, *names: str) -> list[SubjectSamples]:
 
 def detect_subject_exchanges(take: Take, first: str, second: str) -> list[Fault]:
     one, two = measure_subjects(take, first, second)
-    faults = subject_exchanges.detect_subject_exchanges(one, two)
+    faults = subject_exchanges.detect_subject_exchanges((one, two))
     assert not faults or is_exchange_possible(one, two)
     return faults
 
