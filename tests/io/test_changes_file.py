@@ -20,7 +20,7 @@ from mocapfix.io.changes_file import (
     read_changes_file,
     write_changes_file,
 )
-from mocapfix.io.yaml_files import InlineSequence, dump_yaml
+from mocapfix.io.shipped import InlineSequence, dump_yaml
 from mocapfix.model.changes import Change, Decision, SampleState, serialize_changes
 from mocapfix.model.faults import Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
