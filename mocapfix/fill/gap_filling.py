@@ -61,9 +61,11 @@ def fill_gaps(
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate, take.part)[:, epochs.column_marker]
     groups = find_rigid_groups_outside(detected, body, props)
+    # while a marker slides it is at neither position, yet its samples show most of where it is in a gap between them
+    is_shown = inliers[:, epochs.column_marker] & epochs.is_near
     filled = fill_take(
-        epochs.take,
-        epochs.split_mask(inliers),
+        epochs.take.replace_markers(np.where(is_shown[..., None], take.markers[:, epochs.column_marker], epochs.take.markers)),
+        is_shown,
         gap_durations_s,
         find_ends(inliers, take.part)[:, epochs.column_marker],
         body,
@@ -73,7 +75,6 @@ def fill_gaps(
     )
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detected.donor_markers)] = True
-    is_kept |= inliers  # while a marker slides between two places its samples belong to no epoch
     sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
     proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))

@@ -32,6 +32,7 @@ class MarkerEpochs:
     take: Take
     column_marker: np.ndarray  # the marker (C,) of each column
     is_active: np.ndarray  # the frames (T, C) in which a column represents its marker; one column for each marker and frame
+    is_near: np.ndarray  # the frames (T, C) in which a marker is at a column's position, or slides to or from it
 
     @property
     def added_columns(self) -> Int[np.ndarray, " E"]:
@@ -56,62 +57,60 @@ class MarkerEpochs:
 
 
 class _Epoch(NamedTuple):
-    """The frames start..stop (exclusive) of a marker at one position, and active_start..active_stop that represent it."""
+    """The frames of a marker at one position."""
 
-    start: int
-    stop: int
-    active_start: int
-    active_stop: int
+    settled: slice  # at this position
+    active: slice  # that represent it: up to the middle of the slides to and from it
+    near: slice  # with these slides
 
 
 def split_moved_markers(take: Take, faults: Iterable[Fault]) -> MarkerEpochs:
     """Split the markers that moved into one column for each position.
 
-    While a marker slides it is at neither position. Its samples then are in no column, although the take keeps them as measured.
+    While a marker slides it is at neither position. Its samples then are in no column, but near both (`is_near`).
     """
-    count, frames = len(take.labels), np.arange(take.frame_count)
-    column_marker, is_active = list(range(count)), [np.ones(take.frame_count, bool) for _ in range(count)]
-    paths = [take.markers[:, m] for m in range(count)]
+    count, frames, whole = len(take.labels), np.arange(take.frame_count), slice(0, take.frame_count)
+    columns = [(m, _Epoch(whole, whole, whole)) for m in range(count)]
     shifts = sorted((fault for fault in faults if isinstance(fault, MarkerShift)), key=lambda fault: (fault.marker, fault.first))
     for m, group in groupby(shifts, key=lambda shift: shift.marker):
         visible = take.visible[:, m]
         epochs = _list_epochs(_select_lasting_shifts(list(group), visible, round(MIN_EPOCH_DURATION_S * take.rate)), len(visible))
-        epochs.sort(key=lambda epoch, visible=visible: -visible[epoch.start : epoch.stop].sum())
-        whole_path = take.markers[:, m]
-        for n, epoch in enumerate(epochs):
-            path = np.where(((frames >= epoch.start) & (frames < epoch.stop))[:, None], whole_path, np.nan)
-            active = (frames >= epoch.active_start) & (frames < epoch.active_stop)
-            if n == 0:
-                paths[m], is_active[m] = path, active
-            else:
-                paths.append(path)
-                is_active.append(active)
-                column_marker.append(m)
-    columns = np.array(column_marker, int)
+        longest, *others = sorted(epochs, key=lambda epoch, visible=visible: -visible[epoch.settled].sum())
+        columns[m] = m, longest
+        columns.extend((m, each) for each in others)
+    column_marker = np.array([m for m, _ in columns], int)
     if len(columns) == count:
-        return MarkerEpochs(take, columns, np.ones((take.frame_count, count), bool))
+        everywhere = np.ones((take.frame_count, count), bool)
+        return MarkerEpochs(take, column_marker, everywhere, everywhere)
+    is_settled, is_active, is_near = (
+        np.stack([(frames >= each.start) & (frames < each.stop) for each in spans], 1)
+        for spans in zip(*(epoch for _, epoch in columns), strict=True)
+    )
     labels = tuple(take.labels[m] for m in column_marker)
-    computed = None if take.computed is None else take.computed[:, columns]
-    uncaptured = None if take.uncaptured is None else take.uncaptured[:, columns]
+    computed = None if take.computed is None else take.computed[:, column_marker]
+    uncaptured = None if take.uncaptured is None else take.uncaptured[:, column_marker]
     split = replace(
         take,
-        markers=np.stack(paths, 1),
+        markers=np.where(is_settled[..., None], take.markers[:, column_marker], np.nan),
         labels=labels,
         computed=computed,
         uncaptured=uncaptured,
-        point_columns=columns,
+        point_columns=column_marker,
         relabelled_points=None,
-        part=take.part and take.part.select(columns),
+        part=take.part and take.part.select(column_marker),
     )
-    return MarkerEpochs(split, columns, np.stack(is_active, 1))
+    return MarkerEpochs(split, column_marker, is_active, is_near)
 
 
 def _list_epochs(shifts: list[MarkerShift], frame_count: int) -> list[_Epoch]:
     """List the epochs between the shifts of a marker, which are ordered by first frame."""
-    starts = [0, *(shift.settled_frame for shift in shifts)]
-    stops = [*(shift.first for shift in shifts), frame_count]
+
+    def list_spans(starts: list[int], stops: list[int]) -> list[slice]:
+        return [slice(*each) for each in zip([0, *starts], [*stops, frame_count], strict=True)]
+
+    firsts, settled = [shift.first for shift in shifts], [shift.settled_frame for shift in shifts]
     middles = [(shift.first + shift.settled_frame) // 2 for shift in shifts]
-    return [_Epoch(*each) for each in zip(starts, stops, [0, *middles], [*middles, frame_count], strict=True)]
+    return list(map(_Epoch, list_spans(settled, firsts), list_spans(middles, middles), list_spans(firsts, settled)))
 
 
 def _select_lasting_shifts(shifts: list[MarkerShift], visible: np.ndarray, min_frames: int) -> list[MarkerShift]:

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from mocapfix.fill import gap_filling
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import find_unfilled_runs
+from mocapfix.model.detected import Detected
+from mocapfix.model.faults import Faults, MarkerShift
 from mocapfix.model.take import Take, TakePart
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
@@ -68,6 +70,15 @@ def test_rigid_gap_is_filled_and_the_rest_is_bit_identical(rod):
     assert np.isnan(after.sample_sd[take.visible]).all()
     assert [(each.marker, each.first, each.last) for each in left] == [(6, 0, FRAMES - 1)]
     assert left[0].reason == "the marker is never visible in this take"
+
+
+def test_gap_while_a_marker_slides_is_filled_from_its_own_samples(rod):
+    rod[:, 0] += 0.03 * np.clip((np.arange(FRAMES) - 100) / 200, 0, 1)[:, None]
+    take = remove_samples(rod, (0, 120, 150))
+    slide = MarkerShift("drift", 0, 100, FRAMES - 1, 0.05, "", settled_frame=300)
+    filled = gap_filling.fill_gaps(Detected(take, sample_faults=Faults((slide,))), None, {}, (), ANYTHING)
+    assert np.linalg.norm(filled.take.markers[120:151, 0] - rod[120:151, 0], axis=-1).max() < 0.003
+    assert are_bits_equal(take, filled.take, take.visible)
 
 
 def test_outlier_is_replaced_or_emptied(rod):

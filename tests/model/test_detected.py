@@ -58,6 +58,9 @@ def test_sliding_samples_are_in_no_column():
     assert not parts.take.visible[150:190, [1, 3]].any()
     assert parts.take.visible[[149, 190]][:, [1, 3]].any(1).all()
     assert parts.find_column(1, 169) == parts.find_column(1, 149)
+    near = np.ones((FRAMES, 2), bool)
+    near[:150, 0] = near[190:, 1] = False  # the original column is that of the later, longer position
+    np.testing.assert_array_equal(parts.is_near[:, [1, 3]], near)
     assert parts.find_column(1, 170) == parts.find_column(1, 190)
 
 
