@@ -20,7 +20,7 @@ def test_folder_within_the_package_takes_precedence(tmp_path, monkeypatch):
     package = tmp_path / "mocapfix"
     (tmp_path / "scenes").mkdir()
     package.mkdir()
-    monkeypatch.setattr(shipped.resources, "files", lambda _: package)
+    monkeypatch.setattr(shipped, "__file__", str(package / "io" / "shipped.py"))
     assert shipped.find_shipped_folder("scenes") == tmp_path / "scenes"
     (package / "scenes").mkdir()
     assert shipped.find_shipped_folder("scenes") == package / "scenes"
@@ -30,7 +30,7 @@ def test_version_of_a_checkout_that_is_not_installed(monkeypatch: pytest.MonkeyP
     def find_nothing(name: str) -> str:
         raise metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(shipped.metadata, "version", find_nothing)
+    monkeypatch.setattr(metadata, "version", find_nothing)
     project = Path(__file__).parents[2] / "pyproject.toml"
     expected = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
     assert shipped.get_version.__wrapped__() == expected
@@ -116,3 +116,19 @@ def test_aliases_that_multiply_are_refused(tmp_path):
 @pytest.mark.parametrize("name", ["x" * 5000, "a\0b", ""])
 def test_impossible_names_are_no_files(name):
     assert not shipped.is_existing_file(name)
+
+
+def test_what_is_parsed_is_kept_until_a_file_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocapfix.kernels.compilation.CACHE_FOLDER", tmp_path)
+    file, parsed = tmp_path / "lengths.yaml", list[int]()
+
+    def parse() -> int:
+        parsed.append(len(file.read_text(encoding="utf-8")))
+        return parsed[-1]
+
+    for text in ("one", "one", "three"):
+        file.write_text(text, encoding="utf-8")
+        assert shipped.keep_parsed("lengths", [file], parse) == len(text)
+    assert parsed == [3, 5]
+    (tmp_path / "lengths.pickle").write_bytes(b"damaged")
+    assert shipped.keep_parsed("lengths", [file], parse) == 5
