@@ -45,7 +45,7 @@ from mocapfix.solve.measured_segments import (
 )
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import map_in_threads
-from mocapfix.solve.pose_problem import POSE_RATE_HZ
+from mocapfix.solve.pose_problem import find_key_frames
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
 from mocapfix.stats.sequences import find_runs
 
@@ -168,8 +168,7 @@ def displace_feet(
         points = add_leg_markers(points, skeleton, markers.select_frames(frames), displacement[frames])
     count = int(points.joints.max()) + 1  # joints after the legs' only follow the root
     root, legs = motion.root_position[frames], motion.local_rotations[frames, :count]
-    is_break = np.diff(frames) > 1
-    is_solved = (frames % max(1, round(rate / POSE_RATE_HZ)) == 0) | np.r_[True, is_break] | np.r_[is_break, True]
+    is_solved = find_key_frames(frames, np.zeros((len(frames), 0), bool), rate)
     solved, known = np.flatnonzero(is_solved), (root[is_solved], legs[is_solved])
     targets = points._replace(measured=points.measured[is_solved], weight=points.weight[is_solved])
     free = solve_legs(skeleton, known, targets, known)

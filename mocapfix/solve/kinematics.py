@@ -12,6 +12,7 @@ from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_in_parallel, run_over_frames
 from mocapfix.stats.rigid_alignment import compute_lengths, compute_shortest_rotations, split_along_line
+from mocapfix.stats.sequences import interpolate_rows
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
 
@@ -37,17 +38,15 @@ def compute_tree_poses(
 
 def interpolate_poses(poses: Poses, frames: Int[np.ndarray, " N"], frame_count: int) -> Poses:
     """Return the poses of all frames of a take, given those of some, the first and the last among them, in rising order."""
-    place = np.interp(np.arange(frame_count), frames, np.arange(len(frames)))
-    below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), (place % 1)[:, None]
-    root, rotations = poses[0], np.ascontiguousarray(poses[1])
+    place, rotations = np.interp(np.arange(frame_count), frames, np.arange(len(frames))), np.ascontiguousarray(poses[1])
     between, is_known = np.empty((frame_count, *rotations.shape[1:])), np.ones(len(frames), bool)
 
     def interpolate_joint(joint: int) -> None:
         quaternions = lie.extract_joint_quaternions(rotations, joint, is_known)
-        lie.store_joint_quaternions(quaternions[below] + share * (quaternions[above] - quaternions[below]), joint, between)
+        lie.store_joint_quaternions(interpolate_rows(quaternions, place), joint, between)
 
     run_in_parallel(interpolate_joint, range(rotations.shape[1]))
-    return root[below] + share * (root[above] - root[below]), between
+    return interpolate_rows(poses[0], place), between
 
 
 def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:

@@ -36,6 +36,7 @@ from mocapfix.solve.pose_problem import (
     MotionProblem,
     PoseProblem,
     build_motion_problem,
+    find_key_frames,
     list_window_frames,
     select_windows,
 )
@@ -43,6 +44,7 @@ from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
+from mocapfix.stats.sequences import interpolate_rows
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
 MAX_ABSORBED_SHARE = 0.9  # share of its squared error that the pose absorbs above which a marker does not enter the estimate
@@ -66,12 +68,14 @@ def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvide
     if marker_sd.shape != evidence.marker_sd.shape:
         frames, marker_sd = np.arange(motion.frame_count), np.empty(evidence.marker_sd.shape)
     for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
-        pose = motion.root_position[block], motion.local_rotations[block]
-        weight = problem.is_uncertain[block] / actual_variance[block]
-        tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block])
-        part = problem.pose_problem.select_frames(block)
+        known = block[find_key_frames(block, problem.pose_problem.solver_mask[block], problem.rate)]
+        pose = motion.root_position[known], motion.local_rotations[known]
+        weight = problem.is_uncertain[known] / actual_variance[known]
+        tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[known])
+        part = problem.pose_problem.select_frames(known)
         of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
-        marker_sd[block], joint_sd[block] = compute_pose_sd(part, pose, *of_body, tracking, scale_m)
+        found, place = compute_pose_sd(part, pose, *of_body, tracking, scale_m), np.interp(block, known, np.arange(len(known)))
+        marker_sd[block], joint_sd[block] = (interpolate_rows(each, place) for each in found)
     return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
 
 

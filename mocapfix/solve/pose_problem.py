@@ -222,6 +222,18 @@ def list_posed_frames(frame_count: int, rate: float, pose_rate_hz: float = POSE_
     return np.unique([*range(0, frame_count, max(1, round(rate / pose_rate_hz))), frame_count - 1])
 
 
+def find_key_frames(frames: Int[np.ndarray, " N"], is_used: Bool[np.ndarray, "N K"], rate: float) -> Bool[np.ndarray, " N"]:
+    """Return which of some frames the others are interpolated from: those at POSE_RATE_HZ, and both sides of a break or a change.
+
+    Args:
+        frames: Rising.
+        is_used: What changes, such as the markers in use.
+    """
+    has_changed = (np.diff(frames) > 1) | (is_used[1:] != is_used[:-1]).any(1)
+    is_posed = frames % max(1, round(rate / POSE_RATE_HZ)) == 0
+    return is_posed | np.r_[True, has_changed] | np.r_[has_changed, True]
+
+
 SMOOTHING_REACH_S = 0.5  # over which a frame affects others: twice the windows in which accelerations are measured
 MAX_WINDOW_SHARE = 0.6  # share of the take in windows above which the whole take is solved
 MAX_WINDOW_FRAMES = 8192  # frames of a window; the arrays of one hold 50 kB per frame

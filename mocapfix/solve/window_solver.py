@@ -36,12 +36,12 @@ from mocapfix.solve.lost_in_sight import find_lost_parts
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import order_from_gap_ends, order_independently, run_in_parallel
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
-from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, list_posed_frames
+from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, find_key_frames, list_posed_frames
 from mocapfix.solve.prior_conditioner import OBSERVED_JOINT_SD_RAD, PriorConditioner
 from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import PosePriorTerm, TrackingTerm, compute_robust_costs, compute_robust_weights
 from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotation_vectors, compute_rotations
-from mocapfix.stats.sequences import find_runs, sample_evenly
+from mocapfix.stats.sequences import find_runs, interpolate_rows, sample_evenly
 
 MIN_ROOT_CURVATURE = 1.0  # curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers
 SMALL_ANGLE_RAD = 1e-4  # angle below which the derivative of the exponential is given by its series
@@ -424,7 +424,11 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, 
     gaps = find_runs(np.any(is_uncertain, axis=1))
     if gaps:
         poses = problem.minimise(poses, (robust_scale_m,), tracking, order=order_from_gap_ends(gaps, is_uncertain)).poses
-    uncertainty = problem.compute_uncertainty(poses, robust_scale_m)
+    frames = np.arange(len(poses[0]))
+    known = np.flatnonzero(find_key_frames(frames, problem.solver_mask, window.rate))
+    found = problem.select_frames(known).compute_uncertainty((poses[0][known], poses[1][known]), robust_scale_m)
+    place = np.interp(frames, known, np.arange(len(known)))
+    uncertainty = PoseUncertainty(*(interpolate_rows(each, place) for each in found))
     tracked_variance = gap_variance + smoothing.ROTATION_TRACKING_SD_RAD**2
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance

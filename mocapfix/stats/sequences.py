@@ -146,6 +146,12 @@ def smooth_path(
     return viterbi.find_smoothest_path(*arrays, float(rate))
 
 
+def interpolate_rows(rows: Float[np.ndarray, "N ..."], place: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T ..."]:
+    """Return rows between others: that at place 2.5 is the mean of rows 2 and 3."""
+    below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), place % 1
+    return rows[below] + share.reshape(-1, *[1] * (rows.ndim - 1)) * (rows[above] - rows[below])
+
+
 def average_windows(values: Float[np.ndarray, "T ..."], window: int) -> Float[np.ndarray, "T ..."]:
     """Return the means over the samples in windows about each sample; the first and the last one continue beyond the ends."""
     parts = [np.zeros_like(values[:1]), *[values[:1]] * (window // 2), values, *[values[-1:]] * ((window - 1) // 2)]
