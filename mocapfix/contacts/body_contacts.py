@@ -37,9 +37,9 @@ from mocapfix.options import FEET_LOCK, FEET_OFF
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.measured_segments import (
+    MAX_RESIDUAL_GROWTH_M,
     SHARE_SMOOTHING_S,
     compute_allowed_share,
-    find_excess_windows,
     measure_residual_growth,
     smooth_share,
 )
@@ -291,7 +291,7 @@ def hold_measured_feet(
         for joint, windows in growth.items():
             legs = [foot for foot, chain in enumerate(LEGS) if names[joint] in chain]
             is_below_thigh = any(names[joint] in chain[1:] for chain in LEGS)
-            if not (is_locked and is_below_thigh) and find_excess_windows(windows).any():
+            if not (is_locked and is_below_thigh) and (windows > MAX_RESIDUAL_GROWTH_M).any():
                 if not legs or yield_round >= PARTIAL_ROUNDS:  # the root carries the other leg along, too
                     legs = list(range(len(LEGS)))
                 allowed[:, legs] = np.minimum(allowed[:, legs], compute_allowed_share(windows, len(limit))[:, None])

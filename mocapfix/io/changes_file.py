@@ -105,11 +105,6 @@ class ReviewedChange:
     first: int  # first, last: frame indices, inclusive
     last: int
 
-    @property
-    def decision(self) -> Decision:
-        """The value of the entry: "reject" or "keep"."""
-        return self.entry.decision
-
     def matches(self, fault: Fault) -> bool:
         """Return whether the change corrected this fault: the same kind and marker, and overlapping frames."""
         is_same = fault.kind == self.entry.kind and fault.marker == self.markers[0]
@@ -117,11 +112,11 @@ class ReviewedChange:
 
     def keeps(self, fault: Fault) -> bool:
         """Return whether the review declares the samples of this fault correct."""
-        return self.decision == "keep" and self.matches(fault)
+        return self.entry.decision == "keep" and self.matches(fault)
 
     def rejects(self, fault: Fault) -> bool:
         """Return whether the review leaves this fault uncorrected."""
-        return self.decision == "reject" and self.matches(fault)
+        return self.entry.decision == "reject" and self.matches(fault)
 
     def to_change(self) -> Change:
         """Return the change with its decision, as an entry of a report in which it is not applied."""
@@ -322,7 +317,7 @@ def build_fault_review(take: Take, review: Review) -> FaultReview:
     count, index = len(take.labels), ReviewIndex(review.declined)
     kept = np.zeros((take.frame_count, count), bool)
     for each in review.declined:
-        if each.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
+        if each.entry.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
             kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
     labels, has_corrected_label = list_label_corrections(review.corrections), np.zeros(kept.shape, bool)
     for fault in labels:

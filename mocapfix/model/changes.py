@@ -156,7 +156,8 @@ def build_changes(
     if not faults:
         return []
     is_changed = compare_samples(before, after)
-    off_body_m = {id(take): _measure_distances_from_body(take, body_markers) for take in (before, relabelled, after)}
+    places = np.full(before.markers.shape, np.nan) if body_markers is None else body_markers
+    off_body_m = {id(take): compute_lengths(take.markers - places) for take in (before, relabelled, after)}
     changes: list[tuple[Change, Fault]] = []
     id_counts: Counter[str] = Counter()
     for fault in faults:
@@ -206,13 +207,6 @@ def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
         return "new marker position on the body; the samples are unchanged"
     methods = Counter(str(method) for method in fill_methods.ravel() if method)
     return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
-
-
-def _measure_distances_from_body(take: Take, body_markers: np.ndarray | None) -> np.ndarray:
-    """Measure the distances (T, M) in metres of the samples from the solved body's markers, NaN where unknown."""
-    if body_markers is None:
-        return np.full(take.visible.shape, np.nan)
-    return compute_lengths(take.markers - body_markers)
 
 
 def _measure_state(take: Take, samples: _SampleIndices, off_body_m: np.ndarray) -> SampleState:

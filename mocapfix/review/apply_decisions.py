@@ -69,7 +69,9 @@ def apply_decisions(original: Take, filled: Filled, review: Review, options: Cle
         and not _matches_estimate(fault, detected, filled.take)
     ]
     reviewed = ReviewIndex(review.declined)
-    decisions = {id(fault): next((each.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered}
+    decisions = {
+        id(fault): next((each.entry.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered
+    }
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
     reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]

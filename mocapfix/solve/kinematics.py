@@ -38,15 +38,15 @@ def compute_tree_poses(
 
 def interpolate_poses(poses: Poses, frames: Int[np.ndarray, " N"], frame_count: int) -> Poses:
     """Return the poses of all frames of a take, given those of some, the first and the last among them, in rising order."""
-    place, rotations = np.interp(np.arange(frame_count), frames, np.arange(len(frames))), np.ascontiguousarray(poses[1])
+    every, rotations = np.arange(frame_count), np.ascontiguousarray(poses[1])
     between, is_known = np.empty((frame_count, *rotations.shape[1:])), np.ones(len(frames), bool)
 
     def interpolate_joint(joint: int) -> None:
         quaternions = lie.extract_joint_quaternions(rotations, joint, is_known)
-        lie.store_joint_quaternions(interpolate_rows(quaternions, place), joint, between)
+        lie.store_joint_quaternions(interpolate_rows(quaternions, frames, every), joint, between)
 
     run_in_parallel(interpolate_joint, range(rotations.shape[1]))
-    return interpolate_rows(poses[0], place), between
+    return interpolate_rows(poses[0], frames, every), between
 
 
 def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
@@ -57,11 +57,6 @@ def measure_residual_growth(
     return by_joint
 
 
-def find_excess_windows(growth: Float[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
-    """Return the windows in which the growth in metres exceeds the limit."""
-    return growth > MAX_RESIDUAL_GROWTH_M
-
-
 def compute_allowed_share(growth: Float[np.ndarray, " W"], frame_count: int) -> Float[np.ndarray, " T"]:
     """Return the share of an inferred displacement that may be kept in each frame: 1 where no window exceeds the limit.
 
@@ -69,7 +64,7 @@ def compute_allowed_share(growth: Float[np.ndarray, " W"], frame_count: int) -> 
         growth: The growth in metres of each window of consecutive frames, as from `measure_residual_growth`.
         frame_count: T; windows have T + 1 - W frames.
     """
-    excess = np.where(find_excess_windows(growth), growth / (AIMED_GROWTH_SHARE * MAX_RESIDUAL_GROWTH_M), 1.0)
+    excess = np.where(growth > MAX_RESIDUAL_GROWTH_M, growth / (AIMED_GROWTH_SHARE * MAX_RESIDUAL_GROWTH_M), 1.0)
     length = frame_count + 1 - len(growth)
     share = np.pad(1 / excess, (length - 1, length - 1), constant_values=1.0)
     return np.lib.stride_tricks.sliding_window_view(share, length).min(1)
@@ -98,7 +93,7 @@ def yield_to_markers(
     for _ in range(MAX_REDUCTIONS):
         growth = measure_residual_growth(subject.joints, markers, places_before, place(subject, motion)[1], rate)
         worst = np.max(list(growth.values()), axis=0)
-        if not find_excess_windows(worst).any():
+        if not (worst > MAX_RESIDUAL_GROWTH_M).any():
             break
         limit = limit * compute_allowed_share(worst, len(limit))
         share = smooth_share(limit, rate)

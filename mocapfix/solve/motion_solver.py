@@ -48,7 +48,6 @@ from mocapfix.stats.sequences import interpolate_rows
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
 MAX_ABSORBED_SHARE = 0.9  # share of its squared error that the pose absorbs above which a marker does not enter the estimate
-UNCERTAINTY_BLOCK_FRAMES = 4096  # frames whose problem is held at a time
 MIN_TRACKING_SD_RAD = 0.01  # smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result
 GAP_VARIANCE_INFLATION = 3.0
 """Variance with which the solve tracks a joint's trajectory across a gap, over the mean squared error of the result, measured on
@@ -67,15 +66,14 @@ def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvide
     marker_sd, joint_sd = motion.marker_sd.copy(), motion.joint_sd.copy()
     if marker_sd.shape != evidence.marker_sd.shape:
         frames, marker_sd = np.arange(motion.frame_count), np.empty(evidence.marker_sd.shape)
-    for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
-        known = block[find_key_frames(block, problem.pose_problem.solver_mask[block], problem.rate)]
-        pose = motion.root_position[known], motion.local_rotations[known]
-        weight = problem.is_uncertain[known] / actual_variance[known]
-        tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[known])
-        part = problem.pose_problem.select_frames(known)
-        of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
-        found, place = compute_pose_sd(part, pose, *of_body, tracking, scale_m), np.interp(block, known, np.arange(len(known)))
-        marker_sd[block], joint_sd[block] = (interpolate_rows(each, place) for each in found)
+    known = frames[find_key_frames(frames, problem.pose_problem.solver_mask[frames], problem.rate)]
+    pose = motion.root_position[known], motion.local_rotations[known]
+    weight = problem.is_uncertain[known] / actual_variance[known]
+    tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[known])
+    part = problem.pose_problem.select_frames(known)
+    of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
+    found = compute_pose_sd(part, pose, *of_body, tracking, scale_m)
+    marker_sd[frames], joint_sd[frames] = (interpolate_rows(each, known, frames) for each in found)
     return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
 
 

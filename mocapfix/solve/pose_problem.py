@@ -223,12 +223,7 @@ def list_posed_frames(frame_count: int, rate: float, pose_rate_hz: float = POSE_
 
 
 def find_key_frames(frames: Int[np.ndarray, " N"], is_used: Bool[np.ndarray, "N K"], rate: float) -> Bool[np.ndarray, " N"]:
-    """Return which of some frames the others are interpolated from: those at POSE_RATE_HZ, and both sides of a break or a change.
-
-    Args:
-        frames: Rising.
-        is_used: What changes, such as the markers in use.
-    """
+    """Return which frames others are interpolated from: those at POSE_RATE_HZ, and both sides of a break or a change of use."""
     has_changed = (np.diff(frames) > 1) | (is_used[1:] != is_used[:-1]).any(1)
     is_posed = frames % max(1, round(rate / POSE_RATE_HZ)) == 0
     return is_posed | np.r_[True, has_changed] | np.r_[has_changed, True]

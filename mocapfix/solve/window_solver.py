@@ -427,8 +427,7 @@ def solve_uncertain_frames(window: MotionProblem, poses: Poses) -> tuple[Poses, 
     frames = np.arange(len(poses[0]))
     known = np.flatnonzero(find_key_frames(frames, problem.solver_mask, window.rate))
     found = problem.select_frames(known).compute_uncertainty((poses[0][known], poses[1][known]), robust_scale_m)
-    place = np.interp(frames, known, np.arange(len(known)))
-    uncertainty = PoseUncertainty(*(interpolate_rows(each, place) for each in found))
+    uncertainty = PoseUncertainty(*(interpolate_rows(each, known, frames) for each in found))
     tracked_variance = gap_variance + smoothing.ROTATION_TRACKING_SD_RAD**2
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance

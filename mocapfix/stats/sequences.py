@@ -146,8 +146,11 @@ def smooth_path(
     return viterbi.find_smoothest_path(*arrays, float(rate))
 
 
-def interpolate_rows(rows: Float[np.ndarray, "N ..."], place: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T ..."]:
-    """Return rows between others: that at place 2.5 is the mean of rows 2 and 3."""
+def interpolate_rows(
+    rows: Float[np.ndarray, "N ..."], frames: Int[np.ndarray, " N"], wanted: Int[np.ndarray, " T"]
+) -> Float[np.ndarray, "T ..."]:
+    """Return the rows of wanted frames, linearly interpolated between those of other frames, which rise."""
+    place = np.interp(wanted, frames, np.arange(len(frames)))
     below, above, share = np.floor(place).astype(int), np.ceil(place).astype(int), place % 1
     return rows[below] + share.reshape(-1, *[1] * (rows.ndim - 1)) * (rows[above] - rows[below])
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.model.marker_set import MarkerSet
-from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.model.skeleton import BodyModel, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
@@ -24,10 +24,6 @@ MIN_PAIR_FRAMES = 10  # frames in which both markers of a pair must be visible
 MAX_DISTANCE_VARIATION = 0.03  # median absolute deviation per median; a pair that varies more spans a bending joint
 MIN_SIZE_RATIO = 0.3  # smallest accepted size relative to the average body: a baby
 MAX_SIZE_RATIO = 1.6  # largest accepted size relative to the average body: larger than any person
-
-
-def scale_skeleton(skeleton: Skeleton, factor: float) -> Skeleton:
-    return replace(skeleton, offsets=skeleton.offsets * factor, ends=skeleton.ends * factor)
 
 
 def estimate_body_size_ratio(
@@ -81,7 +77,8 @@ ARM_RAISE_SHARES = (0.0, 0.5, 1.0)  # arm positions in which a body is placed: 0
 
 def scale_subject(subject: Subject, size: float) -> Subject:
     """Return a subject `size` times as large."""
-    return replace(subject, skeleton=scale_skeleton(subject.skeleton, size), marker_offsets=subject.marker_offsets * size)
+    skeleton = replace(subject.skeleton, offsets=subject.skeleton.offsets * size, ends=subject.skeleton.ends * size)
+    return replace(subject, skeleton=skeleton, marker_offsets=subject.marker_offsets * size)
 
 
 def build_average_subject(marker_set: MarkerSet, size: float = 1.0) -> Subject:

@@ -58,10 +58,10 @@ def review_changes(folder, *changes) -> Review:
 
 def test_declined_changes_have_indices_into_the_take(tmp_path):
     (found,) = write_and_read(tmp_path, build_change(), build_change("gap", ("RBAC",), decision="accept"))
-    assert (found.markers, found.first, found.last, found.decision) == ((1,), 9, 11, "reject")
+    assert (found.markers, found.first, found.last, found.entry.decision) == ((1,), 9, 11, "reject")
     fragment = build_change("fragment", ("Jim:LFHD", "*12"), FIRST_FRAME, FIRST_FRAME + 49, "keep")
     (found,) = write_and_read(tmp_path, fragment)
-    assert (found.markers, found.first, found.last, found.decision) == ((0, 3), 0, 49, "keep")
+    assert (found.markers, found.first, found.last, found.entry.decision) == ((0, 3), 0, 49, "keep")
 
 
 texts = st.text(st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), max_size=60)

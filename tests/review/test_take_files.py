@@ -146,7 +146,7 @@ def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path)
     store.note(store.revision, GAP, "looks <odd>: ask")
     store.add_correction(store.revision, WRONG)
     review = read_changes_file(path, build_take())
-    assert [(each.entry.id, each.decision) for each in review.declined] == [(SPIKE, "reject")]
+    assert [(each.entry.id, each.entry.decision) for each in review.declined] == [(SPIKE, "reject")]
     assert (review.reviewed_ids, review.notes) == ({SPIKE}, {GAP: "looks <odd>: ask"})
     assert [each.entry.kind for each in review.corrections] == ["wrong"]
 
