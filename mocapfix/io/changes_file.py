@@ -18,7 +18,7 @@ from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import InlineSequence, dump_yaml
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
-from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Decision, Fault, FaultReview, Fragment
+from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, FaultReview, Fragment
 from mocapfix.model.take import Take
 from mocapfix.model.windows import crop_intervals
 
