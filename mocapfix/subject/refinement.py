@@ -171,9 +171,7 @@ def refine_body(
 
     parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start)
     first = fit(np.zeros(len(parameters.information)) if unknowns is None else unknowns, poses)
-    state, curvature = minimise_shared(
-        lambda unknowns, state: fit(unknowns, state.poses), first, compute_curvature, MAX_REFINEMENT_ROUNDS
-    )
+    state, curvature = minimise_shared(lambda new, old: fit(new, old.poses), first, compute_curvature, MAX_REFINEMENT_ROUNDS)
     return Refinement(state, curvature, (first.cost - state.cost) / state.cost)
 
 
