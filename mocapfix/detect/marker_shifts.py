@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 
 from mocapfix.detect.body_outliers import BodyResiduals
 from mocapfix.model.faults import MarkerShift
@@ -210,7 +209,8 @@ def _detect_shift(residual: np.ndarray, joint_rotvecs: np.ndarray, marker: int, 
     frames = np.flatnonzero(~np.isnan(reduced[:, 0]))
     if len(frames) < MIN_OBSERVED_DURATION_S * reduced_rate:
         return None
-    smoothed = np.median(sliding_window_view(np.pad(reduced[frames], ((1, 1), (0, 0)), mode="edge"), 3, axis=0), axis=2)
+    before, own, after = reduced[np.r_[frames[:1], frames[:-1]]], reduced[frames], reduced[np.r_[frames[1:], frames[-1:]]]
+    smoothed = np.maximum(np.minimum(before, own), np.minimum(np.maximum(before, own), after))  # the median of the three
     regressed = regress_out(joint_rotvecs[frames], smoothed, frames, ROTATION_RIDGE_RAD)
     path = _MarkerPath(marker, residual, regressed, rate, step)
     knock = fit_step(regressed, round(MIN_SHIFT_MARGIN_S * reduced_rate))

@@ -16,7 +16,7 @@ bend is Blake and Zisserman's truncated quadratic). Hence neither a dense burst 
 they do local means and medians. An omitted sample is a spike only if it lies far from a local fit to the kept samples.
 """
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -210,19 +210,22 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
     The cubic is evaluated with Lagrange weights at the samples' own times. The residual is scaled so that white noise keeps
     its standard deviation. The first and last two samples have their neighbours' residuals.
     """
-    count, steps = len(times_s) - 4, np.diff(times_s)
-    around = np.stack([steps[k : k + count] for k in range(4)])
-    weights = np.tile(np.array(NEIGHBOUR_WEIGHTS)[:, None], count)
-    uneven = np.flatnonzero(np.ptp(around, axis=0) >= MAX_STEP_VARIATION * around[0])
+    count, steps, path = len(times_s) - 4, np.diff(times_s), np.ascontiguousarray(points.T)
+
+    def subtract_neighbours(weights: Sequence[float | np.ndarray], select: slice | np.ndarray) -> np.ndarray:
+        residual = path[:, 2:-2][:, select].copy()
+        for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True):
+            residual -= weight * path[:, 2 + offset : 2 + offset + count][:, select]
+        x, y, z = residual
+        return np.sqrt(x * x + y * y + z * z) / np.sqrt(1 + sum(weight**2 for weight in weights))
+
+    residual_m = subtract_neighbours(NEIGHBOUR_WEIGHTS, slice(None))
+    around = [steps[k : k + count] for k in range(4)]
+    uneven = np.flatnonzero(np.maximum.reduce(around) - np.minimum.reduce(around) >= MAX_STEP_VARIATION * around[0])
     lag = [times_s[uneven + 2 + offset] - times_s[uneven + 2] for offset in NEIGHBOUR_OFFSETS]
-    for weight, near in zip(weights, lag, strict=True):
-        weight[uneven] = np.prod([far / (far - near) for far in lag if far is not near], axis=0)
-    path = np.ascontiguousarray(points.T)
-    residual = path[:, 2:-2].copy()
-    for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True):
-        residual -= weight * path[:, 2 + offset : 2 + offset + count]
-    gain = np.sqrt(1 + (weights**2).sum(0))
-    return (np.sqrt((residual**2).sum(0)) / gain)[np.clip(np.arange(len(times_s)) - 2, 0, count - 1)]
+    weights = [np.prod([far / (far - near) for far in lag if far is not near], axis=0) for near in lag]
+    residual_m[uneven] = subtract_neighbours(weights, uneven)
+    return residual_m[np.clip(np.arange(len(times_s)) - 2, 0, count - 1)]
 
 
 def detect_jitter(
