@@ -66,7 +66,9 @@ def sum_evidence(
     return scipy.sparse.csr_array(total + total.T)
 
 
-def assign_persons(evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+def assign_persons(
+    evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"]
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Assign each tracklet to person 0 or 1.
 
     Groups of tracklets are joined, as those of one person or of two, those with the most evidence about one another first, and
@@ -76,6 +78,9 @@ def assign_persons(evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, 
     Args:
         evidence: The evidence about pairs of tracklets, as `sum_evidence` returns it.
         label_s: How many seconds longer each tracklet has labels of person 0 than of person 1.
+
+    Returns:
+        The person of each tracklet, and the evidence for it, given those of the others, over that for the other person.
     """
     side, groups = np.ones(len(label_s)), {n: [n] for n in range(len(label_s))}
     others_of = [
@@ -107,15 +112,7 @@ def assign_persons(evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, 
             side[n] *= -1 if pull * side[n] < 0 else 1
         if np.array_equal(side, before):
             break
-    return np.where(side > 0, 0, 1)
-
-
-def compute_support(
-    evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"], person: Int[np.ndarray, " N"]
-) -> Float[np.ndarray, " N"]:
-    """Compute the evidence for each tracklet's person, given those of the others, over that for the other person."""
-    side = np.where(person == 0, 1.0, -1.0)
-    return side * (evidence @ side + LABEL_WEIGHT_PER_S * label_s)
+    return np.where(side > 0, 0, 1), side * (evidence @ side + LABEL_WEIGHT_PER_S * label_s)
 
 
 MIN_OWN_DISTANCE_FRACTION = 0.3  # of the frames with correct distances: an exchange may last for most of a take
@@ -213,8 +210,7 @@ def detect_subject_exchanges(both: tuple[SubjectSamples, SubjectSamples]) -> lis
     tracklets = np.full(take.visible.shape, -1)
     tracklets[:, columns] = link_points(take.markers[:, columns], take.rate).tracklet_indices
     evidence, label_s = _compare_tracklets(take, pairs, tracklets, coordinates_m)
-    person = assign_persons(evidence, label_s)
-    support = compute_support(evidence, label_s, person)
+    person, support = assign_persons(evidence, label_s)
     is_wrong = np.stack([person != 0, person != 1])  # of a tracklet under each subject's label
     faults: list[Fault] = []
     for k in range(pairs.columns.shape[1]):
