@@ -182,7 +182,10 @@ def join_at_cuts(items: Iterable[Value], cuts: Collection[int], get_key: Callabl
 
 
 def _join_two(one: Any, other: Any) -> Any:
-    """Return two parts of an interval as one, which is described by the more severe part of a fault, the longer of a change."""
+    """Return two parts of an interval as one, which is described by the more severe part of a fault, the longer of a change.
+
+    The predicted error of a change is that of both parts: the longer may be the easier one.
+    """
     if isinstance(one, Fault):
         return replace(other if other.severity > one.severity else one, first=one.first, last=other.last)
     if not isinstance(one, Change):
@@ -190,7 +193,11 @@ def _join_two(one: Any, other: Any) -> Any:
     main = one if one.samples >= other.samples else other
     before = SampleState(one.before.missing + other.before.missing, main.before.off_body_mm)
     after, samples = SampleState(one.after.missing + other.after.missing, main.after.off_body_mm), one.samples + other.samples
-    return replace(main, id=one.id, first=one.first, last=other.last, samples=samples, before=before, after=after)
+    frames = [each.last + 1 - each.first for each in (one, other) if each.predicted_mm is not None]
+    squares = [each.predicted_mm**2 for each in (one, other) if each.predicted_mm is not None]
+    predicted_mm = round(float(np.sqrt(np.average(squares, weights=frames))), 1) if squares else None
+    joined = replace(main, id=one.id, first=one.first, last=other.last, samples=samples, before=before, after=after)
+    return replace(joined, predicted_mm=predicted_mm)
 
 
 def _send_array(array: "np.memmap[Any, Any]") -> Any:

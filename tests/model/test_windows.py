@@ -121,7 +121,7 @@ def test_intervals_are_cropped_moved_and_joined_at_cuts():
     assert join_at_cuts(apart, {50}, lambda each: each.kind) == apart[::-1]
 
 
-def test_parts_of_a_change_become_one_with_the_errors_of_the_longer_one():
+def test_parts_of_a_change_become_one_with_the_error_of_both():
     def build_change(first: int, last: int, missing: int, off_body_mm: float, predicted_mm: float) -> Change:
         before, after = SampleState(missing, off_body_mm), SampleState(0, off_body_mm)
         return Change(f"gap-A-{first}", "gap", ("A",), first, last, last - first + 1, "", "spline", before, after, predicted_mm)
@@ -130,7 +130,7 @@ def test_parts_of_a_change_become_one_with_the_errors_of_the_longer_one():
         [build_change(10, 13, 3, 1.0, 3.0), build_change(14, 25, 12, 5.0, 1.0)], {14}, lambda each: each.kind
     )
     assert (joined.id, joined.first, joined.last, joined.samples) == ("gap-A-10", 10, 25, 16)
-    assert (joined.before, joined.after, joined.predicted_mm) == (SampleState(15, 5.0), SampleState(0, 5.0), 1.0)
+    assert (joined.before, joined.after, joined.predicted_mm) == (SampleState(15, 5.0), SampleState(0, 5.0), 1.7)
 
 
 def test_arrays_in_files_are_written_in_any_order_and_read_by_another_process():
