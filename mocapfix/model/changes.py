@@ -116,12 +116,9 @@ def build_affected_mask(faults: Iterable[Fault], relabelled: Take) -> Bool[np.nd
 def _find_affected_samples(fault: Fault, relabelled: Take) -> _SampleIndices:
     """Return the indices (frames, markers) of the samples that a fault concerns (see `build_affected_mask`)."""
     markers = np.sort(np.array(list_affected_markers(fault, len(relabelled.labels)), int))
-    frames = np.arange(*fault.frame_slice.indices(relabelled.frame_count))
-    samples = np.repeat(frames, len(markers)), np.tile(markers, len(frames))
-    if fault.kind not in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS):
-        return samples
-    is_visible = relabelled.visible[samples]
-    return samples[0][is_visible], samples[1][is_visible]
+    concerns_missing = fault.kind not in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
+    frames, columns = np.nonzero(relabelled.visible[fault.frame_slice, markers] | concerns_missing)
+    return frames + fault.first, markers[columns]
 
 
 def compare_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
@@ -163,7 +160,7 @@ def build_changes(
     for fault in faults:
         samples = _find_affected_samples(fault, relabelled)
         is_shift = isinstance(fault, MarkerShift)
-        sample_count = 0 if is_shift else int(is_changed[samples].sum())
+        sample_count = 0 if is_shift else int(np.count_nonzero(is_changed[samples]))
         if not sample_count and not is_shift:
             continue
         label, first = before.get_label(fault.marker), before.get_frame_number(fault.first)
@@ -205,7 +202,7 @@ def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
         return f"samples of {take.get_label(fault.donor)} joined to the marker"
     if isinstance(fault, MarkerShift):
         return "new marker position on the body; the samples are unchanged"
-    methods = Counter(str(method) for method in fill_methods.ravel() if method)
+    methods = Counter(filter(None, fill_methods.tolist()))
     return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
 
 
@@ -249,7 +246,7 @@ def find_unfilled_runs(take: Take, reasons: Shaped[np.ndarray, "T M"]) -> tuple[
             breaks = np.flatnonzero(np.diff(frames) > 1)
             for a, b in zip([0, *(breaks + 1)], [*breaks, len(frames) - 1], strict=True):
                 unfilled.append(UnfilledRun(m, int(frames[a]), int(frames[b]), str(reason)))
-    return tuple(sorted(unfilled, key=lambda run: (run.marker, run.first)))
+    return tuple(unfilled)
 
 
 def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, "T M"]:

@@ -182,10 +182,7 @@ def join_at_cuts(items: Iterable[Value], cuts: Collection[int], get_key: Callabl
 
 
 def _join_two(one: Any, other: Any) -> Any:
-    """Return two parts of an interval as one, which is described by the more severe part of a fault, the longer of a change.
-
-    The predicted error of a change is that of both parts: the longer may be the easier one.
-    """
+    """Return two parts of an interval as one: as the more severe of a fault, as the longer of a change with the error of both."""
     if isinstance(one, Fault):
         return replace(other if other.severity > one.severity else one, first=one.first, last=other.last)
     if not isinstance(one, Change):

@@ -256,8 +256,7 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
     distance = kinematics.compute_marker_distances(subject, (motion.root_position, motion.local_rotations), markers)
     visible_count = (~np.isnan(distance)).sum(1)
     mean_distance = np.nansum(distance, axis=1) / np.maximum(visible_count, 1)
-    is_guessed: Bool[np.ndarray, " T"] = visible_count < MIN_FRAME_MARKERS
-    is_poor = mean_distance > MAX_MEAN_MARKER_DISTANCE_M
+    is_guessed, is_poor = visible_count < MIN_FRAME_MARKERS, mean_distance > MAX_MEAN_MARKER_DISTANCE_M
     return np.where(is_guessed, int(FrameStatus.GUESSED), np.where(is_poor, int(FrameStatus.POOR_FIT), motion.status))
 
 
