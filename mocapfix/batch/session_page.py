@@ -83,7 +83,6 @@ def write_summary_tables(folder: Path, records: Sequence[TakeRecord]) -> tuple[P
 
 
 PAGE_NAME = "index.html"
-SECONDS_IN_HOUR = 3600
 PERCENT = 100
 REPORT_SUFFIX = "report.html"
 PICTURE_PATTERN = re.compile(

@@ -48,46 +48,42 @@ class MarkerOnBody(NamedTuple):
     roughness: float
     pose_excess: Float[np.ndarray, " T"]
 
-    def map_residual(
-        self, known_s: np.ndarray, known_excess: np.ndarray, wanted_s: np.ndarray, wanted_excess: np.ndarray
-    ) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
-        """Return the map from the residual at known times to that at wanted ones, and its variance per axis there."""
-        noise = SAMPLE_NOISE_M**2 + STEP_NOISE_M**2 * (known_excess > 0)
-        shape = {"power": self.power, "time_scale_s": BODY_RESIDUAL_FADE_S, "roughness": self.roughness}
-        return map_residual(
-            known_s, wanted_s, noise_variance=noise, known_excess=known_excess, wanted_excess=wanted_excess, **shape
-        )
-
 
 class BodyPlacement:
     """Estimates a marker from its place on the body."""
 
     def __init__(self, take: MarkersInTake) -> None:
-        self.rate, self.markers = take.rate, dict[int, MarkerOnBody]()
-        if take.body is None:
-            return
-        subject, motion = take.body.extended_subject, take.body.motion
-        rotations = kinematics.compute_world_poses(subject.skeleton, motion)[1]
-        places = kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
-        for row, marker in enumerate(take.body.marker_columns.tolist()):
-            if marker >= 0 and not take.is_visible[:, marker].all():
-                axes = MovingAxes(rotations[:, subject.joints[row]], places[:, row])
-                path = take.visible_markers[:, marker]
-                self.markers[marker] = place_marker(take.body, row, axes, path, take.rate)
+        self.take, self.rate, self.rows = take, take.rate, dict[int, int]()
+        self.markers: dict[int, MarkerOnBody] = {}
+        if take.body:
+            subject, motion = take.body.extended_subject, take.body.motion
+            self.rotations = kinematics.compute_world_poses(subject.skeleton, motion)[1]
+            self.places = kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
+            self.rows = {marker: row for row, marker in enumerate(take.body.marker_columns.tolist()) if marker >= 0}
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        if gap.marker not in self.markers:
+        if gap.marker not in self.rows or not self.take.body:
             return []
+        if gap.marker not in self.markers:
+            row = self.rows[gap.marker]
+            joint, path = self.take.body.extended_subject.joints[row], self.take.visible_markers[:, gap.marker]
+            axes = MovingAxes(self.rotations[:, joint], self.places[:, row])
+            self.markers[gap.marker] = place_marker(self.take.body, row, axes, path, self.rate)
         on_body, rate = self.markers[gap.marker], self.rate
         axes, residual = on_body.axes, on_body.residual
         w = gap.window.keep_known_context(~np.isnan(residual[gap.window.context_frames, 0]))
         excess, inside = on_body.pose_excess[w.gap_frames], np.arange(w.length)
         edges = np.concatenate([np.zeros(len(w.before), int), np.full(len(w.after), w.length - 1)])
         beside = np.concatenate([w.before, w.after])
-        gap_map, gap_variance = on_body.map_residual(beside / rate, excess[edges], inside / rate, excess)
-        hidden_beside, none = np.concatenate([w.before, w.hidden_after]), np.zeros(len(w.hidden_points))
-        hidden_map, hidden_variance = on_body.map_residual(hidden_beside / rate, 0.0 * edges, w.hidden_points / rate, none)
-        known_share = excess[edges] / (excess[edges] + STEP_NOISE_M**2)
+        shape = {"power": on_body.power, "time_scale_s": BODY_RESIDUAL_FADE_S, "roughness": on_body.roughness}
+        noise, known = np.full(len(edges), SAMPLE_NOISE_M**2), excess[edges]
+        gap_map, gap_variance = map_residual(
+            beside / rate, inside / rate, noise_variance=noise + STEP_NOISE_M**2 * (known > 0), known_excess=known,
+            wanted_excess=excess, **shape,
+        )  # fmt: skip
+        beside = np.concatenate([w.before, w.hidden_after])
+        hidden_map, hidden_variance = map_residual(beside / rate, w.hidden_points / rate, **shape, noise_variance=noise)
+        known_share = known / (known + STEP_NOISE_M**2)
         steps = _measure_steps(axes, w.first, w.length)[np.where(edges > 0, 1, 0)]
         context = residual[w.context_frames] - known_share[:, None] * steps
         position = axes.transform_to_world(gap_map @ context, w.gap_frames)
@@ -166,16 +162,12 @@ def estimate_preview(markers: Float[np.ndarray, "T M 3"], rate: float, body: Bod
                 continue
             share = np.linspace(0.0, 1.0, length + 2)[1:-1]
             growth = 4 * share * (1 - share) if len(edges) > 1 else 1 - share if first == 0 else share
-            line_sd = BODY_ERROR_RATIO * _measure_line_error(residual, length, len(edges)) * np.sqrt(growth)
+            lag = -(-length // len(edges))  # to the middle between two edges, or to the end of a stretch with one
+            change = residual[lag:] - residual[:-lag]
+            error = np.sqrt(np.nanmean((change if np.isfinite(change).any() else residual) ** 2) / len(edges))
+            line_sd = BODY_ERROR_RATIO * error * np.sqrt(growth)
             line = axes.transform_to_world(edges[0] + share[:, None] * (edges[-1] - edges[0]), frames)
             is_better = ~(sd[frames, m] <= line_sd)
             better = frames[is_better], m
             position[better], sd[better], method[better] = line[is_better], line_sd[is_better], FillMethod.BODY
     return MarkerEstimate(position, np.maximum(sd, MIN_BODY_FILL_SD_M), method)
-
-
-def _measure_line_error(residual: Float[np.ndarray, "T 3"], length: int, edge_count: int) -> float:
-    """Return the error per axis in metres in the middle of lines between two edges, or at the end of a stretch with one edge."""
-    lag = -(-length // edge_count)
-    change = residual[lag:] - residual[:-lag]
-    return float(np.sqrt(np.nanmean((change if np.isfinite(change).any() else residual) ** 2) / edge_count))

@@ -8,7 +8,8 @@ gap has little influence. `fill_with_splines` fills the many short gaps of a tak
 measured by applying the map to complete stretches of the same marker.
 """
 
-from functools import cache
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,10 +20,8 @@ from mocapfix.fill.gap_windows import (
     FillMethod,
     Gap,
     GapEstimate,
-    GapWindow,
     MarkersInTake,
     MovingAxes,
-    compute_variation_growth,
 )
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.stats.rigid_alignment import interpolate_stretches
@@ -33,9 +32,6 @@ MIN_EDGE_SAMPLES = 3  # samples that a parabola requires at each edge
 MAX_TRIAL_STRETCHES = 60  # complete stretches on which a map is tested
 MIN_TRIAL_STRETCHES = 8  # complete stretches that measuring the error requires
 MAX_TRIAL_STARTS = 20_000  # evenly spaced frames that are examined to find complete stretches
-
-GapPattern = tuple[int, tuple[int, ...], tuple[int, ...]]
-"""The length of a gap in frames, and which samples before and after it are visible, as distances from its edges."""
 
 
 def fill_with_splines(
@@ -72,12 +68,13 @@ def fill_with_splines(
 
 def group_gap_patterns(
     is_visible: Bool[np.ndarray, " T"], context_count: int, max_gap_frames: float
-) -> dict[GapPattern, list[int]]:
+) -> dict[tuple[int, tuple[int, ...], tuple[int, ...]], list[int]]:
     """Return the first frames of the gaps with enough samples at both edges, by pattern.
 
+    A pattern is the length of a gap in frames, and which samples before and after it are visible, as distances from its edges.
     Gaps with the same pattern share a map; flicker causes thousands of gaps with few patterns.
     """
-    patterns: dict[GapPattern, list[int]] = {}
+    patterns = dict[tuple[int, tuple[int, ...], tuple[int, ...]], list[int]]()
     for first, last in find_runs(~is_visible):
         if last - first + 1 > max_gap_frames:
             continue
@@ -129,11 +126,10 @@ WORLD_SATURATION_S = 0.8
 SPLINE_ERROR_GROWTH = 2.0  # power of the duration, until then, with which the errors of a spline grow; 1 for a line
 
 
-class WorldInterpolation:
+class WorldInterpolation(NamedTuple):
     """Estimates a marker from its own trajectory, in the world."""
 
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take = take
+    take: MarkersInTake
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         path, rate, gap_s = self.take.markers[gap.frames, gap.marker], self.take.rate, gap.window.length / self.take.rate
@@ -141,6 +137,7 @@ class WorldInterpolation:
         return _interpolate(path, build_world_axes(len(path)), gap, line_sd_m, WORLD_SATURATION_S * rate, "world", rate)
 
 
+@lru_cache(32)
 def build_world_axes(frames: int) -> MovingAxes:
     """Return the axes of the world, which do not move."""
     return MovingAxes(np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3)))
@@ -160,7 +157,7 @@ def interpolate_in_axes(path: Float[np.ndarray, "T 3"], axes: MovingAxes, gap: G
     if not len(local):
         return []
     variation_m = float(np.sqrt(((local - local.mean(0)) ** 2).mean())) * gap.activity**ACTIVITY_POWER
-    variation_m *= compute_variation_growth(~np.isnan(path[:, 0]), gap_s, rate)
+    variation_m *= gap.variation_growth
     line_sd_m = CLUSTER_ERROR_RATIO * variation_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
     estimates = _interpolate(shown, axes, gap, line_sd_m, CLUSTER_SATURATION_S * rate, name, rate)
     return [each._replace(method=FillMethod.CLUSTER) for each in estimates]
@@ -186,7 +183,9 @@ def _interpolate(
     if not is_known.any():
         return []
     edges = build_edge_maps(tuple((-1 - w.before).tolist()), tuple((w.after - w.length).tolist()))
-    line_sd = shape_expected_sd(w, line_sd_m)
+    share = (w.points + 1) / (w.length + 1)
+    one_edge = ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(w.before) else 1 - share)
+    line_sd = max(line_sd_m, MIN_FILL_SD_M) * (2 * np.sqrt(share * (1 - share)) if len(w.before) and len(w.after) else one_edge)
     growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
     growths = growth ** np.array([1.0, SPLINE_ERROR_GROWTH])
     position, noise = interpolate_stretches(path, *axes, rows[None], np.arange(w.length), w.length, edges, growths[:0])
@@ -215,11 +214,3 @@ def build_edge_maps(before: tuple[int, ...], after: tuple[int, ...]) -> Float[np
         return maps[:1]
     maps[1, :2, :split], maps[1, 2:, split:] = fit_edge_parabola(before), fit_edge_parabola(after)
     return maps
-
-
-def shape_expected_sd(window: GapWindow, middle_sd_m: float) -> Float[np.ndarray, " S"]:
-    """Return the expected standard deviation per axis at the points of a gap, from that in its middle."""
-    middle_sd_m, share = max(middle_sd_m, MIN_FILL_SD_M), (window.points + 1) / (window.length + 1)
-    if len(window.before) and len(window.after):
-        return middle_sd_m * 2 * np.sqrt(share * (1 - share))
-    return middle_sd_m * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)

@@ -1,9 +1,10 @@
 """Which estimates a gap has, and the weight of each: what it achieves where the same markers are hidden elsewhere in the take.
 
 An estimator is built once for a take and called for each lost marker of each gap, the short gaps first: what is filled precisely
-serves as visible for longer ones. `ESTIMATORS` lists them; those of `LATER_ESTIMATORS` need the estimates of all other gaps, and
-are called in the gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate.
-Without a body, or off it, that of the body returns nothing, and the others share the weight.
+serves as visible for longer ones. Gaps of similar length do not see one another's fills, so the second process estimates half of
+them. `ESTIMATORS` lists the estimators; those of `LATER_ESTIMATORS` need the estimates of all other gaps, and are called in the
+gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate. Without a body, or off it, that of
+the body returns nothing, and the others share the weight.
 
 The errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates &
 Granger 1969, "The combination of forecasts"). It is measured in the hidden stretches of the gap. Few stretches show little of it:
@@ -11,11 +12,15 @@ variances and correlations are then shrunk to the expected ones, variances by th
 different gaps differ by factors.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import chain
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
 
 from mocapfix.fill.body_fill import BodyPlacement, estimate_preview
 from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
@@ -30,6 +35,7 @@ from mocapfix.fill.gap_windows import (
     MarkersInTake,
     choose_hidden_stretches,
     compare_edge_motion,
+    compute_variation_growth,
     iterate_gaps,
 )
 from mocapfix.fill.marker_processes import MAX_SETTLED_SD_M, MarkerProcesses
@@ -42,13 +48,17 @@ from mocapfix.fill.neighbour_clusters import (
 from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.faults import RequestedFill
+from mocapfix.model.take import Take
+from mocapfix.model.windows import map_arrays
+from mocapfix.solve.parallel import compute_beside
 from mocapfix.stats.marker_distances import RigidGroup
-from mocapfix.stats.rigid_alignment import combine_estimates
+from mocapfix.stats.rigid_alignment import combine_estimates, compute_lengths
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
-EstimatorClass = Callable[[MarkersInTake], Estimator]
+Part = TypeVar("Part")
+Value = TypeVar("Value")
 
-ESTIMATORS: tuple[EstimatorClass, ...] = (
+ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (
     WorldInterpolation,
     ClusterInterpolation,
     ChangingClusterInterpolation,
@@ -56,7 +66,7 @@ ESTIMATORS: tuple[EstimatorClass, ...] = (
     BodyPlacement,
     RigidGroupPlacement,
 )
-LATER_ESTIMATORS: tuple[EstimatorClass, ...] = (MarkerProcesses,)
+LATER_ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (MarkerProcesses,)
 
 MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
 MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
@@ -90,6 +100,7 @@ def estimate_missing_samples(
         rigid_groups: Groups of markers that are rigid and not on the body.
         requests: Samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
     """
+    second_process = compute_beside(bool)
     markers = np.ascontiguousarray(markers.swapaxes(0, 1)).swapaxes(0, 1)  # a marker's path lies together
     if body and body.evidence is None and not requests:
         settled = estimate_preview(markers, rate, body)
@@ -100,11 +111,9 @@ def estimate_missing_samples(
         return settled
     known = markers.copy(order="K")
     known[is_settled] = settled.position[is_settled]
-    changes = measure_distance_changes(markers)
-    take = MarkersInTake(markers, known, settled, changes, rate, body, rigid_groups)
-    surroundings = _Surroundings(take)
-    gaps = _estimate_gaps(take, surroundings)
-    _add_later_estimates(take, gaps, surroundings)
+    take = MarkersInTake(markers, known, settled, measure_distance_changes(markers), rate, body, rigid_groups)
+    is_idle = second_process.future is not None and second_process.future.done()
+    gaps = _estimate_gaps(_GapEstimation(take, {each.column for each in requests}), is_shared=is_idle)
     for request in requests:
         _use_request(take, gaps, request)
     return take.estimate
@@ -121,62 +130,178 @@ def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests:
     return MarkerEstimate(position, sd, np.full(sd.shape, FillMethod.SPLINE, np.int8))
 
 
+SIMILAR_LENGTH_RATIO = 1.5  # length of a gap, relative to the shortest of its group, up to which it belongs to the group
+MIN_SHARED_GAPS = 20  # gaps from which the second process estimates half of them
+UNUSED_OF_BODY = ".joint_positions", ".marker_positions", ".evidence", ".motion.joint_sd"  # arrays that no estimator needs
+LostMarkers = tuple[int, int, Int[np.ndarray, " L"]]  # the first and last frame of a gap, and the markers that have it
+Fill = tuple[np.ndarray, np.ndarray, np.ndarray]  # the positions (n, 3), deviations (n,) and methods (n,) of n samples
+GapFill = tuple[int, int, Fill]  # of a marker, from a first frame on
+
+
 class _EstimatedMarker(NamedTuple):
-    """A lost marker, its estimates, and the similarity of each hidden stretch to its gap."""
+    """A lost marker, the similarity of each hidden stretch to its gap, its fill, and the estimates if they are needed again."""
 
     gap: Gap
-    estimates: list[GapEstimate]
     similarity: Float[np.ndarray, " K"]
+    fill: Fill
+    estimates: list[GapEstimate]
 
 
-def _estimate_gaps(take: MarkersInTake, surroundings: "_Surroundings") -> list[_EstimatedMarker]:
-    """Estimate every gap, the shortest first."""
-    is_preview = take.body is not None and take.body.evidence is None  # which guesses the segments that no marker shows
-    estimators = [build(take) for build in ESTIMATORS if not (is_preview and build is BodyPlacement)]
-    estimated: list[_EstimatedMarker] = []
+class _GapEstimation:
+    """The estimation of the gaps of a take. There is another one in the second process, with the same fills, if it is shared."""
+
+    def __init__(self, take: MarkersInTake, requested: Collection[int]) -> None:
+        self.take, self.requested, markers = take, requested, take.visible_markers
+        self.velocity_sd, self.activity = measure_velocity_variation(markers, take.rate), NeighbourActivity(markers, take.rate)
+        self.max_speed_m_s = measure_speed_limit(markers, take.rate)
+        is_preview = take.body is not None and take.body.evidence is None  # which guesses the segments that no marker shows
+        self.estimators = [build(take) for build in ESTIMATORS if not (is_preview and build is BodyPlacement)]
+        self.is_shared, self.unsent_fills = False, list[GapFill]()
+
+    def share(self) -> None:
+        """Begin the same estimation in the second process, which then does half."""
+        take, body, samples = self.take, self.take.body, np.nonzero(~np.isnan(self.take.estimate.sd))
+        if body:
+            body = replace(body, take=Take(body.take.markers[:0], body.take.labels, take.rate))
+            body = map_arrays(body, body.motion.frame_count, lambda name, of: of[:0] if name.startswith(UNUSED_OF_BODY) else of)
+        paths, settled = take.visible_markers.swapaxes(0, 1), [*samples, *(each[samples] for each in take.estimate)]
+        others = (take.distance_change_m, take.rate, body, take.rigid_groups)
+        compute_beside(_begin_estimation, id(self), paths, settled, others, self.requested)
+        self.is_shared = True
+
+    @cached_property
+    def later_estimators(self) -> list[Estimator]:
+        """The estimators that need the fills of all other gaps."""
+        return [build(self.take) for build in LATER_ESTIMATORS]
+
+    def estimate_markers(self, lost_markers: LostMarkers) -> list[_EstimatedMarker]:
+        """Estimate the markers that are lost in a gap."""
+        (first, last, lost), estimated = lost_markers, list[_EstimatedMarker]()
+        window = choose_hidden_stretches(np.all(self.take.is_known.T[lost], axis=0), first, last, self.take.rate)
+        for gap, similarity in self.describe_gap(window, lost):
+            estimates = self.call_estimators(self.estimators, gap)
+            fill = combine_gap_estimates(estimates, window, similarity)
+            is_kept = gap.marker in self.requested or not (fill[1] < MAX_SETTLED_SD_M).all()
+            estimated.append(_EstimatedMarker(gap, similarity, fill, estimates if is_kept else []))
+        return estimated
+
+    def estimate_later(self, markers: Sequence[Gap]) -> list[list[GapEstimate]]:
+        """Return the later estimates of markers that are lost in a gap."""
+        return [self.call_estimators(self.later_estimators, gap) for gap in markers]
+
+    def describe_gap(
+        self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]
+    ) -> Iterator[tuple[Gap, Float[np.ndarray, " K"]]]:
+        """Yield what is known around each of the markers that are lost throughout a gap, and the similarity of its stretches."""
+        take, w, known, gap_s = self.take, window, self.take.is_known, window.length / self.take.rate
+        shown = np.flatnonzero(known.T[lost_markers].all(0))
+        frames = w.list_frames(shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)], len(known))
+        is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
+        for marker in lost_markers.tolist():
+            change = take.distance_change_m[marker]
+            order = np.argsort(change, kind="stable")
+            neighbours = order[(is_neighbour & np.isfinite(change))[order]]
+            edges = compare_edge_motion(take.markers[:, marker], w, take.rate)
+            gap = Gap(
+                marker,
+                w,
+                lost_markers,
+                neighbours,
+                *frames,
+                activity=self.activity.compare(marker, w, neighbours),
+                speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), gap_s),
+                variation_growth=compute_variation_growth(known[:, marker], gap_s, take.rate),
+            )
+            yield gap, edges.similarity
+
+    def call_estimators(self, estimators: Sequence[Estimator], gap: Gap) -> list[GapEstimate]:
+        """Return the estimates of a gap that are nowhere faster than the limit, edges included.
+
+        A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
+        """
+        w, estimates = gap.window, [e for estimate in estimators for e in estimate(gap)]
+        first, last = max(w.first - 1, 0), min(w.first + w.length, len(self.take.markers) - 1)
+        paths = np.repeat(self.take.markers[None, first : last + 1, gap.marker], len(estimates), axis=0)
+        inside = slice(w.first - first, w.first - first + w.length)
+        for path, estimate in zip(paths, estimates, strict=True):
+            path[inside] = estimate.position
+        step = np.diff(paths, axis=1) * self.take.rate
+        is_fast = np.any((step * step).sum(2) > self.max_speed_m_s**2, axis=1)
+        is_chosen = ~is_fast & ~np.isnan(paths[:, inside, 0]).all(1)
+        return [each for each, is_one in zip(estimates, is_chosen, strict=True) if is_one]
+
+    def map(self, function: "Callable[[_GapEstimation, Part], Value]", parts: Sequence[Part]) -> list[Value]:
+        """Return a function, a method of this class, of each part. Parts do not depend on one another."""
+
+        if not self.is_shared or len(parts) < 2:
+            return [function(self, part) for part in parts]
+        there = compute_beside(_compute_parts, id(self), self.unsent_fills, function, parts[1::2])
+        self.unsent_fills = []
+        there = there._replace(compute=lambda: [function(self, part) for part in parts[1::2]])  # not by its number
+        halves = [function(self, part) for part in parts[::2]], there.finish()
+        return [halves[n % 2][n // 2] for n in range(len(parts))]
+
+    def use_fills(self, fills: list[GapFill]) -> None:
+        """Use fills. Those that are precise serve as visible from now on."""
+        self.unsent_fills += fills if self.is_shared else []
+        for marker, first, fill in fills:
+            samples = slice(first, first + len(fill[1])), marker
+            for values, new in zip(self.take.estimate, fill, strict=True):
+                values[samples] = new
+            if (fill[1] <= MAX_KNOWN_SD_M).all():
+                self.take.markers[samples], self.take.is_known[samples] = fill[0], True
+
+
+_estimations: dict[int, _GapEstimation] = {}  # in the second process: those that it shares, by number
+
+
+def _begin_estimation(number: int, paths: np.ndarray, settled: list[np.ndarray], others: Any, requested: Collection[int]) -> None:
+    threadpool_limits(1, user_api="blas")  # as in the first process, so that sums are the same
+    markers, samples = paths.swapaxes(0, 1), tuple(settled[:2])
+    nothing = np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan), np.zeros(markers.shape[:2], np.int8)
+    known, estimate = markers.copy(order="K"), MarkerEstimate(*nothing)
+    for values, new in zip((known, *estimate), (settled[2], *settled[2:]), strict=True):
+        values[samples] = new
+    _estimations[number] = _GapEstimation(MarkersInTake(markers, known, estimate, *others), requested)
+
+
+def _compute_parts(
+    number: int, fills: list[GapFill], function: Callable[[_GapEstimation, Part], Value], parts: Sequence[Part]
+) -> list[Value]:
+    if number not in _estimations:
+        raise MemoryError  # there was none for the take
+    _estimations[number].use_fills(fills)
+    return [function(_estimations[number], part) for part in parts]
+
+
+def _end_estimation(number: int) -> None:
+    _estimations.pop(number, None)
+
+
+def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_EstimatedMarker]:
+    """Estimate every gap; if they are shared and many, the second process does half. No gap sees fills of its group."""
+    take, estimated = estimation.take, list[list[_EstimatedMarker]]()
     has_ends = take.is_common.copy()
     if take.body:
         has_ends[take.body.marker_columns[take.body.marker_columns >= 0]] = True
-    for first, last, lost in iterate_gaps(~take.is_known, take.is_visible, has_ends):
-        is_shown: np.ndarray = np.all(take.is_known.T[lost], axis=0)
-        window = choose_hidden_stretches(is_shown, first, last, take.rate)
-        for gap, similarity in surroundings.describe_gap(window, lost):
-            estimates = surroundings.select_plausible([e for estimate in estimators for e in estimate(gap)], gap)
-            estimated.append(_EstimatedMarker(gap, estimates, similarity))
-            _store(take, estimated[-1], estimates)
-        _remember(take, window, lost)
-    return estimated
-
-
-def _add_later_estimates(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], surroundings: "_Surroundings") -> None:
-    """Estimate the gaps that are uncertain by the estimators that need the estimates of all others."""
-    is_settled = take.estimate.sd < MAX_SETTLED_SD_M
-    uncertain = [each for each in gaps if not is_settled[each.gap.window.gap_frames, each.gap.marker].all()]
-    if not uncertain:
-        return
-    estimators = [build(take) for build in LATER_ESTIMATORS]
-    for each in uncertain:
-        later = surroundings.select_plausible([e for estimate in estimators for e in estimate(each.gap)], each.gap)
-        if later:
-            each.estimates.extend(later)
-            _store(take, each, each.estimates)
-
-
-def _store(take: MarkersInTake, marker: _EstimatedMarker, estimates: Sequence[GapEstimate]) -> None:
-    """Set the samples of a marker in a gap to the combination of estimates, if there are any."""
-    if estimates:
-        samples = marker.gap.window.gap_frames, marker.gap.marker
-        combined = combine_gap_estimates(estimates, marker.gap.window, marker.similarity)
-        take.estimate.position[samples], take.estimate.sd[samples], take.estimate.method[samples] = combined
-
-
-def _remember(take: MarkersInTake, window: GapWindow, lost_markers: Int[np.ndarray, " L"]) -> None:
-    """Use what was filled precisely as visible from now on."""
-    for marker in lost_markers:
-        samples = window.gap_frames, marker
-        if (take.estimate.sd[samples] <= MAX_KNOWN_SD_M).all():
-            take.markers[samples] = take.estimate.position[samples]
-            take.is_known[samples] = True
+    gaps = list(iterate_gaps(~take.is_known, take.is_visible, has_ends))
+    if is_shared and len(gaps) >= MIN_SHARED_GAPS:
+        estimation.share()
+    while gaps:
+        longest = SIMILAR_LENGTH_RATIO * (gaps[0][1] - gaps[0][0] + 1)
+        group = [(first, last, lost) for first, last, lost in gaps if last - first + 1 <= longest]
+        gaps = gaps[len(group) :]
+        estimated += (new := estimation.map(_GapEstimation.estimate_markers, group))
+        estimation.use_fills([(each.gap.marker, each.gap.window.first, each.fill) for each in chain(*new)])
+    uncertain = [[each for each in markers if not (each.fill[1] < MAX_SETTLED_SD_M).all()] for markers in estimated]
+    later = estimation.map(_GapEstimation.estimate_later, [[each.gap for each in markers] for markers in uncertain if markers])
+    for each, added in zip(chain(*uncertain), chain(*later), strict=True):
+        each.estimates.extend(added)
+        fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity)
+        estimation.use_fills([(each.gap.marker, each.gap.window.first, fill)])
+    if estimation.is_shared:
+        compute_beside(_end_estimation, id(estimation))
+    return list(chain(*estimated))
 
 
 def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request: FillRequest) -> None:
@@ -206,12 +331,13 @@ class NeighbourActivity:
 
     def __init__(self, markers: Float[np.ndarray, "T M 3"], rate: float) -> None:
         self.lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
-        square = (((markers[self.lag :] - markers[: -self.lag]) * (rate / self.lag)) ** 2).sum(-1)
+        step = (markers[self.lag :] - markers[: -self.lag]) * (rate / self.lag)
+        square = np.einsum("tma,tma->tm", step, step)
         self.is_known, self.square = ~np.isnan(square), np.nan_to_num(square)
         is_visible = (~np.isnan(markers[self.lag // 2 :, :, 0][: len(square)])).T.astype(float)
-        count = is_visible @ self.is_known
+        count = is_visible @ self.is_known.astype(float)
         # of all markers while one is visible
-        self.square_with = _divide(is_visible @ self.square, count, count >= MIN_COMPARED_STEPS)
+        self.square_with = is_visible @ self.square / np.where(count >= MIN_COMPARED_STEPS, count, np.nan)
 
     def compare(self, marker: int, window: GapWindow, neighbours: Int[np.ndarray, " N"]) -> float:
         """Return how many times as fast neighbours, the steadiest first, are in a gap as while the marker is visible, or one."""
@@ -220,7 +346,8 @@ class NeighbourActivity:
         first = min(max(0, window.first - self.lag // 2), len(self.square) - 1)
         steps = slice(first, max(first + 1, window.first + window.length - self.lag // 2))
         is_known = self.is_known[steps][:, neighbours]
-        in_gap = _divide(self.square[steps][:, neighbours].sum(0), is_known.sum(0), is_known.mean(0) > MIN_KNOWN_GAP_SHARE)
+        count = np.where(is_known.mean(0) > MIN_KNOWN_GAP_SHARE, is_known.sum(0), np.nan)
+        in_gap = self.square[steps][:, neighbours].sum(0) / count
         both = np.stack([in_gap, self.square_with[marker, neighbours]])
         both = both[:, ~np.isnan(both).any(0)][:, :MAX_ACTIVITY_NEIGHBOURS]
         if not both.size:
@@ -229,78 +356,21 @@ class NeighbourActivity:
         return float(np.exp(np.clip(-difference / 2, 0, np.log(MAX_ACTIVITY_RATIO))))
 
 
-def _divide(values: np.ndarray, count: np.ndarray, is_enough: np.ndarray) -> np.ndarray:
-    """Return the quotients, NaN where they are not known well enough."""
-    return np.divide(values, count, out=np.full(values.shape, np.nan), where=is_enough)
-
-
 MAX_SPEED_RATIO = 3.0  # speed of an estimate, relative to the fastest visible motion, above which it is rejected
 SPEED_PERCENTILE = 99.9  # percentile of the speeds of visible markers that counts as the fastest visible motion
-VELOCITY_LAG_S = 0.1  # time over which the variation of velocities is measured
 MIN_SPEED_LIMIT_M_S = 2.0  # smallest value of this fastest speed, for takes with little motion
-
-
-class _Surroundings:
-    """How the markers of a take move around its gaps."""
-
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take = take
-        self.velocity_sd = measure_velocity_variation(take.visible_markers, take.rate)
-        self.activity = NeighbourActivity(take.visible_markers, take.rate)
-        self.max_speed_m_s = measure_speed_limit(take.visible_markers, take.rate)
-
-    def describe_gap(
-        self, window: GapWindow, lost_markers: Int[np.ndarray, " L"]
-    ) -> Iterator[tuple[Gap, Float[np.ndarray, " K"]]]:
-        """Yield what is known around each of the markers that are lost throughout a gap, and the similarity of its stretches."""
-        take, w, known = self.take, window, self.take.is_known
-        shown = np.flatnonzero(known.T[lost_markers].all(0))
-        frames = w.list_frames(shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)], len(known))
-        is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        for marker in lost_markers.tolist():
-            change = take.distance_change_m[marker]
-            order = np.argsort(change, kind="stable")
-            neighbours = order[is_neighbour[order] & np.isfinite(change[order])]
-            edges = compare_edge_motion(take.markers[:, marker], w, take.rate)
-            gap = Gap(
-                marker,
-                w,
-                lost_markers,
-                neighbours,
-                *frames,
-                activity=self.activity.compare(marker, w, neighbours),
-                speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), w.length / take.rate),
-            )
-            yield gap, edges.similarity
-
-    def select_plausible(self, estimates: list[GapEstimate], gap: Gap) -> list[GapEstimate]:
-        """Return the estimates that are nowhere faster than the limit, edges included.
-
-        A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
-        """
-        w = gap.window
-        first, last = max(w.first - 1, 0), min(w.first + w.length, len(self.take.markers) - 1)
-        paths = np.repeat(self.take.markers[None, first : last + 1, gap.marker], len(estimates), axis=0)
-        inside = slice(w.first - first, w.first - first + w.length)
-        for path, estimate in zip(paths, estimates, strict=True):
-            path[inside] = estimate.position
-        step = np.diff(paths, axis=1) * self.take.rate
-        is_fast = np.any((step * step).sum(2) > self.max_speed_m_s**2, axis=1)
-        is_chosen = ~is_fast & ~np.isnan(paths[:, inside, 0]).all(1)
-        return [each for each, is_one in zip(estimates, is_chosen, strict=True) if is_one]
 
 
 def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, " M"]:
     """Return the standard deviation of each marker's velocity in m/s; near that of all for markers that show little of it.
 
-    Velocities are those over VELOCITY_LAG_S, in which noise is small.
+    Velocities are those over VELOCITY_SPAN_S, in which noise is small.
     """
-    lag = min(max(1, round(VELOCITY_LAG_S * rate)), max(1, len(markers) - 1))
+    lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
     step = markers[lag:] - markers[:-lag]
-    count = (~np.isnan(step[..., 0])).sum(0)
-    square = np.zeros(markers.shape[1])
-    for m in np.flatnonzero(count):
-        square[m] = np.nanvar(step[:, m], axis=0).sum()
+    count, step = (~np.isnan(step[..., 0])).sum(0), np.nan_to_num(step)
+    frames = np.maximum(count, 1)
+    square = np.maximum(np.einsum("tma,tma->m", step, step) / frames - ((step.sum(0).T / frames) ** 2).sum(0), 0.0)
     typical = square[count > 0].mean() if (count > 0).any() else 0.0
     typical_share = np.exp(-count / lag)
     return np.sqrt(typical_share * typical + (1 - typical_share) * square) * rate / lag
@@ -313,8 +383,8 @@ def measure_speed_limit(markers: Float[np.ndarray, "T M 3"], rate: float) -> flo
         markers: Metres, NaN if not visible or an outlier.
         rate: Frame rate in Hz.
     """
-    speeds = [np.linalg.norm(np.diff(markers[:, m], axis=0), axis=-1) for m in range(markers.shape[1])]
-    visible = np.concatenate([speed[~np.isnan(speed)] for speed in speeds]) * rate if speeds else np.zeros(0)
+    speeds = compute_lengths(np.diff(markers, axis=0)) * rate
+    visible = speeds[~np.isnan(speeds)]
     if not len(visible):
         return np.inf
     return MAX_SPEED_RATIO * max(float(np.percentile(visible, SPEED_PERCENTILE)), MIN_SPEED_LIMIT_M_S)
@@ -324,24 +394,23 @@ EXPECTED_CORRELATION = 0.3  # expected correlation of the errors of two estimate
 SAME_AXES_CORRELATION = 0.75  # the same where both were made in the same axes
 
 
-def combine_gap_estimates(
-    estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
+def combine_gap_estimates(estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]) -> Fill:
     """Return the combination of estimates with the smallest expected error: positions, their deviations, and the main methods.
 
-    An estimate that lacks some frames counts in the others only.
+    An estimate that lacks some frames counts in the others only. Without estimates there is none: NaN.
 
     Args:
-        estimates: At least one.
         similarity: Of each hidden stretch to the gap, 0 to 1.
     """
+    out = np.full((window.length, 3), np.nan), np.full(window.length, np.nan), np.zeros(window.length, np.int8)
+    if not estimates:
+        return out
     position, error, expected_sd = (np.stack(each) for each in zip(*(e[1:4] for e in estimates), strict=True))
     largest = np.nanmax(expected_sd, axis=1, initial=MIN_FILL_SD_M, keepdims=True)
     expected_sd = np.where(np.isnan(expected_sd), largest, expected_sd)  # of one that lacks frames
     correlation = build_expected_correlation([e.axes for e in estimates])
     shown = window.hidden_length / window.length * np.array([e.evidence for e in estimates])
     methods, independent = np.array([int(e.method) for e in estimates]), window.count_independent_stretches()
-    out = np.empty((window.length, 3)), np.empty(window.length), np.empty(window.length, np.int8)
     weighting = similarity, independent, shown, correlation, MIN_FILL_SD_M, window.points, methods
     combine_estimates(position, error, expected_sd, *weighting, out)
     return out

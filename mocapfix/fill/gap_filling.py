@@ -5,7 +5,6 @@ The estimates and their weights: `gap_estimates`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Shaped
@@ -15,7 +14,7 @@ from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import Filled, compute_editable_mask
-from mocapfix.model.detected import Detected, MarkerEpochs
+from mocapfix.model.detected import Detected
 from mocapfix.model.take import Take, TakePart
 from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
@@ -25,20 +24,6 @@ NEVER_VISIBLE_REASON = "the marker is never visible in this take"
 EXCLUDED_REASON = "excluded from editing by --keep or --frames"
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"
-
-
-class FilledTake(NamedTuple):
-    """A filled take.
-
-    Attributes:
-        take: the take with its missing and faulty samples filled or emptied.
-        unfilled_reasons: why each sample stays empty, "" for the others.
-        method: for each sample its FillMethod, -1 where it was not filled.
-    """
-
-    take: Take
-    unfilled_reasons: Shaped[np.ndarray, "T M"]
-    method: Int[np.ndarray, "T M"]
 
 
 def fill_gaps(
@@ -63,7 +48,13 @@ def fill_gaps(
     groups = find_rigid_groups_outside(detected, body, props)
     # while a marker slides it is at neither position, yet its samples show most of where it is in a gap between them
     is_shown = inliers[:, epochs.column_marker] & epochs.is_near
-    filled = fill_take(
+    requests = [  # for every column of a marker that moved
+        FillRequest(int(column), each.first, each.last, each.entry.method)
+        for each in corrections
+        if each.entry.method is not None
+        for column in np.flatnonzero(epochs.column_marker == each.markers[0])
+    ]
+    filled, reasons, methods = fill_take(
         epochs.take.replace_markers(np.where(is_shown[..., None], take.markers[:, epochs.column_marker], epochs.take.markers)),
         is_shown,
         gap_durations_s,
@@ -71,28 +62,17 @@ def fill_gaps(
         body,
         options,
         rigid_groups=groups,
-        requests=locate_requested_fills(corrections, epochs),
+        requests=requests,
     )
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detected.donor_markers)] = True
-    sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
-    markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
-    proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))
-    reasons = epochs.merge_columns(filled.unfilled_reasons)
+    markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.markers))
+    proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(filled.estimated_sd)))
+    reasons = epochs.merge_columns(reasons)
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
-    methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
+    methods = np.where(is_kept, "", epochs.merge_columns(descriptions[methods]))
     of_take = [replace(each, markers=tuple(dict.fromkeys(epochs.column_marker[list(each.markers)].tolist()))) for each in groups]
     return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, tuple(of_take))
-
-
-def locate_requested_fills(corrections: Sequence[Correction], epochs: MarkerEpochs) -> list[FillRequest]:
-    """Return the requests among corrections, for every column of a marker that moved."""
-    return [
-        FillRequest(int(column), each.first, each.last, each.entry.method)
-        for each in corrections
-        if each.entry.method is not None
-        for column in np.flatnonzero(epochs.column_marker == each.markers[0])
-    ]
 
 
 def find_rigid_groups_outside(
@@ -121,7 +101,7 @@ def fill_take(
     *,
     rigid_groups: Sequence[RigidGroup] = (),
     requests: Sequence[FillRequest] = (),
-) -> FilledTake:
+) -> tuple[Take, Shaped[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
     """Fill or empty every sample that is not an inlier.
 
     Args:
@@ -134,6 +114,10 @@ def fill_take(
         options: what may be edited and how certain an estimate must be.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
         requests: how a reviewer wants some samples to be filled.
+
+    Returns:
+        The filled take; why each sample stays empty, "" for the others; and the FillMethod of each sample, -1 where it was not
+        filled.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
@@ -148,7 +132,7 @@ def fill_take(
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
     reasons[~is_editable] = EXCLUDED_REASON
     reasons[:, ~take.is_ever_visible] = NEVER_VISIBLE_REASON
-    return FilledTake(after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1))
+    return after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1)
 
 
 def compute_gap_durations(

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, Int8
 
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.stats.marker_distances import RigidGroup
-from mocapfix.stats.rigid_alignment import transform_to_body_axes
+from mocapfix.stats.rigid_alignment import compute_lengths, transform_to_body_axes
 from mocapfix.stats.sequences import group_gaps, sample_evenly
 
 MIN_FILL_SD_M = 0.0003  # smallest standard deviation per axis of a fill, and of an estimate of one
@@ -228,6 +228,7 @@ class Gap(NamedTuple):
         hidden_rows: The same of each stretch: beside it, and its points.
         activity: How many times as fast the neighbours are in the gap as while the marker is visible, at least one.
         speed_m_s: Variation of the marker's velocity that is expected in the gap.
+        variation_growth: How many times as much as while it is visible the marker varies in the gap, relative to others.
     """
 
     marker: int
@@ -239,6 +240,7 @@ class Gap(NamedTuple):
     hidden_rows: Int[np.ndarray, "K CS"]
     activity: float
     speed_m_s: float
+    variation_growth: float
 
 
 Estimator = Callable[[Gap], list[GapEstimate]]  # returns estimates of the marker of a gap, none where it has no estimate
@@ -362,18 +364,15 @@ def compare_edge_motion(path: Float[np.ndarray, "T 3"], window: GapWindow, rate:
     w = window
     if not len(w.before) or not len(w.after):
         return EdgeMotion(None, np.ones(len(w.starts)))
-    frames = np.array([[w.before[0], w.before[-1], w.after[0], w.after[-1]]])
-    hidden = np.array([w.before[0], w.before[-1], w.hidden_after[0], w.hidden_after[-1]])
-    speed = _measure_speed(path[w.first + frames], frames[0], rate)
-    hidden_speeds = _measure_speed(path[w.starts[:, None] + hidden], hidden, rate)
-    difference = np.log(hidden_speeds / speed) / np.log(SIMILAR_SPEED_RATIO)
+    offsets = np.array([[w.before[0], w.before[-1], after[0], after[-1]] for after in (w.after, w.hidden_after)])
+    places = path[np.concatenate([w.first + offsets[:1], w.starts[:, None] + offsets[1]])]
+    seconds = np.maximum(offsets[:, 1:] - offsets[:, :-1], 1) / rate
+    distances = compute_lengths(places[:, 1:] - places[:, :-1])
+    distances[0] /= seconds[0]
+    distances[1:] /= seconds[1]
+    speed = distances.sum(1) / 3 + RESTING_SPEED_M_S
+    difference = np.log(speed[1:] / speed[0]) / np.log(SIMILAR_SPEED_RATIO)
     return EdgeMotion(float(speed[0]), np.exp(-0.5 * np.nan_to_num(difference, nan=np.inf) ** 2))
-
-
-def _measure_speed(edges: Float[np.ndarray, "N 4 3"], offsets: Int[np.ndarray, "4"], rate: float) -> Float[np.ndarray, " N"]:
-    """Return the mean speed in m/s before, across and after a gap, from the positions at four offsets in frames."""
-    seconds = np.maximum(np.diff(offsets), 1) / rate
-    return (np.linalg.norm(np.diff(edges, axis=1), axis=-1) / seconds).mean(1) + RESTING_SPEED_M_S
 
 
 def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rate: float) -> float:

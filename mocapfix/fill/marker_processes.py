@@ -8,15 +8,13 @@ trunk. They follow the input markers only, as in the gap nothing else is known. 
 captures and of CMU's training subjects.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER
 from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, GapWindow, MarkersInTake, MovingAxes, compute_variation_growth
 from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
-from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape, transform_to_body_axes
+from mocapfix.stats.rigid_alignment import CommonShape, align_to_shape, fit_common_shape, transform_to_body_axes
 from mocapfix.stats.sequences import sample_evenly, select_training_frames
 
 MAX_SETTLED_SD_M = 0.01
@@ -77,6 +75,7 @@ def compute_marker_state_features(
 
 MAX_HIDDEN_PROCESS_STRETCHES = 8  # hidden stretches in which the errors of a process are measured
 MAX_EDGE_TRAINING_FRAMES = 6  # frames beside each of them on which the process is trained
+MAX_SHAPE_FRAMES = 1000  # evenly spaced frames from which the common shape of all markers is estimated
 MAX_HELD_OUT_SHARE = 0.7  # share of the training frames above which a hidden stretch leaves too few
 
 
@@ -90,8 +89,9 @@ class MarkerProcesses:
         self.rate, self.is_visible, self.is_common, self.sd = take.rate, take.is_visible, take.is_common, take.estimate.sd.copy()
         self.is_known = self.is_common & (self.is_visible | (self.sd < MAX_INPUT_SD_M))
         self.positions = np.where(self.is_visible[..., None], take.visible_markers, take.estimate.position)
-        self.common_shape = fit_common_shape(np.where(self.is_known[..., None], self.positions, np.nan))
-        self._axes_of_inputs: dict[tuple[int, ...], _InputAxes] = {}
+        frames = sample_evenly(len(self.positions), MAX_SHAPE_FRAMES)
+        self.common_shape = fit_common_shape(np.where(self.is_known[frames, :, None], self.positions[frames], np.nan))
+        self._axes_of_inputs: dict[tuple[int, ...], tuple[MovingAxes, np.ndarray, np.ndarray]] = {}
         self._latest: tuple[tuple[int, ...], dict[int, GapEstimate]] = ((), {})
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
@@ -142,15 +142,18 @@ class MarkerProcesses:
         candidates = np.setdiff1d(np.flatnonzero(self.is_known[first : last + 1].all(0)), lost_markers)
         return select_input_markers(self.is_known[is_shown], candidates) if is_shown.any() else candidates[:0]
 
-    def _get_axes(self, inputs: np.ndarray) -> "_InputAxes":
-        """Return the axes of the input markers. The lost markers do not influence them: in the gap they cannot."""
+    def _get_axes(self, inputs: np.ndarray) -> tuple[MovingAxes, Float[np.ndarray, "T M 3"], Bool[np.ndarray, " T"]]:
+        """Return the axes of the input markers, all markers in them, and whether a frame determines them.
+
+        The lost markers do not influence them: in the gap they cannot.
+        """
         key = tuple(inputs.tolist())
         if key not in self._axes_of_inputs:
             self._axes_of_inputs.clear()  # consecutive gaps often have the same inputs
-            positions = self.positions[:, inputs]
-            rotation, origin, is_aligned = align_to_shape(positions, self.is_known[:, inputs], self.common_shape.select(inputs))
+            positions, shape = self.positions[:, inputs], CommonShape(*(each[inputs] for each in self.common_shape))
+            rotation, origin, is_aligned = align_to_shape(positions, self.is_known[:, inputs], shape)
             local = transform_to_body_axes(self.positions, origin, rotation)
-            self._axes_of_inputs[key] = _InputAxes(MovingAxes(rotation, origin), local, is_aligned)
+            self._axes_of_inputs[key] = MovingAxes(rotation, origin), local, is_aligned
         return self._axes_of_inputs[key]
 
     def _estimate_piece(
@@ -192,11 +195,3 @@ class MarkerProcesses:
                 local_error[held_frames[at] != hidden_frames] = np.nan
                 error[k] = np.einsum("sab,smb->sma", axes.rotation_world_axes[hidden_frames], local_error)
         return world, sd, error
-
-
-class _InputAxes(NamedTuple):
-    """The axes of some input markers, all markers in them (T, M, 3), and whether a frame determines them (T,)."""
-
-    axes: MovingAxes
-    local: np.ndarray
-    is_aligned: np.ndarray

@@ -11,6 +11,7 @@ cluster. Where the members change, the axes move by as much as the cluster defor
 that the gap has at each point, and the estimate in a gap is shifted so that it has no steps.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -87,21 +88,20 @@ def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> 
 
 
 def build_cluster_axes(
-    markers: Float[np.ndarray, "T M 3"],
-    cluster: Int[np.ndarray, " K"],
-    change_m: Float[np.ndarray, " K"],
-    frames: Int[np.ndarray, " N"],
+    take: MarkersInTake, cluster: Int[np.ndarray, " K"], change_m: Float[np.ndarray, " K"], frames: Int[np.ndarray, " N"]
 ) -> MovingAxes | None:
-    """Return the axes of a cluster in the given frames, unknown where not all of it is visible; None if they never are.
+    """Return the axes of a cluster in the given frames, unknown where not all of it is known; None if they never are.
 
     The variation `change_m` of its distances weights each marker.
     """
-    is_visible = np.isnan(markers[..., 0].T[cluster[:, None], frames]).sum(0) == 0
-    if not is_visible.any():
+    known = np.flatnonzero(take.is_known.T[cluster[:, None], frames].all(0))
+    if not len(known):
         return None
+    axes = align_cluster(take.markers, frames[known], cluster, compute_marker_weights(change_m))[1:]
+    if len(known) == len(frames):
+        return MovingAxes(*axes)
     rotation, origin = np.zeros((len(frames), 3, 3)), np.full((len(frames), 3), np.nan)
-    axes = align_cluster(markers, frames[is_visible], cluster, compute_marker_weights(change_m))[1:]
-    rotation[is_visible], origin[is_visible] = axes
+    rotation[known], origin[known] = axes
     return MovingAxes(rotation, origin)
 
 
@@ -110,11 +110,10 @@ def compute_marker_weights(change_m: Float[np.ndarray, " K"]) -> Float[np.ndarra
     return 1 / (change_m**2 + MIN_DISTANCE_CHANGE_M**2)
 
 
-class ClusterInterpolation:
+class ClusterInterpolation(NamedTuple):
     """Estimates a marker on a line between the edges of a gap, in axes of its steadiest neighbours."""
 
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take = take
+    take: MarkersInTake
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         take, estimates = self.take, list[GapEstimate]()
@@ -122,17 +121,16 @@ class ClusterInterpolation:
             cluster = gap.neighbours[:size]
             if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(gap.neighbours) > CLUSTER_SIZES[0]):
                 change = take.distance_change_m[gap.marker, cluster]
-                axes = build_cluster_axes(take.markers, cluster, change, gap.frames)
+                axes = build_cluster_axes(take, cluster, change, gap.frames)
                 if axes:
                     estimates += interpolate_in_axes(take.markers[:, gap.marker], axes, gap, take.rate, f"{size} neighbours")
         return estimates
 
 
-class NeighbourRegression:
+class NeighbourRegression(NamedTuple):
     """Estimates a marker from the deformation of a cluster that is visible throughout the gap, by a regression."""
 
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take = take
+    take: MarkersInTake
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         take, w, rate, path = self.take, gap.window, self.take.rate, self.take.markers[:, gap.marker]
@@ -156,7 +154,7 @@ class NeighbourRegression:
         # stretches of one group are left out together
         is_out = (training >= w.starts[:, None]) & (training < w.starts[:, None] + w.hidden_length)
         group = number_parts(len(w.starts))
-        left_out = np.stack([is_out[group == each].any(0) for each in np.unique(group)]) if len(group) else is_out
+        left_out = np.logical_or.reduceat(is_out, np.flatnonzero(np.diff(group, prepend=-1))) if len(group) else is_out
         x, count, examples = shape.reshape(len(frames), -1), len(training), row[training]
         x -= x[examples].mean(0)
         folds = np.arange(HIDDEN_FOLDS)[:, None] == number_parts(count)
@@ -187,6 +185,7 @@ class NeighbourRegression:
         return [GapEstimate(FillMethod.CLUSTER, position, error, expected_sd)]
 
 
+@cache
 def number_parts(count: int) -> Int[np.ndarray, " count"]:
     """Return the number of the part of each of so many elements in HIDDEN_FOLDS nearly equal parts, the larger ones first."""
     return np.repeat(np.arange(HIDDEN_FOLDS), [(count + fold) // HIDDEN_FOLDS for fold in range(HIDDEN_FOLDS)[::-1]])
@@ -199,26 +198,25 @@ def _build_residual_maps(
     power = max(float(np.median(residual**2)) * NORMAL_MEDIAN_FACTOR, MIN_CLUSTER_RESIDUAL_M**2)
     roughness = estimate_roughness(residual, frames, rate, CLUSTER_RESIDUAL_FADE_S, SAMPLE_NOISE_M, power)
 
-    def build_map(before: np.ndarray, after: np.ndarray, points: np.ndarray) -> np.ndarray:
-        known_s, fade_s = np.concatenate([before, after]) / rate, CLUSTER_RESIDUAL_FADE_S
-        noise = np.full(len(known_s), SAMPLE_NOISE_M**2)
-        shape = {"power": power, "time_scale_s": fade_s, "roughness": roughness}
-        return map_residual(known_s, points / rate, noise_variance=noise, **shape)[0]
+    shape = {"power": power, "time_scale_s": CLUSTER_RESIDUAL_FADE_S, "roughness": roughness}
+    noise = np.full(len(w.before) + len(w.after), SAMPLE_NOISE_M**2)
 
-    gap_map = build_map(w.before, w.after, np.arange(w.length))
+    def build_map(after: np.ndarray, points: np.ndarray) -> np.ndarray:
+        return map_residual(np.concatenate([w.before, after]) / rate, points / rate, noise_variance=noise, **shape)[0]
+
+    gap_map = build_map(w.after, np.arange(w.length))
     if w.hidden_length == w.length:
         return gap_map, gap_map[w.points]
-    return gap_map, build_map(w.before, w.hidden_after, w.hidden_points)
+    return gap_map, build_map(w.hidden_after, w.hidden_points)
 
 
 MAX_CLUSTER_SHAPE_FRAMES = 200  # evenly spread frames from which the common shape of a cluster is estimated
 
 
-class ChangingClusterInterpolation:
+class ChangingClusterInterpolation(NamedTuple):
     """Estimates a marker between the edges of a gap, in axes of neighbours that come and go within it."""
 
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take = take
+    take: MarkersInTake
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         # What it costs that members come and go is not known where no stretch shows it.
@@ -253,9 +251,8 @@ def select_changing_cluster(
     None if no member comes or goes, or if some frame of the gap shows too few. `change_m` is the variation of each marker's
     distance to the missing one, infinite where unknown.
     """
-    in_gap = is_known[window.gap_frames]
-    order = np.argsort(change_m, kind="stable")
-    members = order[np.isfinite(change_m[order]) & in_gap[:, order].any(axis=0)][:size]
+    in_gap, order = is_known[window.first : window.first + window.length], np.argsort(change_m, kind="stable")
+    members = order[(np.isfinite(change_m) & in_gap.any(axis=0))[order]][:size]
     cluster = ChangingCluster(members, in_gap[:, members])
     if not len(cluster.steps) or (cluster.is_visible.sum(axis=1) < MIN_ALIGNMENT_MARKERS).any():
         return None

@@ -5,8 +5,6 @@ interpolated from the frames before and after. Which markers are visible may cha
 follows from the deviations of the markers from the shape, and from where the visible ones are in it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -21,14 +19,6 @@ MAX_POSE_SD_RATIO = 10.0
 MAX_POSE_CONDITION = 1e6  # condition number of the information on a pose above which the visible markers are on one line
 MAX_TWIST_LAGS = 8  # distances in time, doubled each, at which the error of an interpolated angle is measured
 MIN_TWIST_FRAMES = 20  # frames that show this error
-
-
-class GroupPoses(NamedTuple):
-    """Poses of a rigid group: rotation (T, 3, 3), origin (T, 3) m, and whether a frame determines them (T,)."""
-
-    rotation: Float[np.ndarray, "T 3 3"]
-    origin: Float[np.ndarray, "T 3"]
-    is_known: Bool[np.ndarray, " T"]
 
 
 class RigidGroupPlacement:
@@ -65,11 +55,11 @@ class _GroupShape:
         self.markers = markers
         self.shape, self.marker_sd = measure_group_shape(markers)
         self.is_used = ~np.isnan(markers[..., 0]) & np.isfinite(self.marker_sd)
-        rotation, origin, is_known = rigid_alignment.align_to_shape(markers, self.is_used, self.shape)
+        rotation, _, is_known = rigid_alignment.align_to_shape(markers, self.is_used, self.shape)
         patterns, rows = np.unique(self.is_used, axis=0, return_inverse=True)
         members = np.flatnonzero(np.isfinite(self.marker_sd))
         is_determined = np.array([np.isfinite(self._compute_pose_sd(each, members)).all() for each in patterns], bool)
-        self.poses = GroupPoses(rotation, origin, is_known & is_determined[rows.ravel()])
+        self.rotation, self.is_known = rotation, is_known & is_determined[rows.ravel()]
         self._twist_errors: dict[tuple[int, ...], tuple[tuple[np.ndarray, np.ndarray], ...]] = {}
 
     def _compute_pose_sd(self, is_used: np.ndarray, members: np.ndarray) -> np.ndarray:
@@ -99,7 +89,7 @@ class _GroupShape:
             if np.isfinite(pose_sd):
                 position[n] = rotation[n] @ self.shape.positions[member] + origin[n]
                 sd[n] = np.hypot(pose_sd, self.marker_sd[member])
-            elif pattern.sum() == 2 and self.poses.is_known.sum() >= MIN_TWIST_FRAMES:
+            elif pattern.sum() == 2 and self.is_known.sum() >= MIN_TWIST_FRAMES:
                 pair = np.flatnonzero(pattern)
                 position[n], twist_sd = self._place_by_pair(member, pair, frames[n], around[:, n])
                 sd[n] = np.sqrt(twist_sd**2 + self.marker_sd[member] ** 2 + (self.marker_sd[pair] ** 2).sum())
@@ -112,21 +102,21 @@ class _GroupShape:
 
         The angle about the line through the pair is interpolated between the frames whose poses are known.
         """
-        known, shape = np.flatnonzero(self.poses.is_known), self.shape.positions
+        known, shape = np.flatnonzero(self.is_known), self.shape.positions
         first = known[np.maximum(np.searchsorted(known, around[0]) - 1, 0)]
         last = known[np.minimum(np.searchsorted(known, around[1], side="right"), len(known) - 1)]
         share = np.clip((frames - first) / np.maximum(last - first, 1), 0, 1)
         line = shape[pair[1]] - shape[pair[0]]
         markers = self.markers[frames]
         seen = markers[:, pair[1]] - markers[:, pair[0]]
-        rotation = turn_about_line(self.poses.rotation[first], self.poses.rotation[last], share, line, seen)
+        rotation = turn_about_line(self.rotation[first], self.rotation[last], share, line, seen)
         arm, direction = shape[member] - shape[pair].mean(0), line / np.linalg.norm(line)
         radius = np.linalg.norm(arm - arm @ direction * direction)
         is_inside = (frames > first) & (frames < last)
         between = 2 * (frames - first) * (last - frames) / np.maximum(last - first, 1)
         reach = np.where(is_inside, between, np.maximum(first - frames, frames - last))
         if (key := tuple(pair.tolist())) not in self._twist_errors:
-            errors = [measure_twist_error(self.poses, line, is_one_sided=each) for each in (False, True)]
+            errors = [measure_twist_error(self.rotation, self.is_known, line, is_one_sided=each) for each in (False, True)]
             self._twist_errors[key] = errors[0], errors[1]
         twist_sd = np.where(is_inside, *(np.interp(reach, *error) for error in self._twist_errors[key]))
         return markers[:, pair].mean(1) + rotation @ arm, twist_sd * radius / np.sqrt(3)
@@ -193,7 +183,7 @@ def turn_about_line(
 
 
 def measure_twist_error(
-    poses: GroupPoses, line: Float[np.ndarray, "3"], *, is_one_sided: bool
+    rotation: Float[np.ndarray, "T 3 3"], is_known: Bool[np.ndarray, " T"], line: Float[np.ndarray, "3"], *, is_one_sided: bool
 ) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"]]:
     """Return distances in frames from known poses, and the error (rad) there of an interpolated angle about a line.
 
@@ -201,18 +191,18 @@ def measure_twist_error(
     """
     lags, errors = [0.0], [0.0]
     for lag in 2 ** np.arange(MAX_TWIST_LAGS):
-        frames = np.arange(lag, len(poses.is_known) - lag)
-        is_shown = poses.is_known[frames] & poses.is_known[frames - lag] & (is_one_sided | poses.is_known[frames + lag])
+        frames = np.arange(lag, len(is_known) - lag)
+        is_shown = is_known[frames] & is_known[frames - lag] & (is_one_sided | is_known[frames + lag])
         frames = frames[is_shown]
         frames = frames[sample_evenly(len(frames), MAX_SHAPE_FRAMES)]
         if len(frames) < MIN_TWIST_FRAMES:
             break
-        true, last = poses.rotation[frames], poses.rotation[frames - lag if is_one_sided else frames + lag]
-        turned = turn_about_line(poses.rotation[frames - lag], last, np.full(len(frames), 0.5), line, true @ line)
+        true, last = rotation[frames], rotation[frames - lag if is_one_sided else frames + lag]
+        turned = turn_about_line(rotation[frames - lag], last, np.full(len(frames), 0.5), line, true @ line)
         angle = rigid_alignment.compute_lengths(rigid_alignment.compute_rotation_vectors(np.swapaxes(true, 1, 2) @ turned))
         lags.append(float(lag))
         errors.append(float(np.sqrt((angle**2).mean())))
     if len(lags) == 1:
         return np.array([0.0, 1.0]), np.array([0.0, np.pi])
-    reach = 2 * len(poses.is_known) / lags[-1]  # beyond what was measured the error grows with the time
+    reach = 2 * len(is_known) / lags[-1]  # beyond what was measured the error grows with the time
     return (np.array([*lags, lags[-1] * reach]), np.minimum([*errors, errors[-1] * reach], np.pi))

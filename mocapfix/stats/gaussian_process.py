@@ -167,8 +167,7 @@ def map_residual(
         noise_variance: Of each sample.
         known_excess, wanted_excess: Variance at these times of a further, smooth process.
     """
-
-    excess = [np.broadcast_to(each, len(s)) + 0.0 for each, s in ((known_excess, known_s), (wanted_excess, wanted_s))]
+    excess = np.zeros(len(known_s)) + known_excess, np.zeros(len(wanted_s)) + wanted_excess
     weights, variance = np.empty((len(wanted_s), len(known_s))), np.empty(len(wanted_s))
     gap_estimates.map_residual(known_s, wanted_s, power, time_scale_s, roughness, noise_variance, *excess, weights, variance)
     return weights, variance
@@ -187,8 +186,11 @@ def estimate_roughness(
     Estimated from the median square of its change over a short lag, which is small for a smooth process. The frames ascend.
     """
     step = max(1, round(ROUGHNESS_LAG_S * rate))
-    _, later, earlier = np.intersect1d(frames, frames + step, assume_unique=True, return_indices=True)
-    change = known[later] - known[earlier]
+    row = np.full(frames.max(initial=0) + step + 1, -1)
+    row[frames] = np.arange(len(frames))
+    later = row[frames + step]
+    earlier = np.flatnonzero(later >= 0)
+    change = known.take(later[earlier], axis=0) - known.take(earlier, axis=0)
     if len(change) < MIN_ROUGHNESS_STEPS:
         return 0.0
     lag_s = np.array([step / rate])

@@ -116,9 +116,6 @@ class CommonShape(NamedTuple):
     positions: np.ndarray
     variance: np.ndarray
 
-    def select(self, markers: Int[np.ndarray, " K"]) -> "CommonShape":
-        return CommonShape(self.positions[markers], self.variance[markers])
-
 
 def fit_common_shape(markers: Float[np.ndarray, "T M 3"]) -> CommonShape:
     """Return the common shape of markers in metres, NaN where missing; a marker that no frame shows is NaN.
@@ -144,16 +141,6 @@ def fit_common_shape(markers: Float[np.ndarray, "T M 3"]) -> CommonShape:
         variance = np.nan_to_num(np.einsum("tma,tma->ma", local, local) / count).mean(1)
         shape = CommonShape(positions - np.nanmean(positions, 0), variance)
     return shape
-
-
-def align_to_common_shape(
-    markers: Float[np.ndarray, "T M 3"],
-) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
-    """Return world rotation and origin of axes fixed to the markers' common shape, and whether a frame determines them.
-
-    Markers are in metres, NaN where missing; a frame needs three or more.
-    """
-    return align_to_shape(markers, ~np.isnan(markers[..., 0]), fit_common_shape(markers))
 
 
 def align_to_shape(

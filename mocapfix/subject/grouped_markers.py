@@ -23,7 +23,7 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import group_rigid_markers, measure_distance_spread
-from mocapfix.stats.rigid_alignment import align_to_common_shape
+from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape
 from mocapfix.stats.sequences import sample_evenly
 
 JOINT_SAMPLE_SD_M = 0.01  # distance between the two places in one frame by which a fit is weighted: markers move with the skin
@@ -60,7 +60,8 @@ class FunctionalJoint(NamedTuple):
 
 def build_moving_group(markers: Float[np.ndarray, "N M 3"], columns: tuple[int, ...]) -> MovingGroup:
     """Return the poses of some markers, in metres, that keep their distances; without those that no such frame shows."""
-    rotation, origin, is_known = align_to_common_shape(markers[:, list(columns)])
+    grouped = markers[:, list(columns)]
+    rotation, origin, is_known = align_to_shape(grouped, ~np.isnan(grouped[..., 0]), fit_common_shape(grouped))
     shown = [m for m in columns if not np.isnan(markers[is_known, m, 0]).all()]
     local = np.einsum("tba,tkb->tka", rotation[is_known], markers[is_known][:, shown] - origin[is_known, None])
     return MovingGroup(tuple(shown), rotation, origin, np.nanmean(local, axis=0), is_known)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mocapfix.fill.gap_windows import Gap, MarkerEstimate, MarkersInTake, choose_hidden_stretches
+from mocapfix.fill.gap_windows import Gap, MarkerEstimate, MarkersInTake, choose_hidden_stretches, compute_variation_growth
 from mocapfix.fill.neighbour_clusters import measure_distance_changes
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.stats.marker_distances import RigidGroup
@@ -35,5 +35,8 @@ def build_gap(take: MarkersInTake, marker: int, first: int, last: int, **fields)
     order = np.argsort(change, kind="stable")
     is_neighbour: np.ndarray = np.all(take.is_known[first : last + 1], axis=0)
     neighbours = order[is_neighbour[order] & np.isfinite(change[order])]
+    growth = compute_variation_growth(take.is_known[:, marker], window.length / take.rate, take.rate)
     frames = window.list_frames(np.arange(len(take.markers)), len(take.markers))
-    return Gap(marker, window, np.array([marker]), neighbours, *frames, activity=1.0, speed_m_s=1.0)._replace(**fields)
+    return Gap(
+        marker, window, np.array([marker]), neighbours, *frames, activity=1.0, speed_m_s=1.0, variation_growth=growth
+    )._replace(**fields)

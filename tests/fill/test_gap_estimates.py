@@ -1,12 +1,17 @@
+import pickle
 import textwrap
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from mocapfix.fill import gap_estimates
 from mocapfix.fill.gap_estimates import (
@@ -22,7 +27,12 @@ from mocapfix.fill.gap_estimates import (
 from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkersInTake, choose_hidden_stretches
 from mocapfix.io import capture
 from mocapfix.kernels.gap_estimates import find_weights, measure_error_covariances, shrink_covariance
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.motion import PoseEvidence
 from mocapfix.model.take import Take
+from mocapfix.solve import kinematics
+from mocapfix.solve.parallel import second_process
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 from tests.fill.gap_examples import RATE
 
@@ -207,6 +217,64 @@ def test_requested_samples_have_the_estimate_of_one_method_or_none():
     assert not np.isnan(changed.sd[20:30, 0]).any()
     assert np.isnan(changed.sd[20:30, 2]).all()
     np.testing.assert_allclose(changed.sd[20:30, 1], usual.sd[20:30, 1])
+
+
+class Copies(Executor):
+    """As a second process it computes with copies of what it is sent. One of its calls raises an error, with which it may end."""
+
+    def __init__(self, failing: int, error: Exception) -> None:
+        self.calls, self.failing, self.error = list[str](), failing, error
+
+    def submit(self, fn: Any, /, *args: object, **kwargs: object) -> Future[Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        future = Future[Any]()
+        self.calls.append(fn.func.__name__)
+        if len(self.calls) == self.failing or (len(self.calls) > self.failing and isinstance(self.error, BrokenExecutor)):
+            future.set_exception(self.error)
+            return future
+        try:
+            future.set_result(pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(fn))())))
+        except MemoryError as error:
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture(scope="module")
+def damaged_body():
+    """Return markers with many gaps, and the body that carries them."""
+    truth, rng = compose_take(seed=2, seconds=5.0, rate=60.0), np.random.default_rng(0)
+    joints, on_body = kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)
+    markers, (frames, count) = on_body + rng.normal(scale=0.001, size=on_body.shape), on_body.shape[:2]
+    for length in (1, 1, 2, 4, 5, 8, 12, 20, 30, 31, 45, 60) * 2:
+        first = int(rng.integers(5, frames - length - 5))
+        markers[first : first + length, rng.integers(count)] = np.nan
+    markers[100:160, 10:14] = markers[200:260, 20:24] = np.nan
+    motion = replace(truth.motion, marker_sd=rng.uniform(0.002, 0.01, (frames, count)))
+    nothing = np.zeros((frames, joints.shape[1]))
+    evidence = PoseEvidence(motion.marker_sd, nothing, nothing, nothing[:, 0])
+    take = Take(markers, truth.subject.labels, truth.rate)
+    return markers, BodyFit(truth.subject, truth.subject, np.arange(count), take, motion, joints, on_body, evidence)
+
+
+@pytest.mark.parametrize(
+    ("failing", "error"), [(99, BrokenExecutor()), (6, BrokenExecutor()), (2, BrokenExecutor()), (2, MemoryError())]
+)
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def test_a_second_process_changes_no_estimate_whether_or_not_it_ends(damaged_body, failing, error):
+    markers, body = damaged_body
+    requests = [FillRequest(10, 110, 120, "body")]
+    alone = estimate_missing_samples(markers, 60.0, body=body, requests=requests)
+    token = second_process.set(process := Copies(failing, error))
+    try:
+        shared = estimate_missing_samples(markers, 60.0, body=body, requests=requests)
+    finally:
+        second_process.reset(token)
+    for values, others in zip(alone, shared, strict=True):
+        np.testing.assert_array_equal(values, others)
+    assert process.calls[:2] == ["bool", "_begin_estimation"]
+    assert process.calls.count("_compute_parts") > 5
+    assert process.calls[-1] == "_end_estimation"
+    used = set(alone.method[np.isnan(markers[..., 0])].tolist())
+    assert {FillMethod.BODY, FillMethod.CLUSTER, FillMethod.GAUSSIAN_PROCESS} <= used
 
 
 def test_speed_limit_follows_the_visible_motion():

@@ -45,15 +45,15 @@ def remove_samples(markers, *gaps):
 def fill(take, options=ANYTHING, is_inlier=None):
     kept = take.visible if is_inlier is None else is_inlier
     durations, ends = gap_filling.compute_gap_durations(kept, take.rate), gap_filling.find_ends(kept)
-    filled = gap_filling.fill_take(take, kept, durations, ends, None, options)
-    return filled.take, find_unfilled_runs(filled.take, filled.unfilled_reasons)
+    filled, reasons, _ = gap_filling.fill_take(take, kept, durations, ends, None, options)
+    return filled, find_unfilled_runs(filled, reasons)
 
 
 def fill_with_body(take, body):
     durations = gap_filling.compute_gap_durations(take.visible, take.rate)
     ends = gap_filling.find_ends(take.visible)
-    filled = gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions())
-    return filled.take, find_unfilled_runs(filled.take, filled.unfilled_reasons)
+    filled, reasons, _ = gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions())
+    return filled, find_unfilled_runs(filled, reasons)
 
 
 def are_bits_equal(before, after, where):

@@ -6,12 +6,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.stats.rigid_alignment import (
-    align_to_common_shape,
+    align_to_shape,
     compute_cross_covariance,
     compute_rotation_vectors,
     compute_rotations,
     compute_shortest_rotation,
     find_nearest_points,
+    fit_common_shape,
     fit_rotations,
     scale_rotations,
     transform_to_body_axes,
@@ -99,7 +100,7 @@ def test_trunk_dominates_the_alignment():
     rotation = Rotation.from_rotvec(np.stack([0.2 * np.sin(t), 0.9 * t, 0 * t], 1)).as_matrix()
     markers = np.einsum("tab,tmb->tma", rotation, own) + np.stack([t, 1 + 0 * t, np.cos(t)], 1)[:, None]
     markers[50:90, 2] = markers[120:, 8] = np.nan
-    axes, origin, placed = align_to_common_shape(markers)
+    axes, origin, placed = align_to_shape(markers, ~np.isnan(markers[..., 0]), fit_common_shape(markers))
     assert placed.all()
     trunk = transform_to_body_axes(markers, origin, axes)[:, :6]
     assert np.nanstd(trunk, axis=0).max() < 0.003
@@ -108,7 +109,7 @@ def test_trunk_dominates_the_alignment():
 def test_fewer_than_three_markers_are_not_aligned():
     markers = np.random.default_rng(1).normal(size=(5, 6, 3))
     markers[3, 2:] = np.nan
-    _, _, placed = align_to_common_shape(markers)
+    _, _, placed = align_to_shape(markers, ~np.isnan(markers[..., 0]), fit_common_shape(markers))
     np.testing.assert_array_equal(placed, [True, True, True, False, True])
 
 
