@@ -14,7 +14,6 @@ different gaps differ by factors.
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
@@ -133,7 +132,6 @@ def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests:
 SIMILAR_LENGTH_RATIO = 1.5  # length of a gap, relative to the shortest of its group, up to which it belongs to the group
 MIN_SHARED_GAPS = 20  # gaps from which the second process estimates half of them
 UNUSED_OF_BODY = ".joint_positions", ".marker_positions", ".evidence", ".motion.joint_sd"  # arrays that no estimator needs
-LostMarkers = tuple[int, int, Int[np.ndarray, " L"]]  # the first and last frame of a gap, and the markers that have it
 Fill = tuple[np.ndarray, np.ndarray, np.ndarray]  # the positions (n, 3), deviations (n,) and methods (n,) of n samples
 GapFill = tuple[int, int, Fill]  # of a marker, from a first frame on
 
@@ -156,7 +154,7 @@ class _GapEstimation:
         self.max_speed_m_s = measure_speed_limit(markers, take.rate)
         is_preview = take.body is not None and take.body.evidence is None  # which guesses the segments that no marker shows
         self.estimators = [build(take) for build in ESTIMATORS if not (is_preview and build is BodyPlacement)]
-        self.is_shared, self.unsent_fills = False, list[GapFill]()
+        self.is_shared, self.unsent_fills, self.later_estimators = False, list[GapFill](), list[Estimator]()
 
     def share(self) -> None:
         """Begin the same estimation in the second process, which then does half."""
@@ -169,14 +167,9 @@ class _GapEstimation:
         compute_beside(_begin_estimation, id(self), paths, settled, others, self.requested)
         self.is_shared = True
 
-    @cached_property
-    def later_estimators(self) -> list[Estimator]:
-        """The estimators that need the fills of all other gaps."""
-        return [build(self.take) for build in LATER_ESTIMATORS]
-
-    def estimate_markers(self, lost_markers: LostMarkers) -> list[_EstimatedMarker]:
-        """Estimate the markers that are lost in a gap."""
-        (first, last, lost), estimated = lost_markers, list[_EstimatedMarker]()
+    def estimate_markers(self, lost_in_gap: tuple[int, int, Int[np.ndarray, " L"]]) -> list[_EstimatedMarker]:
+        """Estimate the markers that are lost in a gap, given its first and last frame, and them."""
+        (first, last, lost), estimated = lost_in_gap, list[_EstimatedMarker]()
         window = choose_hidden_stretches(np.all(self.take.is_known.T[lost], axis=0), first, last, self.take.rate)
         for gap, similarity in self.describe_gap(window, lost):
             estimates = self.call_estimators(self.estimators, gap)
@@ -186,7 +179,8 @@ class _GapEstimation:
         return estimated
 
     def estimate_later(self, markers: Sequence[Gap]) -> list[list[GapEstimate]]:
-        """Return the later estimates of markers that are lost in a gap."""
+        """Return the later estimates of markers that are lost in a gap, once the fills of all gaps are used."""
+        self.later_estimators = self.later_estimators or [build(self.take) for build in LATER_ESTIMATORS]
         return [self.call_estimators(self.later_estimators, gap) for gap in markers]
 
     def describe_gap(

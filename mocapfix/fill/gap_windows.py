@@ -367,10 +367,8 @@ def compare_edge_motion(path: Float[np.ndarray, "T 3"], window: GapWindow, rate:
     offsets = np.array([[w.before[0], w.before[-1], after[0], after[-1]] for after in (w.after, w.hidden_after)])
     places = path[np.concatenate([w.first + offsets[:1], w.starts[:, None] + offsets[1]])]
     seconds = np.maximum(offsets[:, 1:] - offsets[:, :-1], 1) / rate
-    distances = compute_lengths(places[:, 1:] - places[:, :-1])
-    distances[0] /= seconds[0]
-    distances[1:] /= seconds[1]
-    speed = distances.sum(1) / 3 + RESTING_SPEED_M_S
+    speeds = compute_lengths(places[:, 1:] - places[:, :-1]) / seconds[[0, *([1] * len(w.starts))]]
+    speed = speeds.mean(1) + RESTING_SPEED_M_S
     difference = np.log(speed[1:] / speed[0]) / np.log(SIMILAR_SPEED_RATIO)
     return EdgeMotion(float(speed[0]), np.exp(-0.5 * np.nan_to_num(difference, nan=np.inf) ** 2))
 

@@ -75,7 +75,7 @@ def compute_marker_state_features(
 
 MAX_HIDDEN_PROCESS_STRETCHES = 8  # hidden stretches in which the errors of a process are measured
 MAX_EDGE_TRAINING_FRAMES = 6  # frames beside each of them on which the process is trained
-MAX_SHAPE_FRAMES = 1000  # evenly spaced frames from which the common shape of all markers is estimated
+MAX_COMMON_SHAPE_FRAMES = 1000  # evenly spaced frames from which the common shape of all markers is estimated
 MAX_HELD_OUT_SHARE = 0.7  # share of the training frames above which a hidden stretch leaves too few
 
 
@@ -89,7 +89,7 @@ class MarkerProcesses:
         self.rate, self.is_visible, self.is_common, self.sd = take.rate, take.is_visible, take.is_common, take.estimate.sd.copy()
         self.is_known = self.is_common & (self.is_visible | (self.sd < MAX_INPUT_SD_M))
         self.positions = np.where(self.is_visible[..., None], take.visible_markers, take.estimate.position)
-        frames = sample_evenly(len(self.positions), MAX_SHAPE_FRAMES)
+        frames = sample_evenly(len(self.positions), MAX_COMMON_SHAPE_FRAMES)
         self.common_shape = fit_common_shape(np.where(self.is_known[frames, :, None], self.positions[frames], np.nan))
         self._axes_of_inputs: dict[tuple[int, ...], tuple[MovingAxes, np.ndarray, np.ndarray]] = {}
         self._latest: tuple[tuple[int, ...], dict[int, GapEstimate]] = ((), {})
