@@ -72,7 +72,7 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
-    shown: Computation[None] | None = None  # HTML report and recording, written by the second process; None in a preview
+    recorded: Computation[None] | None = None  # the recording, written by the second process; None in a preview
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
 
@@ -205,14 +205,17 @@ def _write_npz(target: Path, content: OutputContent) -> None:
     write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts)
 
 
-def show_cleaning(folder: Path, report: Report, comparison: CleaningComparison, sheets: "Sequence[ContactSheet]") -> None:
-    """Write the recording and the HTML report of a cleaning into a folder. They are slow to import."""
-    from mocapfix.report.html_report import write_html_report
-    from mocapfix.report.recording import write_recording
+def record_cleaning(folder: Path, comparison: CleaningComparison) -> None:
+    """Write the recording of a cleaning into a folder."""
+    from mocapfix.report.recording import write_recording  # slow to import
 
-    stem = comparison.input_take.output_stem
-    write_recording(folder / f"{stem}.{RECORDING_SUFFIX}", comparison)
-    write_html_report(folder / f"{stem}.{HTML_SUFFIX}", report, comparison, sheets)
+    write_recording(folder / f"{comparison.input_take.output_stem}.{RECORDING_SUFFIX}", comparison)
+
+
+def _write_html_report(target: Path, content: OutputContent) -> None:
+    from mocapfix.report.html_report import write_html_report
+
+    write_html_report(target, content.report, content.comparison, content.sheets)
 
 
 def _write_json_report(target: Path, content: OutputContent) -> None:
@@ -241,13 +244,8 @@ DEFAULT_FORMATS = (
     OutputFormat(
         CHANGES_SUFFIX, lambda target, content: write_changes_file(target, content.input_take, content.changes, content.review)
     ),
-    OutputFormat(
-        HTML_SUFFIX,
-        lambda _, content: content.shown and content.shown.finish(),
-        (RECORDING_SUFFIX,),
-        is_in_preview=False,
-        timer_stage="show",
-    ),
+    OutputFormat(HTML_SUFFIX, _write_html_report, is_in_preview=False, timer_stage="show"),
+    OutputFormat(RECORDING_SUFFIX, lambda _, each: each.recorded and each.recorded.finish(), is_in_preview=False),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {

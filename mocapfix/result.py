@@ -41,7 +41,7 @@ from mocapfix.output_formats import (
     OutputFormat,
     build_exported_motion,
     list_output_formats,
-    show_cleaning,
+    record_cleaning,
     write_cleaned_copy,
 )
 from mocapfix.report.build_report import build_fill_section
@@ -263,16 +263,14 @@ class CleaningResult:
         formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes
             _write_format(each, folder, content, timer)
-        copy: Report = {**content.report, "seconds": {**timer.stage_seconds}, "times": {**timer.part_times}, "notes": [*notes]}
         if not self.requested.initialise.is_fast:
-            shown = compute_beside(show_cleaning, folder, copy, content.comparison, content.sheets)
-            content = replace(content, shown=shown)
+            content = replace(content, recorded=compute_beside(record_cleaning, folder, content.comparison))
         try:
             for each in (each for each in formats if each in default):
                 _write_format(each, folder, content, timer)
         finally:
-            if content.shown:
-                content.shown.leave()  # it writes into the folder
+            if content.recorded:
+                content.recorded.leave()  # it writes into the folder
 
     def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> "CleaningResult":
         """Return the result without the samples (frame, marker) that the cleaned file cannot store."""

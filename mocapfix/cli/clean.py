@@ -89,8 +89,7 @@ def clean_takes(
     laboratory: dict[str, str] = {}
     attempts = console.TakeAttempts()
     is_shared = count_cores() > 1 and not options.initialise.is_fast
-    modules = "mocapfix.fill.gap_filling", "mocapfix.report.recording", "mocapfix.report.html_report"
-    with start_second_process(*modules) if is_shared else nullcontext():
+    with start_second_process("mocapfix.fill.gap_filling", "mocapfix.report.recording") if is_shared else nullcontext():
         for take in takes:
             with attempts.attempt(take):
                 folder = output_folder or choose_output_folder(take)

@@ -12,8 +12,8 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int, Num
-from scipy.spatial.transform import Rotation
 
 from mocapfix.io.gltf import MAX_COORDINATE_M, GlbContent, GltfNodes, are_numbers
 
@@ -175,7 +175,7 @@ def compute_node_matrices(
     rotation = values["rotation"]
     rotation[np.linalg.norm(rotation, axis=-1) == 0] = NODE_PROPERTIES["rotation"]
     matrices = np.tile(np.eye(4), (*shape, 1, 1))
-    matrices[..., :3, :3] = Rotation.from_quat(rotation.reshape(-1, 4)).as_matrix().reshape(*shape, 3, 3)
+    matrices[..., :3, :3] = scipy.spatial.transform.Rotation.from_quat(rotation.reshape(-1, 4)).as_matrix().reshape(*shape, 3, 3)
     matrices[..., :3, :3] *= values["scale"][..., None, :]
     matrices[..., :3, 3] = values["translation"]
     for node in nodes.ordered:
@@ -194,7 +194,7 @@ def extract_rotations(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.nda
     linear = matrices[..., :3, :3]
     determinant = np.linalg.det(linear)[..., None, None]
     linear = np.where(determinant > 0, linear, np.eye(3)) / np.cbrt(np.where(determinant > 0, determinant, 1.0))
-    return Rotation.from_matrix(linear.reshape(-1, 3, 3)).as_matrix().reshape(linear.shape)
+    return scipy.spatial.transform.Rotation.from_matrix(linear.reshape(-1, 3, 3)).as_matrix().reshape(linear.shape)
 
 
 def move_nodes(

@@ -49,7 +49,7 @@ MAX_ASSIGNMENT_PASSES = 20
 
 def sum_evidence(
     one: Int[np.ndarray, " F"], two: Int[np.ndarray, " F"], evidence: Float[np.ndarray, " F"], count: int
-) -> scipy.sparse.csr_array:
+) -> "scipy.sparse.csr_array":
     """Sum the evidence that tracklets are of the same person (positive) or of two (negative).
 
     Args:
@@ -67,7 +67,7 @@ def sum_evidence(
 
 
 def assign_persons(
-    evidence: scipy.sparse.csr_array, label_s: Float[np.ndarray, " N"]
+    evidence: "scipy.sparse.csr_array", label_s: Float[np.ndarray, " N"]
 ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Assign each tracklet to person 0 or 1.
 
@@ -320,7 +320,7 @@ def _fits_other(pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], i
 
 def _compare_tracklets(
     take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"], coordinates_m: Float[np.ndarray, "3 L S"]
-) -> tuple[scipy.sparse.csr_array, Float[np.ndarray, " N"]]:
+) -> tuple["scipy.sparse.csr_array", Float[np.ndarray, " N"]]:
     """Compare the distances between tracklets with those on the subjects.
 
     Args:
@@ -346,7 +346,7 @@ def _compare_tracklets(
     return total, label_s
 
 
-def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]) -> scipy.sparse.csr_array:
+def _compare_positions(take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"]) -> "scipy.sparse.csr_array":
     """Return whether each tracklet begins nearer to where its own label was before, or to where the other person's was."""
     frames, columns = np.nonzero(tracklets >= 0)
     numbers, first = np.unique(tracklets[frames, columns], return_index=True)

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Float, Int
 
+from mocapfix.kernels import lie
 from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
+from mocapfix.stats.rigid_alignment import compute_rotations
 
 OBSERVED_JOINT_SD_RAD = 0.05  # standard deviation of the rotation of a joint with markers
 CODE_ITERATIONS = 4  # gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses
@@ -73,9 +74,8 @@ class PriorConditioner:
             for batch in batches
         ]
         for i, j in enumerate(occluded_joints):
-            rotation = scipy.spatial.transform.Rotation.from_rotvec(np.concatenate([each[:, i] for each in vectors]))
-            reference_rotation = scipy.spatial.transform.Rotation.from_matrix(model.reference_rotations[j])
-            predicted[:, i] = 2 * (rotation * reference_rotation).as_quat()
+            rotation = compute_rotations(np.concatenate([each[:, i] for each in vectors])) @ model.reference_rotations[j]
+            predicted[:, i] = 2 * lie.extract_joint_quaternions(rotation[:, None], 0, np.ones(len(rotation), bool))
         is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
         return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
 
@@ -117,7 +117,7 @@ class PriorConditioner:
         count = directions.shape[-1]
         observed = directions[joints].reshape(len(sd), count) / sd[:, None]
         factor = np.linalg.cholesky(observed @ observed.T + np.eye(len(sd)))
-        whitening = scipy.linalg.solve_triangular(factor, np.eye(len(sd)), lower=True)
+        whitening = np.tril(np.linalg.inv(factor))
         occluded = directions[occluded_joints].reshape(3 * len(occluded_joints), count)
         return ObservedErrors(joints, sd, whitening, occluded @ observed.T @ whitening.T @ whitening)
 
