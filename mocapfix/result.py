@@ -382,7 +382,9 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
         if each.residual_m is not None:
             residual_m[:, markers] = each.residual_m
     cleaned = _insert_parts(exchanges.take, [(markers, each.take) for markers, each in parts])
-    relabelled = _insert_parts(exchanges.take, [(markers, each.relabelled_take) for markers, each in parts])
+    relabelled = exchanges.take
+    if any(each.relabelled_take is not each.input_take for each in subject_results):
+        relabelled = _insert_parts(relabelled, [(markers, each.relabelled_take) for markers, each in parts])
     changes = exchanges.build_changes(cleaned)
     with_exchanges: list[CleaningResult] = []
     for each in subject_results:

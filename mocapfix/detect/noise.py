@@ -242,8 +242,7 @@ def detect_jitter(
         The faults, ordered by marker and first frame. Their severity is the noise in metres.
     """
     min_noise_m = min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2
-    faults: list[Fault] = []
-    memory = memory or RoundMemory()
+    faults, memory = list[Fault](), memory or RoundMemory()
     noise = memory.recall(("bursts", min_noise_m), is_usable, lambda m: _measure_noise(take, m, is_usable[:, m], min_noise_m))
     memory.recall("usual residual", is_usable, lambda m: noise[m][0])  # for `estimate_noise_levels`
     for m, (label, (usual_m, threshold_m, bursts)) in enumerate(zip(take.bare_labels, noise, strict=True)):

@@ -196,8 +196,7 @@ def detect_subject_exchanges(both: tuple[SubjectSamples, SubjectSamples]) -> lis
     """
     (one, two), (first, second) = both, (each.take for each in both)
     positions = np.concatenate([first.markers, second.markers], axis=1)
-    prefixes = first.subject_prefixes
-    take = Take(positions, first.labels + second.labels, first.rate, first.first_frame, first.path, subject_prefixes=prefixes)
+    take = Take(positions, first.labels + second.labels, first.rate)
     pairs = _compare_markers(take, find_shared_labels(one, two) + np.array([[0], [len(first.labels)]]))
     if not len(pairs.partners):
         return []
