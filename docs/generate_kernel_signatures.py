@@ -3,7 +3,7 @@
     PYTHONPATH=. python docs/generate_kernel_signatures.py
 
 Run it when kernels or their arguments have changed. The demo's take is cleaned with nothing compiled, which takes a minute or
-two, and once more as a preview; then the compiled kernels are listed, also those that only other kernels call.
+two, and once more as a preview; then the compiled kernels are listed, but for those that other kernels call.
 """
 
 import json
@@ -66,17 +66,16 @@ def describe_type(described: Any, shared: dict[types.Type, tuple[int, object]]) 
 
 
 def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the content of the file: those first that others call, then those that call most."""
-    names = {id(kernel): name for name, kernel in kernels.items() if kernel.signatures}  # others are parts of their callers
-    callees: dict[str, list[str]] = {}
-    for name, kernel in kernels.items():
-        called = find_called_functions(kernel.py_func.__code__, kernel.py_func.__globals__)
-        callees[name] = sorted({names[id(each)] for each in called if id(each) in names})
-    common = {each for found in callees.values() for each in found}
+    """Return the content of the file: those first that call most, and none that others call, which are parts of them."""
+    called = {
+        name: list(find_called_functions(kernel.py_func.__code__, kernel.py_func.__globals__)) for name, kernel in kernels.items()
+    }
+    inner = {id(each) for found in called.values() for each in found}
     shared: dict[types.Type, tuple[int, object]] = {}
     entries = [
-        {"kernel": name, "arguments": [describe_type(each, shared) for each in arguments], "callees": callees[name]}
-        for name in sorted(kernels, key=lambda name: (name not in common, -len(callees[name]), name))
+        {"kernel": name, "arguments": [describe_type(each, shared) for each in arguments]}
+        for name in sorted(kernels, key=lambda name: (-len(called[name]), name))
+        if id(kernels[name]) not in inner
         for arguments in dict.fromkeys(tuple(map(types.unliteral, each)) for each in kernels[name].signatures)
     ]
     return {"types": [description for _, description in sorted(shared.values(), key=lambda each: each[0])], "kernels": entries}

@@ -46,7 +46,7 @@ from mocapfix.solve.measured_segments import (
 from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import find_key_frames
-from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm
+from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm, build_no_joint_limits, build_no_pose_prior
 from mocapfix.stats.sequences import find_runs
 
 ROLLING_SD_M = 0.006  # standard deviation per axis of ankle or toes of a foot about where they stand when markers show them
@@ -212,7 +212,8 @@ def solve_legs(skeleton: Skeleton, poses: Poses, points: PointTerm, start: Poses
     tracking = TrackingTerm(poses[1], weight, poses[0], root_weight)
     tree = KinematicTree(skeleton.parents[:count], skeleton.offsets[:count], is_free)
     settings = SolverSettings(damping_ratio=SolverSettings.damping_ratio * root_share**2)  # it is relative to the root's weight
-    return minimise(tree, (points, tracking), start, settings).poses
+    terms = points, tracking, build_no_pose_prior(count), build_no_joint_limits(count)  # others would compile the solver again
+    return minimise(tree, terms, start, settings).poses
 
 
 LEGS = tuple((*segments, *joints) for segments, joints in zip(LEG_SEGMENTS, FOOT_JOINTS.values(), strict=True))

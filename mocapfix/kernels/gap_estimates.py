@@ -7,6 +7,7 @@ import numpy as np
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import (
     SUM_FASTMATH_FLAGS,
+    clear_array,
     factor_cholesky,
     load_matrix,
     multiply_vector,
@@ -165,30 +166,41 @@ def combine_estimates(position, error, expected_sd, similarity, independent, sho
     for e in range(estimates):
         known = 0.0
         for k in range(len(similarity)):
-            known += similarity[k] * np.mean(~np.isnan(error[e, k, :, 0])) / len(similarity)
+            shown_points = 0
+            for s in range(count):
+                shown_points += not math.isnan(error[e, k, s, 0])
+            known += similarity[k] * (shown_points / count) / len(similarity)
         evidence = max(independent * known - FIRST_STRETCH_DISCOUNT, 0.0) * shown[e]
         trust[e] = evidence / (evidence + EXPECTED_WEIGHT)
     for s in range(count):
-        shrink_covariance(covariance[s], expected_sd[:, s], correlation, trust, min_sd)
-    weights, sd, by_method, row = np.empty((count, estimates)), np.empty(count), np.empty(methods.max() + 1), 0
-    active = np.arange(0)
+        shrink_covariance(covariance[s], expected_sd, s, correlation, trust, min_sd)
+    weights, sd, by_method, row = np.zeros((count, estimates)), np.empty(count), np.empty(methods.max() + 1), 0
+    is_active, used = np.zeros(estimates, np.bool_), np.empty(estimates, np.int64)
     for f in range(position.shape[1]):
-        known = np.flatnonzero(~np.isnan(position[:, f, 0]))
-        if f == 0 or len(known) != len(active) or (known != active).any():
-            active = known
-            for s in range(count):
-                sd[s] = math.sqrt(find_weights(covariance[s], active, weights[s])) if len(active) else math.nan
+        is_changed, active = f == 0, 0
+        for e in range(estimates):
+            is_known = not math.isnan(position[e, f, 0])
+            is_changed, is_active[e], active = is_changed or is_known != is_active[e], is_known, active + is_known
+        for s in range(count if is_changed else 0):
+            sd[s] = math.sqrt(find_weights(covariance[s], is_active, used, weights[s])) if active else math.nan
         while row < count - 2 and points[row + 1] <= f:
             row += 1
         after = min(row + 1, count - 1)
         share = (f - points[row]) / (points[after] - points[row]) if after > row else 0.0
-        out[0][f], out[1][f], by_method[:] = 0.0 if len(active) else math.nan, (1 - share) * sd[row] + share * sd[after], 0.0
-        for e in active:
-            weight = (1 - share) * weights[row, e] + share * weights[after, e]
-            by_method[methods[e]] += weight
-            for a in range(3):
-                out[0][f, a] += weight * position[e, f, a]
-        out[2][f] = by_method.argmax()
+        out[1][f] = (1 - share) * sd[row] + share * sd[after]
+        clear_array(by_method)
+        most, x = 0, 0.0 if active else math.nan
+        y, z = x, x
+        for e in range(estimates):
+            if is_active[e]:
+                weight = (1 - share) * weights[row, e] + share * weights[after, e]
+                by_method[methods[e]] += weight
+                x, y, z = x + weight * position[e, f, 0], y + weight * position[e, f, 1], z + weight * position[e, f, 2]
+        out[0][f, 0], out[0][f, 1], out[0][f, 2] = x, y, z
+        for m in range(1, len(by_method)):
+            if by_method[m] > by_method[most]:
+                most = m
+        out[2][f] = most
 
 
 @compile_inner_kernel
@@ -198,32 +210,37 @@ def measure_error_covariances(error, similarity, covariance):
     Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
     """
     estimates, stretches, points, _ = error.shape
-    sums = np.zeros((2, points + 2))  # of squares and of weights, with a margin
+    moments, counts = np.empty(points + 2), np.empty(points + 2)  # sums of products and of weights, with a margin
     for e in range(estimates):
         for other in range(e + 1):
-            sums[:] = 0.0
+            clear_array(moments)
+            clear_array(counts)
             for k in range(stretches):
                 for s in range(points):
-                    first, second = error[e, k, s], error[other, k, s]
-                    product = first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+                    product = error[e, k, s, 0] * error[other, k, s, 0] + error[e, k, s, 1] * error[other, k, s, 1]
+                    product += error[e, k, s, 2] * error[other, k, s, 2]
                     if not math.isnan(product):
-                        for at in (s, points - 1 - s):
-                            sums[0, at + 1] += similarity[k] * product / 3
-                            sums[1, at + 1] += similarity[k]
+                        moments[s + 1] += similarity[k] * product / 3
+                        counts[s + 1] += similarity[k]
+                        moments[points - s] += similarity[k] * product / 3
+                        counts[points - s] += similarity[k]
             for s in range(points):
                 beside = 0.5 if 0 < s < points - 1 else 0.0
-                moment, count = sums[:, s + 1] + beside * (sums[:, s] + sums[:, s + 2])
+                moment = moments[s + 1] + beside * (moments[s] + moments[s + 2])
+                count = counts[s + 1] + beside * (counts[s] + counts[s + 2])
                 covariance[s, e, other] = covariance[s, other, e] = moment / count if count > 0 else math.nan
 
 
 @compile_inner_kernel
-def shrink_covariance(covariance, expected_sd, expected_correlation, trust, min_sd):
+def shrink_covariance(covariance, expected_sd, s, expected_correlation, trust, min_sd):
     """Replace a covariance (E, E) by one between it and the expected one, with a trust (E,), 0 to 1, in each measured error."""
-    own = np.diag(covariance).copy()
-    measured_sd = np.sqrt(np.where(np.isnan(own), 1.0, own))
-    share, scale = np.where(np.isnan(own), 0.0, trust), np.maximum(measured_sd, min_sd / 10)
-    sd = np.exp(share * np.log(np.maximum(measured_sd, min_sd)) + (1 - share) * np.log(np.maximum(expected_sd, min_sd)))
-    for e in range(len(own)):
+    sd, scale = np.empty(len(covariance)), np.empty(len(covariance))
+    for e in range(len(covariance)):
+        own, expected = covariance[e, e], math.log(max(expected_sd[e, s], min_sd))
+        measured_sd, share = (1.0, 0.0) if math.isnan(own) else (math.sqrt(own), trust[e])
+        scale[e] = max(measured_sd, min_sd / 10)
+        sd[e] = math.exp(share * math.log(max(measured_sd, min_sd)) + (1 - share) * expected)
+    for e in range(len(covariance)):
         for other in range(e + 1):
             measured, expected = covariance[e, other] / scale[e] / scale[other], expected_correlation[e, other]
             measured = expected if math.isnan(measured) else min(max(measured, -1.0), 1.0)
@@ -233,39 +250,62 @@ def shrink_covariance(covariance, expected_sd, expected_correlation, trust, min_
 
 
 @compile_inner_kernel
-def find_weights(covariance, active, weights):
+def find_weights(covariance, is_active, used, weights):
     """Write weights (E,) that are not negative, sum to one and give a small expected error; return the variance of this error.
 
-    Only the active estimates, of which there is at least one, have a weight.
+    Only the active estimates, of which there is at least one, have a weight. `used` (E,) is overwritten.
 
     Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
     need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
     """
-    own = np.diag(covariance).copy()
-    best = active[own[active].argmin()]
-    while True:
-        system = np.ones((len(active), len(active) + 1))  # the last column is what the others are to sum to
-        for i in range(len(active)):
-            for j in range(len(active)):
-                system[i, j] = covariance[active[i], active[j]]
-        for i in range(len(active)):
-            pivot = i + np.argmax(np.abs(system[i:, i]))
-            row = system[pivot].copy()
-            system[pivot], system[i] = system[i], row / row[i]
-            for k in range(len(active)):
-                if k != i:
-                    system[k] -= system[k, i] * system[i]
-        kept = active[system[:, -1] > 0]
-        if len(kept) == len(active):
-            break
-        active = kept if len(kept) else active[own[active].argmin() :][:1]
-    weights[:] = 0.0
-    for i in range(len(active)):
-        weights[active[i]] = system[i, -1] / system[:, -1].sum()
-    variance = 0.0
-    for e in active:
-        for other in active:
-            variance += weights[e] * covariance[e, other] * weights[other]
-    if variance > own[best]:
-        weights[:], weights[best], variance = 0.0, 1.0, own[best]
+    count, best = 0, -1
+    for e in range(len(weights)):
+        weights[e] = 0.0
+        if is_active[e]:
+            used[count], count = e, count + 1
+            best = e if best < 0 or covariance[e, e] < covariance[best, best] else best
+    system, kept = np.empty((count, count + 1)), 0  # the last column is what the others are to sum to
+    while kept < count:
+        for i in range(count):
+            for j in range(count):
+                system[i, j] = covariance[used[i], used[j]]
+            system[i, count] = 1.0
+        _eliminate(system, count)
+        kept = 0
+        for i in range(count):
+            if system[i, count] > 0:
+                used[kept], system[kept, count], kept = used[i], system[i, count], kept + 1
+        if kept == 0:
+            used[0], kept = best, 1
+        if kept < count:
+            kept, count = 0, kept
+    total, variance = 0.0, 0.0
+    for i in range(count):
+        total += system[i, count]
+    for i in range(count):
+        weights[used[i]] = system[i, count] / total
+    for i in range(count):
+        for j in range(count):
+            variance += weights[used[i]] * covariance[used[i], used[j]] * weights[used[j]]
+    if variance > covariance[best, best]:
+        for i in range(count):
+            weights[used[i]] = 0.0
+        weights[best], variance = 1.0, covariance[best, best]
     return variance
+
+
+@compile_inner_kernel
+def _eliminate(system, count):
+    """Solve a system of equations, count rows of so many coefficients and a right side, with pivots, in place."""
+    for i in range(count):
+        pivot = i
+        for k in range(i + 1, count):
+            if abs(system[k, i]) > abs(system[pivot, i]):
+                pivot = k
+        divisor = system[pivot, i]
+        for c in range(count + 1):
+            system[pivot, c], system[i, c] = system[i, c], system[pivot, c] / divisor
+        for k in range(count):
+            factor = system[k, i]
+            for c in range(count + 1 if k != i else 0):
+                system[k, c] -= factor * system[i, c]

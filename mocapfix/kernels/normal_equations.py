@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import literal_unroll
 
-from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 from mocapfix.kernels.small_matrices import clear_array
 from mocapfix.kernels.terms.contract import add_term
 
@@ -60,7 +60,7 @@ def clear_equations(equations):
     equations.row_count[0] = 0
 
 
-@compile_kernel
+@compile_inner_kernel
 def linearise_terms(tree, terms, t, scale2, pose, equations):
     """Write the model of frame t's terms at a pose whose forward kinematics is computed. Returns the cost."""
     clear_equations(equations)

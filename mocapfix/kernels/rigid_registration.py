@@ -51,7 +51,7 @@ def accumulate_cross_covariance(points, model, weight, mean_points, mean_model, 
                     cross[a, b] += lever * (model[k, b] - mean_model[b])
 
 
-@compile_kernel
+@compile_inner_kernel
 def compute_nearest_rotation(cross, m, vectors, out):
     """Write into `out` (3, 3) the rotation that maximises trace(out' cross).
 

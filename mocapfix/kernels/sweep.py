@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.compilation import compile_inner_kernel
 from mocapfix.kernels.small_matrices import (
     clear_array,
     copy_array,
@@ -65,7 +65,7 @@ def allocate_factors(joints, unknowns):
     )  # fmt: skip
 
 
-@compile_kernel
+@compile_inner_kernel
 def factorise_tree(tree, equations, damping, factors):
     """Eliminate all joints' rotations, the root's twist and the shared unknowns into `factors`, with Marquardt damping."""
     parents, free, lever_arm, h_joint = tree.parents, tree.free, equations.lever_arm, equations.h_joint
@@ -189,7 +189,7 @@ def eliminate_root(damping, lower, cross, root_gain, h_shared):
     factor_cholesky(h_shared)
 
 
-@compile_kernel
+@compile_inner_kernel
 def solve_tree(tree, equations, factors, g, g_joint, step):
     """Minimise 1/2 x'Hx + gradient'x with the factors from `factorise_tree`, into `step`.
 

@@ -1,6 +1,4 @@
-"""Least costs over frames, compiled: the cheapest sequence of states (Viterbi), chain of samples, and smooth path."""
-
-import math
+"""Least costs over frames, compiled: the cheapest sequence of states (Viterbi) and the cheapest chain of samples."""
 
 import numpy as np
 
@@ -102,69 +100,3 @@ def find_cheapest_states(step_cost, state_cost):
     for t in range(frames - 1, 0, -1):
         state[t - 1] = predecessor[t, state[t]]
     return state
-
-
-MAX_SAMPLE_VARIANCE = 1e4  # rad^2 or m^2, of a frame without information; more would make the system singular
-# Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
-# numerically singular, at thousands of frames a second. Such a path is straight already.
-MAX_STIFFNESS_RATIO = 1e13
-
-
-@compile_inner_kernel
-def _compute_line_information(information):
-    """Return the least information that the frames give about a straight line of unit length, which stiffness leaves free."""
-    frames = len(information)
-    step, squares = 2.0 / (frames - 1), frames * (frames + 1) / (3.0 * (frames - 1))  # places from -1 to 1, their squares' sum
-    slope, both, level = 0.0, 0.0, 0.0
-    for t in range(frames):
-        place = t * step - 1.0
-        slope += place * place * information[t] / squares
-        both += place * information[t] / math.sqrt(squares * frames)
-        level += information[t] / frames
-    largest = 0.5 * (slope + level) + math.hypot(0.5 * (slope - level), both)
-    return max(slope * level - both * both, 0.0) / largest
-
-
-@compile_kernel(nogil=True)
-def find_smoothest_path(path, variance, acceleration_power, rate):
-    """Return what `stats.sequences.smooth_path` returns, for three frames or more.
-
-    The matrix of its normal equations has five diagonals. It is factored as L D L' in one pass, without a pivot.
-    """
-    frames, columns = path.shape
-    information, stiffness = np.empty(frames), np.zeros(frames + 2)  # of the second difference about frame t at t + 1
-    for t in range(frames):
-        information[t] = 1.0 / min(variance[t], MAX_SAMPLE_VARIANCE)
-    largest = MAX_STIFFNESS_RATIO * _compute_line_information(information)
-    for t in range(1, frames - 1):
-        stiffness[t + 1] = min(rate**3 / acceleration_power[t], largest)
-    near, far, inverse, smooth = np.zeros(frames), np.zeros(frames), np.empty(frames), np.empty(path.shape)  # near, far: of L
-    for t in range(frames):
-        before, own, after = stiffness[t], stiffness[t + 1], stiffness[t + 2]
-        pivot = information[t] + before + 4.0 * own + after
-        if t > 1:
-            far[t] = before * inverse[t - 2]
-            pivot -= far[t] * before
-        if t > 0:
-            coupling = -2.0 * (before + own)
-            if t > 1:
-                coupling -= before * near[t - 1]
-            near[t] = coupling * inverse[t - 1]
-            pivot -= near[t] * coupling
-        inverse[t] = 1.0 / pivot
-        for c in range(columns):
-            value = information[t] * path[t, c]
-            if t > 0:
-                value -= near[t] * smooth[t - 1, c]
-            if t > 1:
-                value -= far[t] * smooth[t - 2, c]
-            smooth[t, c] = value
-    for t in range(frames - 1, -1, -1):
-        for c in range(columns):
-            value = smooth[t, c] * inverse[t]
-            if t + 1 < frames:
-                value -= near[t + 1] * smooth[t + 1, c]
-            if t + 2 < frames:
-                value -= far[t + 2] * smooth[t + 2, c]
-            smooth[t, c] = value
-    return smooth

@@ -10,6 +10,7 @@ Work that holds the lock is shared with a second process, if the command has sta
 import gc
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
@@ -44,6 +45,8 @@ def order_independently(frames: Int[np.ndarray, " N"], joints: int) -> SolveOrde
 def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
     """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
 
+    The halves of a gap are two chains: they start from frames beside the gap, and need nothing of one another.
+
     Joints that are uncertain start from the neighbour's rotations; the others, and the root, from their own. So where markers
     leave two poses possible, as for a thigh without its knee, the continuous one is found. A gap at the take's beginning or end
     has one end only. If a gap covers all frames, the first frame is its end, and is not solved again.
@@ -52,21 +55,13 @@ def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.n
     start_frame: list[int] = []
     chain_starts, last_frame = [0], len(uncertain_joints) - 1
     for first, last in gaps:
-        gap = range(first, last + 1)
-        if first == 0 and last == last_frame:
-            steps = [(t, t - 1) for t in gap[1:]]
-        elif first == 0:
-            steps = [(t, t + 1) for t in gap[::-1]]
-        elif last == last_frame:
-            steps = [(t, t - 1) for t in gap]
-        else:
-            half = (len(gap) + 1) // 2
-            forward, backward = [(t, t - 1) for t in gap[:half]], [(t, t + 1) for t in gap[half:][::-1]]
-            pairs = zip(forward, [*backward, None], strict=False)
-            steps = [step for pair in pairs for step in pair if step is not None]
-        frames += [t for t, _ in steps]
-        start_frame += [s for _, s in steps]
-        chain_starts.append(len(frames))
+        count = last - first + 1 if last == last_frame else 0 if first == 0 else (last - first + 2) // 2  # from the first end
+        forward = range(max(first, 1), first + count)
+        for chain, step in ((forward, -1), (range(last, first + count - 1, -1), 1)):
+            if chain:
+                frames += chain
+                start_frame += [t + step for t in chain]
+                chain_starts.append(len(frames))
     copied_joints = uncertain_joints.copy()
     copied_joints[:, 0] = False
     return SolveOrder(np.array(frames, int), np.array(start_frame, int), copied_joints, np.array(chain_starts))
@@ -99,12 +94,11 @@ def get_thread_pool(workers: int) -> ThreadPoolExecutor:
 
 
 Value = TypeVar("Value")
-MAX_THREADS = 1000
 second_process: ContextVar[Executor | None] = ContextVar("second_process", default=None)
 
 
 def map_in_threads(
-    function: Callable[[Part], Value], parts: Iterable[Part], *, is_shared: bool = False, most: int = MAX_THREADS
+    function: Callable[[Part], Value], parts: Iterable[Part], *, is_shared: bool = False, most: int = sys.maxsize
 ) -> Generator[Value]:
     """Yield function(part) of each part in order, computed in as many threads at a time as there are cores.
 
@@ -112,7 +106,7 @@ def map_in_threads(
     stops are left out. Those that have begun do not delay the end of the program.
 
     Args:
-        most: Threads at a time, at most.
+        most: Threads at a time, at most, also with more cores.
         is_shared: Whether the second process takes the place of one thread. Function, parts and values can be pickled then.
 
     Raises:
@@ -188,6 +182,7 @@ def compute_beside(
     Args:
         function: One that a module defines by its name, by which it is sent. It does not change its arguments.
         arguments: Values that can be pickled; a megabyte takes about two milliseconds. They are not changed before it has ended.
+        keywords: More of them, for parameters by name.
     """
     compute, future, process = partial(function, *arguments, **keywords), None, second_process.get()
     with suppress(BrokenExecutor):

@@ -56,6 +56,12 @@ def build_no_tracking(joints: int) -> TrackingTerm:
     return TrackingTerm(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1))
 
 
+def build_no_pose_prior(joints: int) -> PosePriorTerm:
+    """Return a prior without information."""
+    rotations, information = np.zeros((2, 1, joints, 3, 3))
+    return PosePriorTerm(rotations, information)
+
+
 def build_pose_prior_term(prior: MeanPosePrior, huber_scale_sd: float = math.inf) -> PosePriorTerm:
     """Return a prior as a term of every frame; `huber_scale_sd` bounds its force on a joint, in standard deviations."""
     return PosePriorTerm(prior.mean_rotations[None], prior.information[None], huber_scale2=huber_scale_sd**2)

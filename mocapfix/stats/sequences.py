@@ -4,11 +4,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels import viterbi
 from mocapfix.kernels.small_matrices import solve_banded
-
-find_cheapest_states = viterbi.find_cheapest_states
-MAX_SAMPLE_VARIANCE = viterbi.MAX_SAMPLE_VARIANCE
+from mocapfix.kernels.viterbi import find_cheapest_states as find_cheapest_states
 
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
@@ -131,6 +128,12 @@ def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
     return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
 
 
+MAX_SAMPLE_VARIANCE = 1e4  # rad^2 or m^2, of a frame without information; more would make the system singular
+# Largest stiffness of a smooth path relative to what the samples tell about a straight line: more would make the system
+# numerically singular, at thousands of frames a second. Such a path is straight already.
+MAX_STIFFNESS_RATIO = 1e13
+
+
 def smooth_path(
     path: Float[np.ndarray, "T C"], variance: Float[np.ndarray, " T"], acceleration_power: Float[np.ndarray, " T"], rate: float
 ) -> Float[np.ndarray, "T C"]:
@@ -142,8 +145,12 @@ def smooth_path(
     """
     if len(path) < 3:
         return path
-    arrays = (np.ascontiguousarray(each, float) for each in (path, variance, acceleration_power))
-    return viterbi.find_smoothest_path(*arrays, float(rate))
+    information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
+    places = np.linspace(-1, 1, len(path))
+    line = np.stack([np.full(len(path), len(path) ** -0.5), places / np.linalg.norm(places)])
+    least = np.linalg.eigvalsh((line * information) @ line.T)[0]  # what the samples tell about a straight line
+    stiffness = np.minimum(rate**3 / acceleration_power[1:-1], MAX_STIFFNESS_RATIO * max(least, 0.0))
+    return minimise_acceleration(information[:, None, None], (information[:, None] * path)[:, None], stiffness)[:, 0]
 
 
 def interpolate_rows(

@@ -354,7 +354,8 @@ def test_dissimilar_stretches_do_not_count():
 def weight(covariance, active=None):
     """Return the weights of estimates and the variance of their combination."""
     weights = np.empty(len(covariance))
-    variance = find_weights(covariance, np.arange(len(covariance)) if active is None else np.array(active), weights)
+    is_active = np.isin(np.arange(len(covariance)), np.arange(len(covariance)) if active is None else active)
+    variance = find_weights(covariance, is_active, np.empty(len(covariance), int), weights)
     return weights, variance
 
 
@@ -388,7 +389,7 @@ def test_independent_estimates_are_weighted_by_precision():
 @pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
 def test_variances_are_shrunk_by_their_logarithms(trust):
     covariance = np.array([[1e-4]])
-    shrink_covariance(covariance, np.array([0.1]), np.eye(1), np.array([trust]), 1e-4)
+    shrink_covariance(covariance, np.array([[0.1]]), 0, np.eye(1), np.array([trust]), 1e-4)
     np.testing.assert_allclose(np.sqrt(covariance[0, 0]), 0.01**trust * 0.1 ** (1 - trust), rtol=1e-3)
 
 

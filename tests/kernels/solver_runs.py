@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocapfix.kernels.compilation import compile_kernel
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_forward_kinematics
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
@@ -12,13 +13,15 @@ from mocapfix.solve import parallel
 from mocapfix.solve.parallel import run_over_frames
 from tests.kernels.dense_oracle import Frame
 
+linearise = compile_kernel(linearise_terms)
+
 
 def build_workspace(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, SolveWorkspace]:
     """Return cost, and the workspace with the model of the frame's terms at its pose."""
     work = allocate_workspace(len(frame.local), len(frame.shared), count_rows(frame.terms))
     work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
     compute_forward_kinematics(frame.tree, work.pose)
-    return linearise_terms(frame.tree, frame.terms, t, float(scale2), work.pose, work.equations), work
+    return linearise(frame.tree, frame.terms, t, float(scale2), work.pose, work.equations), work
 
 
 def build_equations(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, NormalEquations]:

@@ -75,7 +75,7 @@ from mocapfix.kernels.compilation import read_kernel_list
 take = Path(sys.argv[1]) / "demo.c3d"
 synthetic.write_synthetic_take(take, synthetic.compose_take(seed=0, seconds=4))
 pipeline.clean(take).write(take.with_suffix(".mocapfix"))
-listed = {(name, arguments) for name, each in read_kernel_list().items() for arguments in each.signatures}
+listed = {(name, arguments) for name, each in read_kernel_list().items() for arguments in each}
 for name, module in list(sys.modules.items()):
     if name.startswith("mocapfix.kernels."):
         for kernel in vars(module).values():
@@ -222,8 +222,7 @@ def test_listed_kernels_exist() -> None:
     kernels = read_kernel_list()
     assert kernels
     for name, each in kernels.items():
-        assert {len(arguments) for arguments in each.signatures} == {find_kernel(name).py_func.__code__.co_argcount}
-        assert set(each.callees) < set(kernels)
+        assert {len(arguments) for arguments in each} == {find_kernel(name).py_func.__code__.co_argcount}
 
 
 def test_the_list_has_every_kernel_that_the_demo_calls(tmp_path: Path) -> None:
@@ -235,9 +234,9 @@ def test_the_list_has_every_kernel_that_the_demo_calls(tmp_path: Path) -> None:
 
 @pytest.fixture
 def short_list(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Only the smallest kernels of the list, and no kernels compiled."""
+    """Only the smallest kernel of the list, and no kernels compiled."""
     name = "rigid_registration.transform_point_frames"
-    small = {name: read_kernel_list()[name]._replace(callees=())}
+    small = {name: read_kernel_list()[name]}
     monkeypatch.setattr(compilation, "read_kernel_list", lambda: small)
     monkeypatch.setattr(compilation, "CACHE_FOLDER", tmp_path)
 
