@@ -65,16 +65,13 @@ class PriorConditioner:
             reference: Quaternions that determine the sign: of two for the same rotation, the nearer one is returned.
         """
         model = self.load_pose_model()
-        batches = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES)) if len(frames) else []
+        errors = self.build_observed_errors(model, observed_joints, occluded_joints)
+        poses = compute_pose_vectors(local_rotations[frames], model.reference_rotations)
+        batches = np.array_split(poses, max(1, -(-len(frames) // MAX_CONDITIONING_FRAMES)))
+        vectors = np.concatenate([self.estimate_rotation_vectors(model, each, errors, occluded_joints) for each in batches])
         predicted = np.empty((len(frames), len(occluded_joints), 4))
-        vectors = [
-            self.estimate_rotation_vectors(
-                model, compute_pose_vectors(local_rotations[batch], model.reference_rotations), observed_joints, occluded_joints
-            )
-            for batch in batches
-        ]
         for i, j in enumerate(occluded_joints):
-            rotation = compute_rotations(np.concatenate([each[:, i] for each in vectors])) @ model.reference_rotations[j]
+            rotation = compute_rotations(vectors[:, i]) @ model.reference_rotations[j]
             predicted[:, i] = 2 * lie.extract_joint_quaternions(rotation[:, None], 0, np.ones(len(rotation), bool))
         is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
         return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
@@ -83,14 +80,13 @@ class PriorConditioner:
         self,
         model: PoseModel,
         pose_vectors: Float[np.ndarray, "N J 3"],
-        observed_joints: Int[np.ndarray, " O"],
+        errors: ObservedErrors,
         occluded_joints: Int[np.ndarray, " L"],
     ) -> Float[np.ndarray, "N L 3"]:
         """Return the decoded rotation vectors, in radians, of the occluded joints at the most likely code."""
         vectors, codes = pose_vectors.copy(), np.zeros((len(pose_vectors), model.code_size))
         vectors[:, occluded_joints] = 0.0
         size = model.nonlinear_code_size
-        errors = self.build_observed_errors(model, observed_joints, occluded_joints)
         for iteration in range(CODE_ITERATIONS):
             selected = model.select_components(vectors)
             is_common = iteration == 0 and selected is model  # all codes are zero, so that one linearisation holds for all frames
@@ -101,8 +97,9 @@ class PriorConditioner:
             curvature = transposed @ whitened + np.eye(size) / self.prior_scale**2
             residual = errors.scale((vectors - decoded)[..., None]) + slopes @ codes[:, :size, None]
             codes[:, :size] = np.linalg.solve(curvature, transposed @ (errors.whitening @ residual))[..., 0]
-            remaining = (residual - slopes @ codes[:, :size, None])[..., 0] @ errors.occluded_gain.T
-            vectors[:, occluded_joints] = selected.decode(codes)[:, occluded_joints] + remaining.reshape(len(vectors), -1, 3)
+            if selected is not model or iteration == CODE_ITERATIONS - 1:  # a component is selected by all joints
+                remaining = (residual - slopes @ codes[:, :size, None])[..., 0] @ errors.occluded_gain.T
+                vectors[:, occluded_joints] = selected.decode(codes)[:, occluded_joints] + remaining.reshape(len(vectors), -1, 3)
         return vectors[:, occluded_joints]
 
     def build_observed_errors(
