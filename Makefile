@@ -75,11 +75,13 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	@echo "Installing mocapfix into $(VENV) (about a minute, once)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP_INSTALL) --editable ".[review]"
+	@$(VENV)/bin/python -m compileall -q mocapfix
 	@touch $@
 
 $(VENV)/installed-dev: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) --editable ".[dev,docs]"
+	$(VENV)/bin/python -m compileall -q mocapfix
 	touch $(VENV)/installed $@
 
 .blender/installed: Makefile

@@ -43,8 +43,9 @@ def find_shipped_folder(name: str) -> Path:
     return inside if inside.is_dir() else inside.parent.parent / name
 
 
+@cache
 def read_shipped_yaml(name: str) -> dict[str, Any]:
-    """Return the content of the file `name` in scenes/."""
+    """Return the content of the file `name` in scenes/, which is not changed."""
     return read_yaml(find_shipped_folder("scenes") / name)
 
 

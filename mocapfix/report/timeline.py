@@ -120,8 +120,9 @@ def compute_round_step(minimum: float) -> float:
 
 def build_residual_plot(residual_m: Float[np.ndarray, "T M"]) -> ResidualPlot | None:
     """Return the median and the 95th percentile of the residuals over the markers; None if all are NaN."""
-    bins = [part[np.isfinite(part)] * 1e3 for part in np.array_split(residual_m, min(MAX_RESIDUAL_BINS, len(residual_m)))]
-    median_mm, percentile_mm = np.array([np.percentile(part, (50, 95)) if part.size else (np.nan, np.nan) for part in bins]).T
+    parts = np.array_split(residual_m * 1e3, min(MAX_RESIDUAL_BINS, len(residual_m)))
+    bins = [np.sort(part[np.isfinite(part)]) if np.isfinite(part).any() else np.array([np.nan]) for part in parts]
+    median_mm, percentile_mm = np.array([np.interp((0.5, 0.95), np.linspace(0, 1, len(each)), each) for each in bins]).T
     if np.isnan(median_mm).all():
         return None
     limit_mm = compute_round_step(float(np.nanmax(percentile_mm)) or 1.0)
