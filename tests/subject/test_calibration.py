@@ -72,9 +72,11 @@ def test_very_small_and_large_subjects_are_calibrated(truth, factor):
 
 
 def test_scaling_changes_all_lengths():
-    half = average_body.scale_skeleton(BODY.skeleton, 0.5)
-    np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
-    np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
+    whole = average_body.build_average_subject(MARKER_SET)
+    half = average_body.scale_subject(whole, 0.5)
+    np.testing.assert_allclose(half.skeleton.offsets, whole.skeleton.offsets / 2)
+    np.testing.assert_allclose(half.skeleton.ends, whole.skeleton.ends / 2)
+    np.testing.assert_allclose(half.marker_offsets, whole.marker_offsets / 2)
 
 
 def test_take_without_three_markers_is_rejected():

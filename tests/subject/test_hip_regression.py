@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.subject.average_body import scale_skeleton
+from mocapfix.subject.average_body import scale_subject
 from mocapfix.subject.library import load_marker_set
 from mocapfix.subject.parameters import (
     HIP_REGRESSION_SD_M,
@@ -29,10 +29,9 @@ PELVIS_M = np.array([[0.12, 0.0, 0.1], [-0.12, 0.0, 0.1], [0.0, 0.0, -0.1]])
 def start_of(name: str, ratio: float = 1.0) -> Subject:
     """Return the average body at a size, with the markers of a set."""
     markers = load_marker_set(name)
-    offsets = markers.marker_offsets * ratio
-    return Subject(
-        scale_skeleton(BODY.skeleton, ratio), markers.name, markers.labels, markers.joints, offsets, markers.marker_spread
-    )
+    offsets = markers.marker_offsets
+    body = Subject(BODY.skeleton, markers.name, markers.labels, markers.joints, offsets, markers.marker_spread)
+    return scale_subject(body, ratio)
 
 
 def parameters_of(start: Subject) -> CalibrationParameters:
