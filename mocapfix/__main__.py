@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import sys
+from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 M_ARENA_MAX = -8  # parameter of the memory allocator of glibc: the number of heaps
@@ -12,14 +13,18 @@ M_ARENA_MAX = -8  # parameter of the memory allocator of glibc: the number of he
 class UncheckedShapes(ModuleType):
     """Stands for jaxtyping: only tests and type checkers read shapes, and the library takes a tenth of the start to import."""
 
-    def __getattr__(self, _name: str) -> "UncheckedShapes":
+    def __getattr__(self, name: str) -> "UncheckedShapes":
+        if name.startswith("__"):  # what libraries ask of every module, such as its file
+            raise AttributeError(name)
         return self
 
     def __getitem__(self, annotation: tuple[type, str]) -> type:
         return annotation[0]
 
 
-sys.modules.setdefault("jaxtyping", UncheckedShapes("jaxtyping"))  # in the second process too, which runs this module first
+if "jaxtyping" not in sys.modules:  # in the second process too, which runs this module first
+    sys.modules["jaxtyping"] = UncheckedShapes("jaxtyping")
+    sys.modules["jaxtyping"].__spec__ = ModuleSpec("jaxtyping", None)
 
 
 def main() -> None:

@@ -151,7 +151,7 @@ class Option:
         values = cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,)
         if values and isinstance(values[0], float):
             return [f"{self.flag}={','.join(repr(each) for each in self.to_display(values))}"]
-        if values and str(values[0]).startswith("-"):  # as in --up=-Y: not another flag
+        if any(str(each).startswith("-") for each in values):  # as in --up=-Y: not another flag
             return [f"{self.flag}={each}" for each in values]
         return [argument for each in values for argument in (self.flag, str(each))]
 
@@ -161,7 +161,11 @@ def _convert_integer(value: Any) -> Any:
 
 
 SUBJECT_FORM = "FILE, or NAME=FILE,... with a name only once"
-ARGUMENT_FORMS: dict[Any, str] = {FRAME_RANGE_TYPE: "FIRST:LAST, as in 100:250", int | None: "a whole number"}
+ARGUMENT_FORMS: dict[Any, str] = {
+    FRAME_RANGE_TYPE: "FIRST:LAST, as in 100:250",
+    **dict.fromkeys((int, int | None), "a whole number"),
+    **dict.fromkeys((float, float | None), "a number"),
+}
 FRAME_LIMIT = 2**62  # beyond the number of any frame: the end of a range that is left open
 
 

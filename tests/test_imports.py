@@ -22,6 +22,13 @@ def test_command_line_imports_no_heavy_libraries():
     assert not {"numba", "scipy", "torch", "rerun", "pydantic"} & list_modules_after("import mocapfix.cli.app")
 
 
+def test_modules_can_be_inspected_without_jaxtyping():
+    code = "import mocapfix.__main__, importlib.util, inspect; inspect.stack(); importlib.util.find_spec('jaxtyping')"
+    modules = list_modules_after(code)
+    assert "jaxtyping" in modules
+    assert "jaxtyping._array_types" not in modules
+
+
 def test_clean_is_imported_without_torch_and_rerun():
     assert not {"torch", "rerun"} & list_modules_after("import mocapfix\nmocapfix.clean")
 

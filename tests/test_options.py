@@ -148,6 +148,7 @@ def read_on_the_command_line(arguments: list[str]) -> CleanOptions:
         {},
         {"prior": "none", "max_gap_s": 2.5},
         {"repair_kinds": ("gap", "spike"), "keep": ("LFIN", "RFIN")},
+        {"keep": ("LFIN", "-RFIN")},
         {"frames": (-5, 250)},
         {"frames": (-FRAME_LIMIT, 250), "trim": (301, FRAME_LIMIT), "loop": True, "root_motion": "bone", "rest_frame": 3},
         {"floor_height_m": -0.125, "up_axis": "Z"},

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 
@@ -94,13 +95,14 @@ def parse_plain_command(name: str = "", *arguments: str) -> Callable[[], int] | 
 
     To import tyro, and to describe all arguments to it, takes as long as to read a minute of motion.
     """
-    if name not in ("clean", "inspect"):
+    lacks_folder = any(argument in ("--out", "-o") and after.startswith("-") for argument, after in pairwise([*arguments, "-"]))
+    if name not in ("clean", "inspect") or lacks_folder:
         return None
     options, rest = parse_arguments(arguments)
     takes, flags, folder = list[Path](), set[str](), None
     while rest:
         each = rest.pop(0)
-        if each in ("--out", "-o") and rest and not rest[0].startswith("-"):
+        if each in ("--out", "-o"):
             folder = Path(rest.pop(0))
         elif each.startswith("-"):
             flags.add(each)

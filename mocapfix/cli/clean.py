@@ -139,7 +139,7 @@ def choose_output_folder(take: Path) -> Path:
         raise WriteError(
             f"{take}: is an output of mocapfix, since it is in {folder.name}/; clean the original, or name a folder with --out."
         )
-    return take.with_name(f"{take.stem}{OUTPUT_FOLDER_SUFFIX}")
+    return take.parent / f"{take.stem}{OUTPUT_FOLDER_SUFFIX}"
 
 
 def check_files_kept(files: Sequence[Path], targets: Sequence[Path]) -> None:

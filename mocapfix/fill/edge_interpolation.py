@@ -46,7 +46,7 @@ def fill_with_splines(
         markers: In metres, NaN if not visible or an outlier.
         max_gap_s: Duration of the longest gap that is filled.
     """
-    visible, world = ~np.isnan(markers[..., 0]), build_world_axes(len(markers))
+    visible, world = ~np.isnan(markers[..., 0]), build_world_axes.__wrapped__(len(markers))  # too large to keep
     filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
     context_count = max(MIN_EDGE_SAMPLES, round(SPLINE_CONTEXT_S * rate))
     for m in np.flatnonzero(~visible.all(0) & visible.any(0)):

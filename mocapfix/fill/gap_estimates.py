@@ -112,7 +112,12 @@ def estimate_missing_samples(
     known[is_settled] = settled.position[is_settled]
     take = MarkersInTake(markers, known, settled, measure_distance_changes(markers), rate, body, rigid_groups)
     is_idle = second_process.future is not None and second_process.future.done()
-    gaps = _estimate_gaps(_GapEstimation(take, {each.column for each in requests}), is_shared=is_idle)
+    estimation = _GapEstimation(take, {each.column for each in requests})
+    try:
+        gaps = _estimate_gaps(estimation, is_shared=is_idle)
+    finally:
+        if estimation.is_shared:
+            compute_beside(_end_estimation, id(estimation))
     for request in requests:
         _use_request(take, gaps, request)
     return take.estimate
@@ -226,7 +231,6 @@ class _GapEstimation:
 
     def map(self, function: "Callable[[_GapEstimation, Part], Value]", parts: Sequence[Part]) -> list[Value]:
         """Return a function, a method of this class, of each part. Parts do not depend on one another."""
-
         if not self.is_shared or len(parts) < 2:
             return [function(self, part) for part in parts]
         there = compute_beside(_compute_parts, id(self), self.unsent_fills, function, parts[1::2])
@@ -293,8 +297,6 @@ def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_Esti
         each.estimates.extend(added)
         fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity)
         estimation.use_fills([(each.gap.marker, each.gap.window.first, fill)])
-    if estimation.is_shared:
-        compute_beside(_end_estimation, id(estimation))
     return list(chain(*estimated))
 
 

@@ -21,6 +21,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
@@ -53,7 +54,6 @@ SIGNATURES_FILE = KERNELS_FOLDER / "kernel_signatures.json"
 ARRAY_PATTERN = re.compile(r"(\w+)\[(\d+)([CFA])\](?: (readonly))?")
 DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 FOLDER_PREFIX = "compiled-"
-OUTDATED_PATTERNS = (f"{FOLDER_PREFIX}*", "mocapfix.*-*", "*.nb[ic]")  # the last two are of earlier versions
 MAX_PROCESSES = 8  # more would wait for the kernel that takes longest
 
 
@@ -92,23 +92,14 @@ def choose_cache_folder() -> Path | None:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             if is_new:
-                remove_outdated_files(folder)
+                for outdated in {*candidate.glob(f"{FOLDER_PREFIX}*")} - {folder}:
+                    shutil.rmtree(outdated, ignore_errors=True)
             return folder
     return None
 
 
 def _compute_digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:DIGEST_LENGTH]
-
-
-def remove_outdated_files(folder: Path) -> None:
-    """Remove what earlier versions of this installation's kernels have left beside their new folder."""
-    for each in [path for pattern in OUTDATED_PATTERNS for path in folder.parent.glob(pattern) if path != folder]:
-        if each.is_dir():
-            shutil.rmtree(each, ignore_errors=True)
-        else:
-            with suppress(OSError):
-                each.unlink()
 
 
 CACHE_FOLDER = choose_cache_folder()  # where compiled kernels are kept; None if nothing can be written
@@ -201,7 +192,7 @@ cast(Any, environment).importlib = SimpleNamespace(import_module=lambda name: sy
 
 
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function that Python or several kernels call, as `numba.njit` does with these options, cached. A decorator."""
+    """Compile a function that Python calls, as `numba.njit` does with these options, cached. A decorator."""
     if function is None:
         return partial(compile_kernel, **options)
     jit: Any = njit  # without its types, which do not have all options
@@ -293,11 +284,21 @@ def precompile_kernels(report_progress: Callable[[int, int], None], processes: i
 
 
 def _compile_in_processes(kernels: Iterable[str], processes: int, report_progress: Callable[[int, int], None]) -> None:
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=gc.disable) as pool:
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_begin_compiling) as pool:
         running = [pool.submit(compile_listed_kernel, name) for name in kernels]
-        for compiled, each in enumerate(as_completed(running), 1):
-            each.result()
-            report_progress(compiled, len(running))
+        try:
+            for compiled, each in enumerate(as_completed(running), 1):
+                each.result()
+                report_progress(compiled, len(running))
+        except BaseException:  # an interrupt; without this it would take effect after the last kernel
+            for each in pool._processes.values():  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
+                each.kill()
+            raise
+
+
+def _begin_compiling() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that waits for this one answers the keyboard
+    gc.disable()
 
 
 def compile_listed_kernel(name: str) -> None:

@@ -135,7 +135,7 @@ def screen_pairs(own, others, max_misfit_m, min_ratio):
     return result
 
 
-@compile_kernel
+@compile_inner_kernel
 def _fit_vectors(target, basis, size, prior, rounds, workspace):
     """Return the median distance (metres) of a target (F, 3) from combinations of vectors, basis (F, 3, at least `size`).
 

@@ -206,10 +206,9 @@ def start_second_process(*modules: str) -> Generator[None]:
         yield
     finally:
         second_process.reset(token)
-        process.shutdown(wait=False, cancel_futures=True)
         for each in started:
             each.kill()
-            each.join()
+        process.shutdown(cancel_futures=True)
 
 
 def _begin_second_process() -> None:

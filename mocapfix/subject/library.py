@@ -170,7 +170,8 @@ MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed
 def load_shipped_marker_sets() -> tuple[MarkerSet, ...]:
     scenes, package = find_shipped_folder("scenes"), Path(__file__).parent.parent
     paths = sorted(scenes.glob("marker-sets/*.yaml"))
-    others = [*sorted(scenes.glob("skeletons/*.yaml")), package / "model" / "marker_set.py", Path(__file__)]
+    modules = "model/marker_set.py", "model/skeleton.py", "io/shipped.py", "io/yaml_files.py", "subject/library.py"
+    others = [*sorted(scenes.glob("skeletons/*.yaml")), *(package / each for each in modules)]
     return keep_parsed("marker-sets", [*paths, *others], lambda: tuple(_read_marker_set(path) for path in paths))
 
 

@@ -241,7 +241,9 @@ def test_view_without_a_recording_or_display_is_an_error(mocapfix, cleaned, tmp_
         (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be greater than 0 s, not 0."),
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
-        (["clean", "a.c3d", "--max-gap", "long"], "--max-gap"),
+        (["clean", "a.c3d", "--max-gap", "long"], "--max-gap must be a number, not 'long'."),
+        (["clean", "a.c3d", "--detect-max-rounds", "1.5"], "--detect-max-rounds must be a whole number, not '1.5'."),
+        (["clean", "--out", "--mirror", "a.c3d"], "--out"),
         (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be greater than 0 and finite, not 0."),
         (["clean", "a.c3d", "--maxgap", "1"], "--maxgap"),
         (["clean", "a.c3d", "--init", "hybrik"], "--init must be one of hybrik-x, hybrik-adaptive, hybrik-naive, "),
@@ -353,7 +355,8 @@ def test_kernels_are_compiled_only_once_the_take_is_read(mocapfix, brief, tmp_pa
 
 def test_missing_file_folder_and_other_formats_are_errors(mocapfix, cleaned, tmp_path):
     check_refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
-    check_refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
+    for folder in (tmp_path, "."):
+        check_refused(mocapfix("clean", folder), Path(folder).name, "is a folder; name the files in it")
     page = cleaned.outputs["report.html"]
     done = mocapfix("clean", page, "--out", tmp_path / "out")
     check_refused(done, page.name, "has no format that mocapfix reads; export the capture as")
