@@ -58,7 +58,9 @@ def read_source_bytes(target: Path, source: Path | None, min_bytes: int = 0) -> 
     try:
         if target.exists() and target.samefile(source):
             raise WriteError(f"{target}: is the input itself, which is never changed; choose another folder with --out.")
-        data = bytearray(source.read_bytes())
+        data = bytearray(source.stat().st_size)
+        with source.open("rb") as file:  # into it at once, so that a long take is not in memory twice
+            file.readinto(data)
     except OSError as error:
         raise WriteError(f"{source}: can no longer be read ({error.strerror}); restore it.") from error
     if len(data) < min_bytes:
