@@ -21,6 +21,7 @@ from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
+from mocapfix.io.files import return_free_memory
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import split_corrected_subjects
 from mocapfix.labels.requested_labels import describe_missing_labels, label_capture
@@ -276,7 +277,8 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
             timer.add_part_times("windows/", times)
             if timer.report_progress:
                 timer.report_progress(f"window {len(parts)} of {len(windows)}")
-    compute_beside(gc.collect)
+    compute_beside(return_free_memory)
+    return_free_memory()
     with timer("join"):
         joined = join_windows(take, review, list(zip(windows, parts, strict=True)), folder)
         return CleanedSubject(choice, joined.body and body and replace(joined.body, subject=body.subject), joined.decided)

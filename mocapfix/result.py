@@ -229,7 +229,6 @@ class CleaningResult:
         with timers[0]("write", "cleaned file"):
             target = folder / f"{self._stem}.{get_source_suffixes(self.input_take.path)[0]}"
             unstorable_samples = self.write_source_copy(target)
-            release_pages(self, self.input_take.frame_count if is_stored(self.input_take) else -1)
 
         def write_subject(result: CleaningResult, timer: StageTimer) -> None:
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}

@@ -30,12 +30,12 @@ from mocapfix.io.file_content import (
 )
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
-from mocapfix.io.source_file import MAX_BLOCK_FRAMES, format_rows
+from mocapfix.io.source_file import format_rows
 from mocapfix.kernels import euler_angles
 from mocapfix.model.animation import FOOT_JOINT_PATTERN, Animation
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
-from mocapfix.model.windows import release_pages
+from mocapfix.model.windows import iterate_blocks
 from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 
 # Separators of the items of a line, of which there may be several.
@@ -355,20 +355,18 @@ def write_bvh_tree(
         positions: Joint to its positions (T, 3) in metres in its parent's axes; the root, joint 0, must have them.
     """
     joints = list(_iterate_depth_first(skeleton))
-    order, angles = [joint for joint, _ in joints], np.zeros((1, len(joints), 3))
+    angles = np.zeros((1, len(joints), 3))
     header = "".join(_build_hierarchy(target, skeleton, joints, positions, unit_m, rotation_order))
     header += f"MOTION\nFrames: {len(local_rotations)}\nFrame Time: {1 / rate:.10f}\n"
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         file.write(header.encode("utf-8"))
-        for first in range(0, len(local_rotations), MAX_BLOCK_FRAMES):
-            frames = slice(first, first + MAX_BLOCK_FRAMES)
-            angles = compute_euler_angles(local_rotations[frames][:, order].astype(float, copy=False), rotation_order, angles[-1])
+        for frames, rotations in iterate_blocks(local_rotations, len(local_rotations)):
+            angles = compute_euler_angles(rotations, rotation_order, angles[-1])
             columns: list[np.ndarray] = []
-            for index, joint in enumerate(order):
+            for joint, _ in joints:
                 columns += [positions[joint][frames] * (1 / unit_m)] if joint in positions else []
-                columns.append(np.degrees(angles[:, index]))
+                columns.append(np.degrees(angles[:, joint]))
             file.write(format_rows(np.hstack(columns), BVH_DECIMALS))
-            release_pages(local_rotations, len(local_rotations))
 
 
 def compute_euler_angles(
@@ -381,10 +379,11 @@ def compute_euler_angles(
     rotates in a frame.
     """
     axes = np.array(["XYZ".index(axis) for axis in rotation_order])
-    by_joint = np.ascontiguousarray(np.swapaxes(rotations, 0, 1))
-    starts = np.zeros((len(by_joint), 3)) if before is None else before
-    pairs = zip(by_joint, starts, strict=True)
-    return np.stack([euler_angles.compute_continuous_euler_angles(joint, axes, start) for joint, start in pairs], axis=1)
+    angles = np.empty((*rotations.shape[:2], 3))
+    for joint, start in enumerate(np.zeros((rotations.shape[1], 3)) if before is None else before):
+        own = np.ascontiguousarray(rotations[:, joint], float)
+        angles[:, joint] = euler_angles.compute_continuous_euler_angles(own, axes, start)
+    return angles
 
 
 def _iterate_depth_first(skeleton: Skeleton, joint: int = 0, depth: int = 0) -> Iterator[tuple[int, int]]:

@@ -7,7 +7,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -229,6 +229,7 @@ def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes
 
 _PLAIN_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|,? (?=[\w(]))*", re.ASCII | re.IGNORECASE)
 _PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?|null")
+MAX_KEPT_TEXTS = 4096  # of values: most entries of a long take have the same kinds, reasons and small numbers
 _NOT_PLAIN = "\0"  # in place of a value that YAML has in quotes or otherwise
 
 
@@ -236,7 +237,7 @@ def _format_entry(entry: Mapping[str, Any]) -> str:
     """Return the lines of a change, as `dump_yaml` writes them: it takes ten times as long, and is left to what needs quotes."""
     lines: list[str] = []
     for key, value in entry.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, dict):
             parts = cast("Mapping[str, object]", value)
             lines += [f"  {key}:", *(f"    {name}: {_format_plain_value(part)}" for name, part in parts.items())]
         elif key == "markers":
@@ -249,6 +250,7 @@ def _format_entry(entry: Mapping[str, Any]) -> str:
     return dump_yaml({CHANGES_KEY: [quoted]}, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
 
 
+@lru_cache(MAX_KEPT_TEXTS, typed=True)
 def _format_plain_value(value: object) -> str:
     text = value if isinstance(value, str) else "null" if value is None else repr(value)
     pattern = _PLAIN_TEXT if isinstance(value, str) else _PLAIN_NUMBER

@@ -6,11 +6,10 @@ of a sample accounts for ends in an error, and nothing is written. Both files ar
 takes.
 """
 
-import io
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -28,12 +27,12 @@ from mocapfix.io.source_file import (
     find_assigned_points,
     find_changed_samples,
     find_relabelled_samples,
-    read_source_bytes,
-    read_take_bytes,
+    open_source,
 )
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, count_decimals, splice_numbers
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout, TableLayout, Take
+from mocapfix.model.windows import iterate_blocks
 
 BLOCK_BYTES = 1 << 23  # of both files that are compared at once
 FLOAT_ROUNDING = 2e-7  # relative, of a coordinate that is stored as a float
@@ -59,43 +58,45 @@ def check_c3d_copy(target: Path, copy: Path, before: Take, after: Take, unstorab
     """
     layout = before.layout
     assert isinstance(layout, C3dLayout)
-    samples = _ChangedSamples(before, after, unstorable)
-    may_change = np.zeros((layout.frame_count, layout.point_count), bool)
-    may_change[samples.frames, before.point_columns[samples.markers]] = True
-    assigned_frames, assigned_points = find_assigned_points(before, after)
-    may_change[assigned_frames, assigned_points] = True
-    refuse = _build_refusal(target)
-    with _open_source(before) as old, copy.open("rb") as new:
+    refuse, bits = _build_refusal(target), f"u{layout.word_size_bytes}"
+    with open_source(target, before.path, before.labelled_file) as old, copy.open("rb") as new:
         if old.read(layout.data_start_byte) != new.read(layout.data_start_byte):
             raise refuse("its header or parameters")
-        stride, point_bytes = layout.frame_stride_bytes, 4 * layout.word_size_bytes
-        block_length = max(1, BLOCK_BYTES // stride)
-        for first in range(0, layout.frame_count, block_length):
-            count = min(block_length, layout.frame_count - first)
-            rows = [np.frombuffer(file.read(count * stride), np.uint8) for file in (old, new)]
-            if rows[0].size != count * stride or rows[1].size != rows[0].size:
+        for first, part, own_before, own_after in _iterate_blocks(layout, before, after):
+            samples = _ChangedSamples(own_before, own_after, [(t - first, m) for t, m in unstorable])
+            size = part.frame_count * part.frame_stride_bytes
+            old_bytes, new_bytes = (file.read(size) for file in (old, new))
+            if len(old_bytes) != size or len(new_bytes) != size:
                 raise refuse("its length")
-            before_rows, after_rows = (each.reshape(count, stride) for each in rows)
-            analog_start = point_bytes * layout.point_count
-            if not np.array_equal(before_rows[:, analog_start:], after_rows[:, analog_start:]):
+            old_analog, new_analog = (part.view_analog_words(each).view(bits) for each in (old_bytes, new_bytes))
+            if not np.array_equal(old_analog, new_analog):
                 raise refuse("its analog values")
-            old_words, new_words = (
-                np.ascontiguousarray(each[:, :analog_start]).reshape(count, layout.point_count, point_bytes)
-                for each in (before_rows, after_rows)
-            )
-            differs = (old_words != new_words).any(-1) & ~may_change[first : first + count]
+            old_words, new_words = (part.view_words(each) for each in (old_bytes, new_bytes))
+            differs = np.zeros((part.frame_count, part.point_count), bool)
+            for word in range(4):
+                differs |= old_words[..., word].view(bits) != new_words[..., word].view(bits)
+            differs[samples.frames, before.point_columns[samples.markers]] = False
+            assigned = find_assigned_points(own_before, own_after)
+            differs[assigned] = False
             if differs.any():
                 frame, point = np.argwhere(differs)[0]
                 raise refuse(f"point {point + 1} in frame {before.get_frame_number(int(first + frame))}")
-            old_words, new_words = (each.view(layout.word_dtype) for each in (old_words, new_words))
-            samples.check_words(layout, first, old_words, new_words, refuse)
-            own = (assigned_frames >= first) & (assigned_frames < first + count)
-            if not (layout.decode_words(new_words[assigned_frames[own] - first, assigned_points[own], 3]) < 0).all():
+            samples.check_words(part, old_words, new_words, refuse)
+            if not (part.decode_words(new_words[assigned][:, 3]) < 0).all():
                 raise refuse("an unlabelled trajectory that was assigned to a marker")
         if old.read() != new.read():
             raise refuse("what follows its data")
     if before.labelled_file is not None and before.path is not None:
         _check_labelled_c3d(refuse, before.path, before.labelled_file, layout)
+
+
+def _iterate_blocks(layout: C3dLayout, before: Take, after: Take) -> Iterator[tuple[int, C3dLayout, Take, Take]]:
+    """Yield the first index of frames with about BLOCK_BYTES, the layout of these bytes, and the takes in these frames."""
+    length = max(1, BLOCK_BYTES // layout.frame_stride_bytes)
+    pairs = zip(*(iterate_blocks(take, take.frame_count, length) for take in (before, after)), strict=True)
+    for (frames, one), (_, other) in pairs:
+        takes = (replace(take, first_frame=before.first_frame + frames.start) for take in (one, other))
+        yield frames.start, replace(layout, data_start_byte=0, frame_count=frames.stop - frames.start), *takes
 
 
 class _ChangedSamples:
@@ -114,10 +115,10 @@ class _ChangedSamples:
         self.frames, self.markers = np.nonzero(find_changed_samples(before, after) | relabelled)
         self.is_relabelled = relabelled[self.frames, self.markers]
         self.source_points = after.source_points[self.frames, self.markers]
-        is_unstorable = np.zeros(before.visible.shape, bool)
-        if unstorable:
-            is_unstorable[tuple(np.array(list(unstorable)).T)] = True
-        self.is_missing = ~after.visible[self.frames, self.markers] | is_unstorable[self.frames, self.markers]
+        lost = np.array(list(unstorable), int).reshape(-1, 2)
+        is_stored = after.visible.copy()
+        is_stored[tuple(lost[(lost[:, 0] >= 0) & (lost[:, 0] < after.frame_count)].T)] = False
+        self.is_missing = ~is_stored[self.frames, self.markers]
 
     def describe(self, index: int) -> str:
         """Return marker and frame of a changed sample."""
@@ -127,34 +128,31 @@ class _ChangedSamples:
     def check_words(
         self,
         layout: C3dLayout,
-        first: int,
-        old_words: Shaped[np.ndarray, "F P 4"],
-        new_words: Shaped[np.ndarray, "F P 4"],
+        old_words: Shaped[np.ndarray, "T P 4"],
+        new_words: Shaped[np.ndarray, "T P 4"],
         refuse: Callable[[str], WriteError],
     ) -> None:
-        """Raise WriteError unless the changed samples of F frames from `first` on have their new words."""
-        start, stop = np.searchsorted(self.frames, (first, first + len(new_words)))
-        frames, markers = self.frames[start:stop] - first, self.markers[start:stop]
-        words = new_words[frames, self.before.point_columns[markers]]
+        """Raise WriteError unless the changed samples have their new words."""
+        words = new_words[self.frames, self.before.point_columns[self.markers]]
         values = layout.decode_words(words)
         unit_m = layout.unit_m if layout.is_float else layout.unit_m * layout.scale_factor
         positions = values[:, :3] @ layout.rotation_y_up_file.T * unit_m
-        expected = self.after.markers[frames + first, markers]
+        expected = self.after.markers[self.frames, self.markers]
         rounding = np.abs(expected) * FLOAT_ROUNDING if layout.is_float else COUNT_ROUNDING * unit_m
         is_equal = (np.abs(positions - expected) <= rounding + np.finfo(np.float32).tiny).all(-1) & (values[:, 3] >= 0)
-        is_right = np.where(self.is_missing[start:stop], values[:, 3] < 0, is_equal)
-        moved = np.flatnonzero(self.is_relabelled[start:stop])
-        sources = old_words[frames[moved], self.source_points[start:stop][moved]]
+        is_right = np.where(self.is_missing, values[:, 3] < 0, is_equal)
+        moved = np.flatnonzero(self.is_relabelled)
+        sources = old_words[self.frames[moved], self.source_points[moved]]
         is_right[moved] = (np.ascontiguousarray(sources).view(np.uint8) == words[moved].view(np.uint8)).all(-1)
         if not is_right.all():
-            raise refuse(self.describe(int(start + np.argmin(is_right))))
+            raise refuse(self.describe(int(np.argmin(is_right))))
 
 
 def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstorable: Unstorable) -> None:
     """Compare a patched text table with the file of `before`, cell by cell. Arguments and errors as in `check_c3d_copy`."""
     layout, samples, refuse = before.layout, _ChangedSamples(before, after, unstorable), _build_refusal(target)
     assert isinstance(layout, TableLayout)
-    with _open_source(before) as source:
+    with open_source(target, before.path, before.labelled_file) as source:
         # Bytes as characters are Latin-1, which has a character for each.
         is_wide = layout.encoding.lower().replace("_", "-").startswith(("utf-16", "utf-32"))
         texts = (data.decode(layout.encoding if is_wide else "latin-1") for data in (source.read(), copy.read_bytes()))
@@ -295,12 +293,6 @@ def _check_head(
             raise refuse(f"its parameter {name}")
 
 
-def _open_source(take: Take) -> BinaryIO:
-    """Return the file of a take, with the labels that mocapfix gave it."""
-    assert take.path is not None
-    return take.path.open("rb") if take.labelled_file is None else io.BytesIO(take.labelled_file)
-
-
 def _build_refusal(target: Path) -> Callable[[str], WriteError]:
     """Return a function that builds the error about a difference."""
     return lambda what: WriteError(
@@ -329,7 +321,8 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     target = Path(target)
     if (starts := source.value_byte_offsets) is None:
         raise WriteError(f"{source.name}: there is no file with these numbers, so it cannot be patched.")
-    original = bytes(read_source_bytes(target, source.path))
+    with open_source(target, source.path) as file:
+        original = file.read()
     data, first_byte = convert_to_utf_8(target, original), int(starts[starts >= 0].min(initial=len(original)))
     if len(data) <= starts.max(initial=-1):
         raise build_truncated_error(source.path)
@@ -384,26 +377,37 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
         WriteError: If `target` is the input or is not writable, if `before` was not read from a C3D that still exists, or if
             the copy differs where it must not.
     """
-    layout = before.layout
+    layout, target = before.layout, Path(target)
     if not isinstance(layout, C3dLayout):
         raise WriteError(f"{before.name}: was not read from a C3D file, so there is no file to patch.")
-    stop_byte = layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes
-    data = read_take_bytes(Path(target), before, stop_byte)
+    lost: list[tuple[int, int]] = []
+    with open_source(target, before.path, before.labelled_file) as old, replace_atomically(target) as part:
+        with part.open("wb") as new:
+            new.write(old.read(layout.data_start_byte))
+            for first, part_layout, old_frames, new_frames in _iterate_blocks(layout, before, after):
+                data = bytearray(old.read(part_layout.frame_count * layout.frame_stride_bytes))
+                if len(data) < part_layout.frame_count * layout.frame_stride_bytes:
+                    raise build_truncated_error(before.path)
+                lost += [(first + t, m) for t, m in _patch_block(part_layout, old_frames, new_frames, data)]
+                new.write(data)
+            new.write(old.read())
+        check_c3d_copy(target, part, before, after, lost)
+    return lost
+
+
+def _patch_block(layout: C3dLayout, before: Take, after: Take, data: bytearray) -> list[tuple[int, int]]:
+    """Change the samples in the bytes of some frames. Returns frame, counted from their first, and marker of lost samples."""
     words, relabelled = layout.view_words(data), find_relabelled_samples(before, after)
     frames, markers = np.nonzero(find_changed_samples(before, after) & ~relabelled)
     samples, is_stored = _build_samples(layout, after, frames, markers)
     relabelled_frames, relabelled_markers = np.nonzero(relabelled)
     relabelled_words = words[relabelled_frames, after.source_points[relabelled]]  # a copy, made before any word is replaced
-    words[frames, before.point_columns[markers]] = _encode_samples(layout, samples)
+    words[frames, before.point_columns[markers]] = encode_samples(layout, samples)
     words[relabelled_frames, before.point_columns[relabelled_markers]] = relabelled_words
     assigned = find_assigned_points(before, after)
-    words[assigned] = _encode_samples(layout, np.tile(MISSING_SAMPLE, (len(assigned[0]), 1)))
+    words[assigned] = encode_samples(layout, np.tile(MISSING_SAMPLE, (len(assigned[0]), 1)))
     is_lost = ~is_stored & ~np.isnan(after.markers[frames, markers]).any(-1)
-    lost = [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
-    with replace_atomically(Path(target)) as part:
-        part.write_bytes(data)
-        check_c3d_copy(Path(target), part, before, after, lost)
-    return lost
+    return [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
 
 
 def _build_samples(
@@ -421,12 +425,7 @@ def _build_samples(
     return samples, is_stored
 
 
-def encode_missing_sample(layout: C3dLayout) -> Shaped[np.ndarray, "4"]:
-    """Return the words of a missing sample as the file stores them."""
-    return _encode_samples(layout, np.array([MISSING_SAMPLE]))[0]
-
-
-def _encode_samples(layout: C3dLayout, samples: Float[np.ndarray, "n 4"]) -> Shaped[np.ndarray, "n 4"]:
+def encode_samples(layout: C3dLayout, samples: Float[np.ndarray, "n 4"]) -> Shaped[np.ndarray, "n 4"]:
     """Return the words of samples as the file stores them."""
     if layout.has_vax_floats:
         bits = (samples * 4).astype("<f4").view("<u4")
@@ -452,18 +451,19 @@ def patch_table(target: str | Path, before: Take, after: Take) -> list[tuple[int
         WriteError: If `target` is the input or is not writable, or if `before` was not read from a text file with a field for
             every sample that still exists.
     """
-    layout = before.layout
+    layout, target = before.layout, Path(target)
     if not isinstance(layout, TableLayout) or not layout.has_field_per_sample:
         raise WriteError(f"{before.name}: does not have a field for every sample, so it cannot be patched.")
-    lines = bytes(read_take_bytes(Path(target), before)).decode(layout.encoding, "replace").split(layout.newline)
+    with open_source(target, before.path, before.labelled_file) as file:
+        lines = file.read().decode(layout.encoding, "replace").split(layout.newline)
     if len(lines) <= layout.line_indices.max():
         raise build_truncated_error(before.path)
     edits, lost = _build_edits(layout, lines, before, after)
     for index, fields in edits.items():
         lines[index] = _replace_fields(lines[index], layout.delimiter, fields)
-    with replace_atomically(Path(target)) as part:
+    with replace_atomically(target) as part:
         part.write_bytes(layout.newline.join(lines).encode(layout.encoding))
-        check_table_copy(Path(target), part, before, after, lost)
+        check_table_copy(target, part, before, after, lost)
     return lost
 
 

@@ -1,7 +1,9 @@
 """What an output takes from the file that its take was read from: bytes, changed samples, unit and axes."""
 
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,7 +12,6 @@ from mocapfix.errors import WriteError
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, write_rows
 from mocapfix.model.take import Take
 
-MAX_BLOCK_FRAMES = 8192  # of a long take that are compared or written at once
 MAX_STORED_COORDINATE = 8_999_999  # file units; larger ones read as missing, as Cortex's 9999999 does
 C3D_UNIT_NAMES = {0.001: "mm", 0.01: "cm", 1.0: "m"}
 ROTATION_Y_UP_FROM_Z_UP = np.eye(3)[[1, 2, 0]]
@@ -41,31 +42,20 @@ def get_file_frame(take: Take) -> FileFrame:
     return FileFrame(C3D_UNIT_NAMES[unit_m], unit_m, take.layout.rotation_y_up_file)
 
 
-def read_take_bytes(target: Path, take: Take, min_bytes: int = 0) -> bytearray:
-    """Return the bytes of the file of a take as `read_source_bytes`, with the labels that mocapfix gave them."""
-    data = read_source_bytes(target, take.path, 0 if take.labelled_file else min_bytes)
-    return data if take.labelled_file is None else bytearray(take.labelled_file)
-
-
-def read_source_bytes(target: Path, source: Path | None, min_bytes: int = 0) -> bytearray:
-    """Return the bytes of the file of which `target` will be a changed copy.
+def open_source(target: Path, source: Path | None, labelled_file: bytes | None = None) -> BinaryIO:
+    """Return the file of which `target` will be a changed copy, or its bytes with labels.
 
     Raises:
-        WriteError: If there is no source file, it is `target`, it is no longer readable, or it has fewer than `min_bytes` bytes.
+        WriteError: If there is no source file, it is `target`, or it is no longer readable.
     """
     if source is None:
         raise WriteError(f"{target}: there is no source file of which it could be a changed copy.")
     try:
         if target.exists() and target.samefile(source):
             raise WriteError(f"{target}: is the input itself, which is never changed; choose another folder with --out.")
-        data = bytearray(source.stat().st_size)
-        with source.open("rb") as file:  # into it at once, so that a long take is not in memory twice
-            file.readinto(data)
+        return source.open("rb") if labelled_file is None else BytesIO(labelled_file)
     except OSError as error:
         raise WriteError(f"{source}: can no longer be read ({error.strerror}); restore it.") from error
-    if len(data) < min_bytes:
-        raise build_truncated_error(source)
-    return data
 
 
 def build_truncated_error(source: Path | None) -> WriteError:
@@ -98,12 +88,9 @@ def find_relabelled_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"
 
 def find_changed_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
     """Return the samples whose coordinates differ in any bit. All NaNs are equal."""
-    changed = np.empty(before.visible.shape, bool)
-    for first in range(0, before.frame_count, MAX_BLOCK_FRAMES):
-        a, b = (take.markers[first : first + MAX_BLOCK_FRAMES] for take in (before, after))
-        is_same = (a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)
-        changed[first : first + MAX_BLOCK_FRAMES] = ~is_same.all(-1)
-    return changed
+    a, b = before.markers, after.markers
+    is_same = (a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)
+    return ~(is_same[..., 0] & is_same[..., 1] & is_same[..., 2])
 
 
 def find_assigned_points(before: Take, after: Take) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:

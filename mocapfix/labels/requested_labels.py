@@ -22,7 +22,7 @@ from mocapfix.io.conventions import change_convention
 from mocapfix.io.file_content import read_file_bytes
 from mocapfix.io.files import make_scratch_folder
 from mocapfix.io.points import NUMBERED_POINT_NAME
-from mocapfix.io.source_file import read_source_bytes
+from mocapfix.io.source_file import build_truncated_error, open_source
 from mocapfix.labels.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
 from mocapfix.labels.labeller import find_labelled_body, label_people, label_points, separate_people
 from mocapfix.labels.reference_labeller import build_reference_markers, join_trajectories, label_points_like
@@ -116,20 +116,21 @@ def build_labelled_c3d(take: Take, columns: LabelledColumns) -> bytes:
     """Return the bytes of a take's C3D with other columns. Raises WriteError if the file cannot be read any more."""
     layout = take.layout
     assert isinstance(layout, C3dLayout)
-    data = read_source_bytes(NO_FILE, take.path, layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes)
+    with open_source(NO_FILE, take.path) as file:
+        data = file.read()
     stop_byte = layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes
-    head = replace_point_parameters(
-        bytes(data[: layout.data_start_byte]), columns.labels, has_same_points=not columns.moves_samples
-    )
+    if len(data) < stop_byte:
+        raise build_truncated_error(take.path)
+    head = replace_point_parameters(data[: layout.data_start_byte], columns.labels, has_same_points=not columns.moves_samples)
     if not columns.moves_samples:
-        return head + bytes(data[layout.data_start_byte :])
-    return head + _build_frames(layout, data, columns.source_points) + bytes(data[stop_byte:])
+        return head + data[layout.data_start_byte :]
+    return head + _build_frames(layout, data, columns.source_points) + data[stop_byte:]
 
 
-def _build_frames(layout: C3dLayout, data: bytearray, source_points: Int[np.ndarray, "T P"]) -> bytes:
+def _build_frames(layout: C3dLayout, data: bytes, source_points: Int[np.ndarray, "T P"]) -> bytes:
     """Return the data section with other points; the analog samples of each frame are unchanged."""
     words = layout.view_words(data)
-    missing = patches.encode_missing_sample(layout)
+    missing = patches.encode_samples(layout, np.array([patches.MISSING_SAMPLE]))[0]
     moved = words[np.arange(layout.frame_count)[:, None], source_points]
     moved[source_points < 0] = missing
     point_bytes = np.ascontiguousarray(moved).view(np.uint8).reshape(layout.frame_count, -1)

@@ -9,7 +9,7 @@ import copyreg
 import mmap
 import tempfile
 import weakref
-from collections.abc import Callable, Collection, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from dataclasses import fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -34,6 +34,7 @@ CUT_SEARCH_S = 5.0  # around the regular place of a cut, in which the frame with
 CUT_SMOOTHING_S = 1.0  # time around a cut in which markers should be complete
 MIN_SHOWN_S = 10.0  # for which half of the markers of a window are visible, at least; otherwise it is joined to the next
 PIECE_COUNT, PIECE_S = 18, 5.0  # of a survey, evenly spaced: the calibration selects 150 of its frames
+MAX_BLOCK_FRAMES = 8192  # of a long take that are compared or written at once
 BREAK_S = 1.0  # without samples between two pieces, so that nothing is taken for one motion
 MIN_SURVEYED_S = 0.5  # for which a survey shows each marker, if the take does
 
@@ -236,6 +237,14 @@ def release_pages(value: object, frame_count: int) -> None:
         return array
 
     map_arrays(value, frame_count, release)
+
+
+def iterate_blocks(value: Value, frame_count: int, block_frames: int = MAX_BLOCK_FRAMES) -> Iterator[tuple[slice, Value]]:
+    """Yield blocks of frames, and a value there. What was read from the files of its arrays leaves the memory after each."""
+    for first in range(0, frame_count, block_frames):
+        frames = slice(first, min(first + block_frames, frame_count))
+        yield frames, map_arrays(value, frame_count, lambda _, array, frames=frames: array[frames])
+        release_pages(value, frame_count)
 
 
 def store_take(take: Take) -> Take:

@@ -35,7 +35,7 @@ from mocapfix.contacts.contacts import BodyContacts, Floor
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
-from mocapfix.model.windows import map_arrays, release_pages
+from mocapfix.model.windows import iterate_blocks
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
@@ -176,9 +176,8 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
     writer, count = _RecordingWriter(recording, comparison.input_take), comparison.input_take.frame_count
     states, residual_m = comparison.sample_states, comparison.residual_m
     lanes, worst = writer.prepare_state_lanes(states), [] if residual_m is None else writer.prepare_residual_curves(residual_m)
-    for first in range(0, count, MAX_BLOCK_FRAMES):
-        writer.block = frames = slice(first, min(first + MAX_BLOCK_FRAMES, count))
-        block = map_arrays(comparison, count, lambda _, array, frames=frames: array[frames])
+    for frames, block in iterate_blocks(comparison, count, MAX_BLOCK_FRAMES):
+        writer.block = frames
         writer.log_markers(block, states[frames])
         if block.skeleton is not None and block.joint_position_world is not None:
             writer.log_skeleton(block.skeleton, block.joint_position_world)
@@ -186,7 +185,6 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
         writer.log_missing_counts(block.input_take, block.cleaned_take)
         if block.residual_m is not None:
             writer.log_residuals(block.residual_m, worst)
-        release_pages(comparison, count)
     writer.block = slice(0, count)
     if comparison.contacts is not None and (contact_position := comparison.locate_contacts()) is not None:
         log_contacts(writer, comparison.contacts, contact_position)

@@ -13,9 +13,10 @@ from jaxtyping import Bool, Float, Int, Integer
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.changes import Change, list_affected_markers
-from mocapfix.model.faults import Fault, Faults, Fragment
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment, build_fault_mask
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
+from mocapfix.model.windows import iterate_blocks
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 
 
@@ -44,12 +45,15 @@ VIOLET = "#7a5bd0"
 BLUE = "#3f7fc4"
 
 
-def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take, faults: Faults) -> Int[np.ndarray, "T M"]:
+def classify_samples(
+    input_take: Take, relabelled_take: Take, cleaned_take: Take, is_faulty: Bool[np.ndarray, "T M"]
+) -> Int[np.ndarray, "T M"]:
     """Return the SampleOutcome of every sample.
 
     Args:
-        relabelled_take: The same with corrected labels; `faults` index its markers.
+        relabelled_take: The same with corrected labels.
         cleaned_take: The same with filled and replaced samples.
+        is_faulty: The samples of `relabelled_take` that have a fault, or are missing in its frames.
     """
     estimated = ~np.isnan(cleaned_take.estimated_sd)
     relabelled = cleaned_take.visible & (cleaned_take.source_points != input_take.source_points)
@@ -60,7 +64,7 @@ def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take
         (estimated & ~relabelled_take.visible, SampleOutcome.FILLED),
         (estimated, SampleOutcome.REPLACED),
         (relabelled, SampleOutcome.RELABELLED),
-        (faults.compute_faulty_mask(relabelled_take), SampleOutcome.SUSPECT),
+        (is_faulty & relabelled_take.visible, SampleOutcome.SUSPECT),
     )
     conditions, values = zip(*outcomes, strict=True)
     return np.select(conditions, [np.int8(value) for value in values], np.int8(SampleOutcome.MEASURED))
@@ -122,7 +126,10 @@ class CleaningComparison:
 
     @cached_property
     def sample_states(self) -> Int[np.ndarray, "T M"]:
-        return classify_samples(self.input_take, self.relabelled_take, self.cleaned_take, self.faults)
+        is_faulty = build_fault_mask(self.faults.select_kinds(*REPLACED_SAMPLE_KINDS), self.relabelled_take.markers.shape[:2])
+        blocks = iterate_blocks(self, self.input_take.frame_count)
+        parts = [classify_samples(each.input_take, each.relabelled_take, each.cleaned_take, is_faulty[t]) for t, each in blocks]
+        return np.concatenate(parts)
 
     @cached_property
     def applied_changes(self) -> list[tuple[Change, Fault]]:

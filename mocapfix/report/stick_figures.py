@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.model.skeleton import Skeleton
@@ -29,15 +29,10 @@ def find_worst_frame(sample_states: Int[np.ndarray, "T M"], joint_position_world
     corrected = find_estimated_samples(sample_states) | (sample_states == SampleOutcome.RELABELLED)
     score = corrected.sum(axis=1) * (sample_states.shape[1] + 1) + (sample_states == SampleOutcome.EMPTY).sum(axis=1)
     if joint_position_world is not None:
-        is_solved = find_solved_joints(joint_position_world)
-        score = np.where(np.isfinite(joint_position_world[:, is_solved]).all(axis=(1, 2)), score, -1)
+        is_known = ~np.isnan(joint_position_world[..., 0])
+        score = np.where(is_known[:, is_known.any(0)].all(1), score, -1)
     worst = np.flatnonzero(score == score.max())
     return int(worst[len(worst) // 2])
-
-
-def find_solved_joints(joint_position_world: Float[np.ndarray, "T J 3"]) -> Bool[np.ndarray, " J"]:
-    """Return the joints that have a position in any frame; the others are not shown by the markers."""
-    return np.asarray(np.isfinite(joint_position_world).all(axis=2).any(axis=0), bool)
 
 
 def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
@@ -62,7 +57,7 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
 def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.ndarray, "J 3"]:
     """Return the joint positions in metres of the body that a picture of a frame shows, (0, 3) if a solved joint is unknown."""
     joints = comparison.joint_position_world
-    is_known = joints is not None and bool(np.isfinite(joints[frame, find_solved_joints(joints)]).all())
+    is_known = joints is not None and not (np.isnan(joints[frame, :, 0]) & ~np.isnan(joints[..., 0]).all(0)).any()
     return joints[frame] if joints is not None and is_known else np.empty((0, 3))
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.errors import join_words
@@ -66,23 +66,24 @@ def build_fault_rows(comparison: CleaningComparison) -> list[TimelineRow]:
     """Return the rows of trajectories with faults, and of donors of joined fragments; fragments of no marker have none."""
     take, applied = comparison.input_take, {id(fault) for _, fault in comparison.applied_changes}
     unused = {id(fault) for fault in comparison.unchanged_faults if fault.kind == "fragment"}
-    bars: defaultdict[int, list[TimelineBar]] = defaultdict(list)
+    states, bars = comparison.sample_states, defaultdict[int, list[TimelineBar]](list)
+    is_left = (states == SampleOutcome.EMPTY) | (states == SampleOutcome.SUSPECT)
     for fault in (fault for fault in comparison.faults.items if id(fault) not in unused):
         for m in (m for m in fault.markers if m < len(take.labels)):
-            bars[m] += _build_bars(fault, comparison.sample_states[fault.frame_slice, m], id(fault) in applied)
+            bars[m] += _build_bars(fault, is_left[fault.frame_slice, m], id(fault) in applied)
     for donor, fragments in comparison.fragments_by_donor.items():
         for each in fragments:
             bars[donor].append(TimelineBar("label", each.first, each.last, f"Joined to {take.get_label(each.marker)}."))
     return [TimelineRow(take.get_label(m), tuple(_merge_near_bars(bars[m], take.frame_count))) for m in sorted(bars)]
 
 
-def _build_bars(fault: Fault, outcome: Int[np.ndarray, " N"], is_applied: bool) -> Iterator[TimelineBar]:
-    """Yield one bar for each corrected or unchanged interval of a fault; `outcome` is that of its N samples."""
+def _build_bars(fault: Fault, is_left: Bool[np.ndarray, " N"], is_applied: bool) -> Iterator[TimelineBar]:
+    """Yield one bar for each corrected or unchanged interval of a fault; `is_left`: which of its N samples are not corrected."""
     group = get_fault_group(fault.kind)
-    unchanged = np.full(len(outcome), not is_applied)
-    if is_applied and group in ("missing", "faulty"):
-        unchanged = (outcome == SampleOutcome.EMPTY) | (outcome == SampleOutcome.SUSPECT)
-    for css_class, mask in ((group, ~unchanged), (f"{group} left", unchanged)):
+    if not is_applied or group not in ("missing", "faulty") or not is_left.any():
+        yield TimelineBar(group if is_applied else f"{group} left", fault.first, fault.last, fault.reason)
+        return
+    for css_class, mask in ((group, ~is_left), (f"{group} left", is_left)):
         for first, last in find_runs(mask):
             yield TimelineBar(css_class, fault.first + first, fault.first + last, fault.reason)
 
@@ -120,8 +121,8 @@ def compute_round_step(minimum: float) -> float:
 
 def build_residual_plot(residual_m: Float[np.ndarray, "T M"]) -> ResidualPlot | None:
     """Return the median and the 95th percentile of the residuals over the markers; None if all are NaN."""
-    parts = np.array_split(residual_m * 1e3, min(MAX_RESIDUAL_BINS, len(residual_m)))
-    bins = [np.sort(part[np.isfinite(part)]) if np.isfinite(part).any() else np.array([np.nan]) for part in parts]
+    parts = np.array_split(residual_m, min(MAX_RESIDUAL_BINS, len(residual_m)))
+    bins = (np.sort(1e3 * part[np.isfinite(part)]) if np.isfinite(part).any() else np.array([np.nan]) for part in parts)
     median_mm, percentile_mm = np.array([np.interp((0.5, 0.95), np.linspace(0, 1, len(each)), each) for each in bins]).T
     if np.isnan(median_mm).all():
         return None

@@ -47,7 +47,8 @@ def find_changed_bytes(layout: C3dLayout, take: Take) -> set[int]:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_each_part_of_a_c3d_is_compared(tmp_path, encoding):
+def test_each_part_of_a_c3d_is_compared(tmp_path, encoding, monkeypatch):
+    monkeypatch.setattr(patches, "BLOCK_BYTES", 1)  # so that each frame is a block
     before, after, target = prepare(tmp_path, encoding)
     layout, data = get_layout(before), target.read_bytes()
     check_c3d_copy(target, target, before, after, [])
@@ -72,7 +73,8 @@ def test_each_part_of_a_c3d_is_compared(tmp_path, encoding):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_new_positions_are_compared(tmp_path, encoding):
+def test_new_positions_are_compared(tmp_path, encoding, monkeypatch):
+    monkeypatch.setattr(patches, "BLOCK_BYTES", 1)
     before, after, target = prepare(tmp_path, encoding)
     for frame, marker in (CHANGED, LOST):
         other = after.markers.copy()
@@ -112,8 +114,8 @@ def test_samples_that_come_from_another_point_are_compared(tmp_path):
 def test_nothing_is_written_if_a_copy_is_wrong(tmp_path, monkeypatch):
     before, after, target = prepare(tmp_path)
     target.unlink()
-    encode = patches._encode_samples
-    monkeypatch.setattr(patches, "_encode_samples", lambda layout, samples: encode(layout, samples)[:, ::-1])
+    encode = patches.encode_samples
+    monkeypatch.setattr(patches, "encode_samples", lambda layout, samples: encode(layout, samples)[:, ::-1])
     with pytest.raises(WriteError, match="nothing was written; please report it"):
         patch_c3d(target, before, after)
     assert [each.name for each in tmp_path.iterdir()] == ["before.c3d"]

@@ -19,6 +19,7 @@ from mocapfix.model.windows import (
     build_survey,
     crop_intervals,
     extract_window,
+    iterate_blocks,
     join_at_cuts,
     open_array,
     plan_windows,
@@ -152,3 +153,12 @@ def test_arrays_in_files_are_written_in_any_order_and_read_by_another_process():
     assert name.exists()
     del part
     assert not name.exists()
+
+
+def test_blocks_have_each_frame_once_and_leave_what_has_none():
+    take = windows.store_take(build_take(draw_visible(3)))
+    count, markers = take.frame_count, np.array(take.markers)
+    blocks = list(iterate_blocks(take, count, count // 3 + 1))
+    assert [frames.start for frames, _ in blocks] == [0, count // 3 + 1, 2 * (count // 3 + 1)]
+    np.testing.assert_array_equal(np.concatenate([block.markers for _, block in blocks]), markers)
+    assert blocks[0][1].labels == take.labels

@@ -17,7 +17,7 @@ from mocapfix.io.changes_file import read_changes_file, write_changes_file
 from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, read_yaml_model
 from mocapfix.model.animation import Animation
 from mocapfix.model.changes import serialize_changes
-from mocapfix.report.sample_states import SampleOutcome, classify_samples
+from mocapfix.report.sample_states import SampleOutcome
 from mocapfix.review.review_session import OpenTake
 from mocapfix.review.take_files import (
     NO_INPUT_NOTE,
@@ -33,7 +33,7 @@ from tests.io.test_changes_file import build_change, build_take
 
 def test_states_are_those_of_the_cleaning(faulty, tmp_path: Path) -> None:
     result = faulty.result
-    expected = classify_samples(result.input_take, result.relabelled_take, result.take, result.faults)
+    expected = result.comparison.sample_states
     arrays = (result.input_take.markers, result.take.markers, result.input_take.unlabelled.markers)
     states = classify_shown_samples(*(array.astype(np.float32) for array in arrays))
     # Only the faults that were left as measured cannot be seen from the positions.
