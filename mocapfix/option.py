@@ -127,7 +127,7 @@ class Option:
         try:
             if self.type == FRAME_RANGE_TYPE:
                 return parse_frames(text)
-            if self.name == "subject":
+            if self.name in SUBJECT_FILE_OPTIONS:
                 return parse_subject_files(text)
             if self.type == tuple[float, ...]:
                 return self.from_display(tuple(float(number) for number in split_names([text])))
@@ -137,7 +137,7 @@ class Option:
                 return self.from_display(float(text))
             return int(text) if self.type in (int, int | None) else text
         except ValueError:
-            form = ARGUMENT_FORMS.get(self.type, SUBJECT_FORM if self.name == "subject" else "numbers with commas between them")
+            form = ARGUMENT_FORMS.get(self.type, SUBJECT_FORM if self.name in SUBJECT_FILE_OPTIONS else NUMBERS_FORM)
             raise OptionError(self.name, self.flag, self.job_key, f"must be {form}, not {text!r}") from None
 
     def format(self, value: Any) -> list[str]:
@@ -146,7 +146,7 @@ class Option:
             return [self.flag]
         if self.type == FRAME_RANGE_TYPE:
             return [f"{self.flag}={format_frames(*value)}"]
-        if self.name == "subject" and isinstance(value, tuple):
+        if self.name in SUBJECT_FILE_OPTIONS and isinstance(value, tuple):
             value = ",".join(f"{prefix}={file}" for prefix, file in cast("tuple[tuple[str, str], ...]", value))
         values = cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,)
         if values and isinstance(values[0], float):
@@ -160,7 +160,9 @@ def _convert_integer(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
+SUBJECT_FILE_OPTIONS = ("subject", "person_memory")  # they name a file, or one for each subject
 SUBJECT_FORM = "FILE, or NAME=FILE,... with a name only once"
+NUMBERS_FORM = "numbers with commas between them"
 ARGUMENT_FORMS: dict[Any, str] = {
     FRAME_RANGE_TYPE: "FIRST:LAST, as in 100:250",
     **dict.fromkeys((int, int | None), "a whole number"),

@@ -172,6 +172,11 @@ class PriorOptions(StageOptions):
         PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
         job_key="prior.scope", choices=PRIOR_SCOPES,
     )  # fmt: skip
+    person_memory: str | Path | tuple[tuple[str, Path], ...] | None = define_option(
+        None, "--person-memory", "FILE|NAME=FILE,...",
+        "memory of how the person moved in other takes, for limbs that no marker shows, as calibrate and batch write it",
+        default_text="none", is_file=True, for_markers=True,
+    )  # fmt: skip
 
     @property
     def name_used(self) -> str:

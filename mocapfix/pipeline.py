@@ -23,7 +23,7 @@ from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
 from mocapfix.io.files import return_free_memory
 from mocapfix.labels import multi_subject
-from mocapfix.labels.multi_subject import split_corrected_subjects
+from mocapfix.labels.multi_subject import choose_subject_file, split_corrected_subjects
 from mocapfix.labels.requested_labels import describe_missing_labels, label_capture
 from mocapfix.model.animation import Animation
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
@@ -31,6 +31,7 @@ from mocapfix.model.changes import Filled
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import FaultReview, Faults
 from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.stage_timer import PartTime, ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -60,6 +61,15 @@ from mocapfix.review.apply_decisions import apply_decisions, update_computed_poi
 from mocapfix.solve.initial_motion import PREVIEW_POSE_RATE_HZ, initialise_between, initialise_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.parallel import compute_beside, map_in_threads
+from mocapfix.solve.person_memory import (
+    PersonMemory,
+    RememberedTake,
+    describe_other_person,
+    digest_capture,
+    read_memory,
+    remember_motion,
+)
+from mocapfix.solve.pose_problem import find_unobserved_joints
 from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
@@ -210,6 +220,7 @@ def run_stages(
 ) -> CleanedSubject:
     """Run all stages on the take of one subject, or on a part of a long take, of which the frames `kept` are returned."""
     conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
+    memory = load_memory(take, options)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
     choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
@@ -218,7 +229,9 @@ def run_stages(
     standing, marker_set = None, choice.marker_set
     if body:
         with timer("solve", "limbs and feet"):
-            body = complete_body(body, conditioner, options)
+            if memory and (difference := describe_other_person(memory, body.subject.skeleton)):
+                choice, memory = replace(choice, notes=(*choice.notes, difference)), None
+            body = complete_body(body, conditioner, options, memory)
             standing = hold_standing_feet(body, take, options.contacts.feet)
     with timer("fill"):
         # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
@@ -233,6 +246,44 @@ def run_stages(
         decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
         decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
     return CleanedSubject(choice, solved, decided)
+
+
+def load_memory(take: Take, options: CleanOptions) -> PersonMemory | None:
+    """Return the memory of a take's person, without the take itself; None without one. Raises SceneError."""
+    path = choose_subject_file(take, options.prior.person_memory)
+    return read_memory(Path(path), load_cmu31_body().skeleton).leave_out(digest_capture(take.path)) if path else None
+
+
+@limit_blas_threads
+def remember_take(path: str | Path, take_id: str, options: CleanOptions = DEFAULT_OPTIONS) -> dict[str, PersonMemory]:
+    """Return how the people of a take move in it, by the name of the subject, for `clean` with `person_memory`.
+
+    Args:
+        path: The take.
+        take_id: Its name in the memory.
+        options: Those with which it is cleaned; `options.subject` may have its subject.
+
+    Raises:
+        MocapfixError: If the file or its subject cannot be used, or it shows no body.
+    """
+    capture = read_capture(path, options.read)
+    if isinstance(capture, Animation):
+        raise TakeError(f"{capture.name}: is an animation without markers; remember marker takes.")
+    reject_animation_options(capture, options)
+    capture, options = label_capture(capture, options, calibrate_takes)
+    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
+    remembered, memories = RememberedTake(take_id, digest_capture(Path(path))), dict[str, PersonMemory]()
+    for take in split_corrected_subjects(capture, options)[0]:
+        choice = identify_subject(take, options.subject)
+        body = detect_and_fit(take, choice, FaultReview(), options, conditioner, StageTimer()).body
+        if body:
+            is_shown = body.subject.body_model.free_joints
+            is_inferred = find_unobserved_joints(body.take.visible, body.extended_subject, is_shown)
+            body_in_take = remembered, body.subject.skeleton, body.motion, is_shown, is_inferred, take.rate
+            memories[take.subject_name] = remember_motion(*body_in_take)
+    if not memories:
+        raise TakeError(f"{capture.name}: shows no body that could be remembered.")
+    return memories
 
 
 def crop_stages(take: Take, filled: Filled, body: SolvedBody | None, frames: slice) -> tuple[Filled, SolvedBody | None]:

@@ -510,6 +510,7 @@ def _join_bodies(take: Take, bodies: Sequence[tuple[Window, SolvedBody]], whole:
         lost_parts=tuple(lost.values()),
         is_observed=np.any([body.is_observed for _, body in bodies], axis=0),
         carried_markers=tuple(sorted({marker for _, body in bodies for marker in body.carried_markers})),
+        remembered=tuple(sorted({gap for _, body in bodies for gap in body.remembered})),
     )
 
 

@@ -26,6 +26,7 @@ from mocapfix.errors import WriteError
 
 if TYPE_CHECKING:
     from mocapfix.model.marker_set import MarkerSet
+    from mocapfix.solve.person_memory import PersonMemory
 
 
 def run_marker_set_list() -> int:
@@ -130,6 +131,10 @@ def run_calibrate(
     ],
     options: Annotated[object, CALIBRATE_ARGUMENTS],
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",
+    person_memory: Annotated[
+        Path | None,
+        describe_option("FILE", "also write how the person moves in these takes, for `clean --person-memory`", "none"),
+    ] = None,
     overwrite: OverwriteOption = False,
 ) -> int:
     """Calibrate a person's bones and marker positions from takes, for `clean --subject`.
@@ -137,20 +142,25 @@ def run_calibrate(
     With a file for output all takes show one person. With a folder, people are recognised by the names in the labels or by the
     folders of the takes, and each gets a file. A take that cannot be used does not stop the others.
     """
+    from mocapfix import pipeline
     from mocapfix.io.files import check_outputs_absent, make_output_folder
+    from mocapfix.solve.person_memory import join_memories, write_memory
     from mocapfix.subject.people import (
         PersonFiles,
         calibrate_one_person,
         calibrate_people,
         locate_person_files,
+        name_takes,
         write_person_files,
     )
 
     if not takes:
         return console.print_usage_error("calibrate: name at least one take.")
     parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
+    if person_memory and not is_file:
+        return console.print_usage_error("calibrate: --person-memory is of one person; name a subject file with --output.")
     if is_file:
-        check_outputs_absent([output], overwrite)
+        check_outputs_absent([output, *([person_memory] if person_memory else [])], overwrite)
     attempts = console.TakeAttempts()
     with console.show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
         progress("calibrate")
@@ -165,6 +175,15 @@ def run_calibrate(
                 make_output_folder(output)
         for person, of_person in zip(people, files, strict=True):
             write_person_files(of_person, person.calibration)
+        memories: list[PersonMemory] = []
+        for take, take_id in zip(takes, name_takes(takes), strict=True):
+            if person_memory and take not in attempts.failed and take_id not in people[0].calibration.rejected:
+                progress(f"remember {take.name}")
+                with attempts.attempt(take):
+                    known = parsed.change(subject=people[0].calibration.subject)
+                    memories += pipeline.remember_take(take, take.stem, known).values()
+        if person_memory and memories:
+            write_memory(person_memory, join_memories(memories))
     for person, of_person in zip(people, files, strict=True):
         subject = person.calibration.subject
         size = f"{len(subject.labels)} markers on {len(subject.skeleton.names)} joints, from {subject.frame_count} frames"
@@ -173,6 +192,9 @@ def run_calibrate(
             console.print_note(note)
         for take, path in of_person.by_take.items():
             console.print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
+    if person_memory and memories:
+        noun = "take" if len(memories) == 1 else "takes"
+        console.print_line(f"{escape(str(person_memory))}: how the person moves in {len(memories)} {noun}.")
     return console.EXIT_FAILED if attempts.failed else console.EXIT_DONE
 
 

@@ -227,4 +227,4 @@ def solve_motion(
         initial_motion, root_position=initial_motion.root_position.copy(), local_rotations=initial_motion.local_rotations.copy()
     )
     motion, evidence = solve_changed_frames(problem, start, change_all_frames(take.frame_count))
-    return complete_motion(problem, motion, evidence, conditioner)
+    return complete_motion(problem, motion, evidence, conditioner)[0]

@@ -7,6 +7,7 @@ cleaned separately, and the unassigned markers are cleaned together as one more 
 
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -57,8 +58,14 @@ def choose_subject(take: Take, options: SubjectOptions) -> SubjectOptions:
     """Return the options with the subject of one subject's take, where they name several by prefix; None without one for it."""
     if not isinstance(options.subject, tuple):
         return options
-    by_prefix = {prefix.casefold(): path for prefix, path in options.subject}
-    return replace(options, subject=by_prefix.get(take.main_subject.casefold()))
+    return replace(options, subject=choose_subject_file(take, options.subject))
+
+
+def choose_subject_file(take: Take, files: str | Path | tuple[tuple[str, Path], ...] | None) -> str | Path | None:
+    """Return the file of one subject's take, from one for all or one for each prefix; None without one for it."""
+    if not isinstance(files, tuple):
+        return files
+    return {prefix.casefold(): path for prefix, path in files}.get(take.main_subject.casefold())
 
 
 def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The body fit: a calibrated subject, the columns of its markers in a take, and the motion that was solved from them."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,18 +21,29 @@ class SubjectInTake:
     take: Take  # the samples that the solver uses, of the K markers
 
 
+class RememberedGap(NamedTuple):
+    """Joints that are inferred from the memory of the person in some frames, and from which frames of it."""
+
+    first: int
+    last: int
+    joints: tuple[int, ...]
+    source: str  # as in "walk2, 0:31-0:33"
+
+
 @dataclass(frozen=True)
 class BodyFit(SubjectInTake):
     """A subject and its motion.
 
     Attributes:
         evidence: What the solver needs to know of a solution to improve it; None for a preview, which is not solved.
+        remembered: Where limbs are inferred from the memory of the person, with the frame numbers of the file.
     """
 
     motion: Motion  # its poses, one a frame
     joint_positions: Float[np.ndarray, "T J 3"]  # metres, Y up
     marker_positions: Float[np.ndarray, "T K 3"]  # metres: where the body carries its markers
     evidence: PoseEvidence | None
+    remembered: tuple[RememberedGap, ...] = ()
 
     @property
     def solved_joint_positions(self) -> Float[np.ndarray, "T J 3"]:

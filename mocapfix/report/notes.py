@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
-from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.body_fit import BodyFit, RememberedGap
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
@@ -25,7 +25,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range
-from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
+from mocapfix.solve.lost_in_sight import BODY_PARTS, LostPart, find_lost_parts
 from mocapfix.stats.sequences import find_runs
 
 MAX_RELIABLE_FILL_SD_M = 0.06  # per axis; fills with a larger predicted standard deviation are listed
@@ -38,6 +38,7 @@ MAX_LISTED_RANGES = 2  # frame ranges in one sentence
 MAX_GROUPS_LENGTH = 110  # characters of a list of rigid groups
 MAX_LISTED_GROUP_LABELS = 2  # labels of each of them
 MAX_LISTED_PART_LABELS = 2  # labels of a part of the body in one sentence
+MAX_LISTED_REMEMBERED = 3  # limbs that are inferred from the memory of the person, those lost longest
 MAX_STRAY_NOTES = 4  # notes on single markers that are far from the body; more are one sentence
 NO_PREVIEW_NOTE = "Preview without a skeleton: gaps are filled as in a full clean, and faults are detected in one round."
 
@@ -54,6 +55,7 @@ class SolvedBody:
     lost_parts: tuple[LostPart, ...]  # parts that the solve lost in sight, with the samples of the M markers of the take
     is_observed: Bool[np.ndarray, " J"]  # whether an inlier of any marker on a joint is visible
     carried_markers: tuple[int, ...]  # the markers of the take that the body carries
+    remembered: tuple[RememberedGap, ...]  # limbs inferred from the memory of the person, with frame numbers of the file
 
 
 def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
@@ -70,6 +72,7 @@ def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
         lost_parts=find_lost_body_parts(detected, body),
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),
+        remembered=body.remembered,
     )
 
 
@@ -87,7 +90,20 @@ def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
         *(describe_lost_part(detected.take, part, detected.inlier_mask) for part in body.lost_parts),
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
+        *describe_remembered_gaps(body.remembered, names),
     ]
+
+
+def describe_remembered_gaps(gaps: Sequence[RememberedGap], names: Sequence[str]) -> list[str]:
+    """Return a note on the limbs that are inferred from the memory of the person; no note without any."""
+    listed: list[str] = []
+    for gap in sorted(gaps, key=lambda gap: gap.first - gap.last)[:MAX_LISTED_REMEMBERED]:
+        joints = {names[joint] for joint in gap.joints}
+        parts = [part for part, of_part in BODY_PARTS.items() if joints <= set(of_part)]
+        what = min(parts, key=lambda part: len(BODY_PARTS[part])) if parts else format_name_list(sorted(joints))
+        listed.append(f"{what} in frames {format_frame_range(gap.first, gap.last)} from {gap.source}")
+    more = f"; and {len(gaps) - len(listed):,} more" if len(gaps) > len(listed) else ""
+    return [f"Inferred from the memory of the person: {'; '.join(listed)}{more}."] if listed else []
 
 
 def describe_unobserved_joints(subject: Subject, is_observed: Bool[np.ndarray, " J"]) -> list[str]:

@@ -6,7 +6,7 @@
 - `pose_problem`: the terms of a body: its markers, prior and limits; the frames that changed
 - `minimise`: the one way of minimising; terms, model_terms
 - `smoothing`: poses over time
-- `occluded_joints`: joints without markers; lost_in_sight, measured_segments
+- `occluded_joints`: joints without markers; person_memory, lost_in_sight, measured_segments
 - `pose_prior`: trained_priors, prior_conditioner; mean_pose; motion_prior
 - `single_pose`: a pose under given constraints
 - `kinematics`: positions of joints and markers; parallel

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
-from mocapfix.model.body_fit import BodyFit, SubjectInTake
+from mocapfix.model.body_fit import BodyFit, RememberedGap, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -31,6 +31,7 @@ from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
 from mocapfix.solve.occluded_joints import KnownMotion
+from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.pose_problem import (
     FrameChanges,
     MotionProblem,
@@ -158,20 +159,26 @@ FIXED_JOINT_WEIGHT = 1e5  # in 1/rad^2 or 1/m^2, keeps solved joints and the roo
 
 
 def infer_unobserved_joints(
-    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
-) -> tuple[Motion, PoseEvidence]:
-    """Return the motion with the unobserved joints inferred from the rest of the take, and the evidence with their variance."""
+    problem: MotionProblem,
+    motion: Motion,
+    evidence: PoseEvidence,
+    conditioner: PriorConditioner | None,
+    memory: PersonMemory | None = None,
+) -> tuple[Motion, PoseEvidence, list[RememberedGap]]:
+    """Return the motion with the unobserved joints inferred from the rest of the take and the memory of the person, the evidence
+    with their variance, and the gaps that are inferred from the memory.
+    """
     frames = np.flatnonzero(problem.is_unobserved.any(1))
     local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
     joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
-    known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate)
-    occluded_joints.infer_occluded_joints(known, conditioner)
+    known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate, memory)
+    remembered = occluded_joints.infer_occluded_joints(known, conditioner)
     inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
     is_unobserved = problem.is_unobserved[frames]
     local_rotations[:] = motion.local_rotations
     rows, joints = np.nonzero(is_unobserved)
     local_rotations[frames[rows], joints] = inferred[rows, joints]
-    return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance)
+    return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance), remembered
 
 
 def _solve_inferred_joints(
@@ -200,15 +207,21 @@ MIN_FRAME_MARKERS = 3  # visible markers below which the status of a frame is GU
 
 
 def complete_motion(
-    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
-) -> Motion:
-    """Return the motion with the joints that no marker shows inferred from the rest of the take, and their uncertainty."""
+    problem: MotionProblem,
+    motion: Motion,
+    evidence: PoseEvidence,
+    conditioner: PriorConditioner | None,
+    memory: PersonMemory | None = None,
+) -> tuple[Motion, list[RememberedGap]]:
+    """Return the motion with the joints that no marker shows inferred as `infer_unobserved_joints` does, and their uncertainty;
+    and the gaps that are inferred from the memory of the person.
+    """
     frames = np.flatnonzero(problem.is_unobserved.any(1))
     if not len(frames):
-        return motion
-    inferred, evidence = infer_unobserved_joints(problem, motion, evidence, conditioner)
+        return motion, []
+    inferred, evidence, remembered = infer_unobserved_joints(problem, motion, evidence, conditioner, memory)
     inferred = yield_to_markers(problem.subject, problem.pose_problem.marker_positions, motion, inferred, problem.rate)
-    return update_motion_sd(problem, inferred, evidence, frames)
+    return update_motion_sd(problem, inferred, evidence, frames), remembered
 
 
 def solve_changed_frames(
@@ -297,16 +310,20 @@ def place_body(subject: SubjectInTake, initial: Motion) -> BodyFit:
     return _build_body_fit(subject, motion, None)
 
 
-def complete_body(body: BodyFit, conditioner: PriorConditioner | None, options: CleanOptions) -> BodyFit:
-    """Infer the joints that no marker shows from the rest of the solved motion."""
+def complete_body(
+    body: BodyFit, conditioner: PriorConditioner | None, options: CleanOptions, memory: PersonMemory | None = None
+) -> BodyFit:
+    """Infer the joints that no marker shows from the rest of the solved motion, and from the memory of the person."""
     if body.evidence is None:
         return body
     problem = _build_body_problem(body, conditioner, options)
-    motion = complete_motion(problem, body.motion, body.evidence, conditioner)
+    motion, remembered = complete_motion(problem, body.motion, body.evidence, conditioner, memory)
     if motion is body.motion:
         return body
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
-    return _build_body_fit(body, replace(motion, status=status), body.evidence)
+    number = body.take.get_frame_number
+    gaps = tuple(gap._replace(first=number(gap.first), last=number(gap.last)) for gap in remembered)
+    return replace(_build_body_fit(body, replace(motion, status=status), body.evidence), remembered=gaps)
 
 
 def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:

@@ -13,21 +13,29 @@ expected in the gap as well. Only its innovation, what it predicts in the gap be
 proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
 another tracking term of the poses it increased the error of every gap.
 
+With the memory of the person (`solve.person_memory`) poses of other takes are further training frames of the same process. Two
+frames are then similar if the body moves alike for a while about them: so a gesture is told from others that pass through the
+same pose. Each take has an offset of its own. Beside that of the process these frames get the variance with which limbs that are
+hidden elsewhere in the take are predicted best. If they are predicted best without the memory, it is not used.
+
 Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision
 (`motion_prior`). In takes of markers it did not improve what was measured on real captures; see docs/priors.md.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
+from mocapfix.model.body_fit import RememberedGap
 from mocapfix.solve.motion_prior import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
+from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
+from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
 
@@ -100,6 +108,7 @@ class KnownMotion(NamedTuple):
     is_unobserved: Bool[np.ndarray, "T J"]  # as from `pose_problem.find_unobserved_joints`
     joints: Int[np.ndarray, " F"]  # those below the root that move
     rate: float  # frames per second
+    memory: PersonMemory | None = None  # of the person, without this motion
 
     @property
     def has_body(self) -> Bool[np.ndarray, " T"]:
@@ -121,10 +130,15 @@ class InferredJoints(NamedTuple):
 
     rotations: Float[np.ndarray, "n L 3 3"]
     variance: Float[np.ndarray, "n L"]
+    source: str = ""  # the frames of the person's memory that are most similar, as in "walk2, 0:31-0:33"; "": those of the take
 
 
-def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | None) -> None:
-    """Overwrite the rotations of joints that no marker shows, and their variance, with predictions."""
+def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | None) -> list[RememberedGap]:
+    """Overwrite the rotations of joints that no marker shows, and their variance, with predictions.
+
+    Returns the gaps that are inferred from the memory of the person, in the order of time.
+    """
+    remembered: list[RememberedGap] = []
     given = motion._replace(local_rotations=motion.local_rotations.copy(), variance=motion.variance.copy())
 
     def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
@@ -135,11 +149,15 @@ def infer_occluded_joints(motion: KnownMotion, conditioner: PriorConditioner | N
             conditioner=conditioner, pose_predictions={},
         )  # fmt: skip
         if estimates:
-            motion.local_rotations[first : last + 1, occluded], motion.variance[first : last + 1, occluded] = estimates[-1]
+            rotations, variance, source = estimates[-1]
+            motion.local_rotations[first : last + 1, occluded], motion.variance[first : last + 1, occluded] = rotations, variance
+            if source:
+                remembered.append(RememberedGap(first, last, tuple(occluded.tolist()), source))
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
     gaps = group_gaps(motion.is_unobserved & motion.has_body[:, None])
     run_in_parallel(infer_gap, sorted(gaps.items(), key=lambda gap: gap[0][0] - gap[0][1]))
+    return sorted(remembered)
 
 
 def infer_gap_joints(
@@ -181,13 +199,20 @@ def infer_gap_joints(
         compute_joint_state_features(motion.root_position, solved, observed, each, rate) for each in (training, frames)
     )
     data = training_states, training / rate, noise, kernel
-    process = fit_gaussian_process(rotations, *data)
+    process, gap_s = fit_gaussian_process(rotations, *data), len(frames) / rate
+    remembered = find_remembered_frames(motion, training, frames, observed, occluded, rotations) if motion.memory else None
+    if remembered and (noise_rad2 := remembered.choose_noise(rotations, data, process, gap_s)) is not None:
+        data, gap_states = remembered.extend(data, noise_rad2), remembered.gap_states
+        process = fit_gaussian_process(np.concatenate([rotations, remembered.values]), *data)
+    else:
+        remembered = None
     predicted, relative_variance = process.predict(gap_states, frames / rate)
-    shown = np.fmax(process.cross_validate_gaps(len(frames) / rate), process.signal_power)
+    shown = np.fmax(process.measure_gap_errors(gap_s, len(training))[0], process.signal_power)
     power = len(training) * (shown.reshape(-1, 4).sum(axis=1) / 3) + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2
     power /= len(training) + DEFAULT_POWER_FRAMES  # of each joint, in rad^2 per axis, as errors in gaps this long show it
     gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
-    from_take = InferredJoints(_convert_rows(predicted), gap_variance)
+    source = remembered.describe_source() if remembered else ""
+    from_take = InferredJoints(_convert_rows(predicted), gap_variance, source)
     if not conditioner:
         return [from_take]
     gap_rotations = from_take.rotations
@@ -198,6 +223,10 @@ def infer_gap_joints(
         rows = conditioner.predict_rotations(solved, observed, occluded, evaluated, reference)
         pose_predictions.update(zip(training[is_new].tolist(), rows, strict=False))
         drift = np.stack([pose_predictions[frame] for frame in training.tolist()])
+        if remembered:
+            every = np.arange(len(remembered.values))
+            expected = conditioner.predict_rotations(remembered.rotations, observed, occluded, every, remembered.values)
+            drift = np.concatenate([drift, expected])
         sampled = (
             rows[is_new.sum() :] - fit_gaussian_process(drift, *data).predict(gap_states[queried], frames[queried] / rate)[0]
         )
@@ -210,7 +239,133 @@ def infer_gap_joints(
     estimated[cropped.frames][:, occluded] = gap_rotations
     if prediction := conditioner.predict_gap(cropped._replace(local_rotations=estimated), occluded):
         gap_rotations, gap_variance = combine_rotations(gap_rotations, gap_variance, prediction)
-    return [from_take, InferredJoints(gap_rotations, gap_variance)]
+    return [from_take, InferredJoints(gap_rotations, gap_variance, source)]
+
+
+CONTEXT_LAGS_S = (-1 / 3, -1 / 6, 0.0, 1 / 6, 1 / 3)  # times about a frame at which the body's state counts
+CONTEXT_SHARES = (0.1, 0.1, 0.6, 0.1, 0.1)  # how much each counts
+TAKE_FEATURE = 0.35  # difference of two takes in units of state: the offset of each has 0.1 of the signal's power
+MAX_GAP_MEMORIES = 200  # training frames from the memory for a gap
+MAX_TAKE_MEMORIES = 80  # and for the rest of the take, in which it is found out what the memory is worth
+MAX_COMPARED_MEMORIES = 600  # poses, the most similar ones, whose context is compared
+COMPARED_FRAMES = 12  # frames of a gap, and of the rest of the take, with which poses of the memory are compared
+MEMORY_NOISE_RAD2 = (0.0, 0.02, 0.1)  # variances of the memory's rotations beside those of the process, of which one is chosen
+MEMORY_TIMES_S = 1e6, 100.0  # first time of the memory's frames in the process, and their distance: unrelated to the take's
+
+
+class RememberedFrames(NamedTuple):
+    """M frames of a memory as further training frames for a gap of n frames, beside N training frames of the take."""
+
+    memory: PersonMemory
+    keys: Int[np.ndarray, " M"]  # the poses in the memory
+    rotations: Float[np.ndarray, "M J 3 3"]
+    values: Float[np.ndarray, "M Q"]  # quaternions times 2 of the occluded joints
+    states: Float[np.ndarray, "N_M F"]  # with their context, of the take's training frames, then of the memory's
+    gap_states: Float[np.ndarray, "n F"]  # with their context
+
+    def extend(self, data: "ProcessData", noise_rad2: float) -> "ProcessData":
+        """Return the data of the process with the frames of the memory, whose rotations have a further variance."""
+        _, times_s, noise, kernel = data
+        first_s, step_s = MEMORY_TIMES_S
+        times_s = np.concatenate([times_s, first_s + step_s * np.arange(len(self.keys))])
+        return self.states, times_s, np.concatenate([noise, np.full(len(self.keys), noise_rad2)]), kernel
+
+    def choose_noise(
+        self, rotations: Float[np.ndarray, "N Q"], data: "ProcessData", alone: GaussianProcess, gap_s: float
+    ) -> float | None:
+        """Return the further variance with which limbs hidden elsewhere in the take, for as long as in the gap, are predicted
+        best; None if they are predicted best by the take alone.
+        """
+        values, count = np.concatenate([rotations, self.values]), len(rotations)
+        errors = {
+            noise: fit_gaussian_process(values, *self.extend(data, noise)).measure_gap_errors(gap_s, count)[1].sum()
+            for noise in MEMORY_NOISE_RAD2
+        }
+        best = min(errors, key=lambda noise: errors[noise])
+        return None if errors[best] > alone.measure_gap_errors(gap_s, count)[1].sum() else best
+
+    def describe_source(self) -> str:
+        """Return the frames of the memory that are most similar to the gap; "" if more often those of the take are."""
+        count = len(self.states) - len(self.keys)
+        distances = _measure_distances(self.states, self.gap_states)
+        nearest = distances[count:].argmin(axis=0)
+        is_nearer = distances[count:].min(axis=0) < distances[:count].min(axis=0)
+        return self.memory.describe_frames(self.keys[nearest[is_nearer]]) if is_nearer.mean() >= 0.5 else ""
+
+
+ProcessData: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, StateCovariance]  # as `fit_gaussian_process` takes them
+
+
+def find_remembered_frames(
+    motion: KnownMotion,
+    training: Int[np.ndarray, " N"],
+    frames: Int[np.ndarray, " n"],
+    observed: Int[np.ndarray, " O"],
+    occluded: Int[np.ndarray, " L"],
+    rotations: Float[np.ndarray, "N Q"],
+) -> RememberedFrames | None:
+    """Return the frames of the person's memory that are most similar to those of a gap; None if it does not show the joints.
+
+    Args:
+        training, frames: The training frames of the take, and those of the gap.
+        rotations: Quaternions of the training frames, times 2, which determine the signs.
+    """
+    memory = motion.memory
+    keys = memory.find_keys(np.r_[observed, occluded]) if memory else training[:0]
+    if memory is None or len(keys) < MIN_TRAINING_FRAMES:
+        return None
+    compared = [each[sample_evenly(len(each), COMPARED_FRAMES)] for each in (frames, training)]
+    distances = memory.measure_pose_distances(keys, motion.local_rotations[np.concatenate(compared)], observed)
+    keys = keys[np.sort(_select_nearest(distances, MAX_COMPARED_MEMORIES))]
+    last, rate = len(motion.root_position) - 1, motion.rate
+
+    def compute_own_states(of_frames: np.ndarray, lag_s: float) -> np.ndarray:
+        shifted = np.clip(of_frames + round(lag_s * rate), 0, last)
+        return compute_joint_state_features(motion.root_position, motion.local_rotations, observed, shifted, rate)
+
+    def compute_remembered_states(of_keys: np.ndarray, lag_s: float) -> np.ndarray:
+        span_s = VELOCITY_HALF_SPAN_S
+        poses = [memory.interpolate(of_keys, lag_s + each) for each in (-span_s, 0.0, span_s)]
+        root, local = (np.stack(each, axis=1).reshape(3 * len(of_keys), *each[0].shape[1:]) for each in zip(*poses, strict=True))
+        return compute_joint_state_features(root, local, observed, 1 + 3 * np.arange(len(of_keys)), 1 / span_s)
+
+    def add_context(compute: Callable[[np.ndarray, float], np.ndarray], indices: np.ndarray) -> np.ndarray:
+        pairs = zip(CONTEXT_LAGS_S, CONTEXT_SHARES, strict=True)
+        return np.concatenate([math.sqrt(share) * compute(indices, lag_s) for lag_s, share in pairs], axis=1)
+
+    gap_states, training_states = (add_context(compute_own_states, each) for each in (frames, training))
+    states = add_context(compute_remembered_states, keys)
+    of_gap, of_take = (
+        _select_nearest(_measure_distances(states, each[:: max(1, len(each) // most)]), most)
+        for each, most in ((gap_states, MAX_GAP_MEMORIES), (training_states, MAX_GAP_MEMORIES + MAX_TAKE_MEMORIES))
+    )
+    chosen = np.r_[of_gap, of_take[~np.isin(of_take, of_gap)][:MAX_TAKE_MEMORIES]]
+    keys, states = keys[chosen], states[chosen]
+    takes = np.unique(memory.take_of_key[keys])
+    offsets = TAKE_FEATURE * np.eye(len(takes) + 1)
+    of_take = np.r_[np.zeros(len(training), int), 1 + np.searchsorted(takes, memory.take_of_key[keys])]
+    local_rotations = memory.interpolate(keys, 0.0)[1]
+    known = np.ones(len(keys), bool)
+    values = np.stack([2 * lie.extract_joint_quaternions(local_rotations, j, known) for j in occluded], axis=1)
+    is_opposite = (values * rotations[0].reshape(-1, 4)).sum(axis=2) < 0
+    return RememberedFrames(
+        memory,
+        keys,
+        local_rotations,
+        values=np.where(is_opposite[..., None], -values, values).reshape(len(keys), -1),
+        states=np.hstack([np.concatenate([training_states, states]), offsets[of_take]]),
+        gap_states=np.hstack([gap_states, np.tile(offsets[0], (len(frames), 1))]),
+    )
+
+
+def _measure_distances(states: Float[np.ndarray, "A F"], others: Float[np.ndarray, "B F"]) -> Float[np.ndarray, "A B"]:
+    return np.sqrt(np.maximum((states**2).sum(1)[:, None] + (others**2).sum(1) - 2 * states @ others.T, 0.0))
+
+
+def _select_nearest(distances: Float[np.ndarray, "K Q"], count: int) -> Int[np.ndarray, " S"]:
+    """Return at most `count` rows that are nearest to any column: the nearest of each, then the second nearest, and so on."""
+    order = np.argsort(distances, axis=0, kind="stable").ravel()
+    return order[np.sort(np.unique(order, return_index=True)[1])[:count]]
 
 
 def _convert_rows(rows: Float[np.ndarray, "n Q"]) -> Float[np.ndarray, "n L 3 3"]:

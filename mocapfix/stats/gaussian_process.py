@@ -97,23 +97,32 @@ class GaussianProcess(NamedTuple):
     def cross_validate_gaps(self, gap_s: float) -> Float[np.ndarray, " C"]:
         """Return (C,) the mean square error in stretches of `gap_s` seconds, each predicted from all others, over the
         predicted variance; NaN if there are fewer than two stretches.
+        """
+        return self.measure_gap_errors(gap_s, len(self.training_times_s))[0]
+
+    def measure_gap_errors(self, gap_s: float, count: int) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
+        """Return (C,) the mean square errors in stretches of `gap_s` seconds of the first `count` training frames, each predicted
+        from all others: over the predicted variance, and themselves. NaN if there are fewer than two stretches.
 
         No second factorisation is needed: with K the covariance, a stretch's error is the inverse of its block of K^-1 times
         its weights (Rasmussen and Williams 2006, Eq. 5.12, for more than one value). Stretches of the same number of frames are
         computed together.
         """
-        stretch = ((self.training_times_s - self.training_times_s[0]) // gap_s).astype(int)
+        stretch = ((self.training_times_s[:count] - self.training_times_s[0]) // gap_s).astype(int)
         order = np.argsort(stretch, kind="stable")
         _, starts, sizes = np.unique(stretch[order], return_index=True, return_counts=True)
         is_judged = 2 * sizes <= len(stretch)
-        squares = np.empty((len(sizes), len(self.value_mean)))
+        squares = np.empty((2, len(sizes), len(self.value_mean)))
         for size in np.unique(sizes[is_judged]):
             same = np.flatnonzero(sizes == size)
             held_out = order[starts[same][:, None] + np.arange(size)]
             covariance = np.linalg.inv(self.precision[held_out[:, :, None], held_out[:, None]])
             error = covariance @ self.weights[held_out]
-            squares[same] = (error**2 / np.diagonal(covariance, axis1=1, axis2=2)[..., None]).mean(1)
-        return squares[is_judged].mean(0) if is_judged.sum() > 1 else np.full(len(self.value_mean), np.nan)
+            squares[0, same] = (error**2 / np.diagonal(covariance, axis1=1, axis2=2)[..., None]).mean(1)
+            squares[1, same] = (error**2).mean(1)
+        if is_judged.sum() < 2:
+            return np.full(len(self.value_mean), np.nan), np.full(len(self.value_mean), np.nan)
+        return squares[0, is_judged].mean(0), squares[1, is_judged].mean(0)
 
 
 def fit_gaussian_process(

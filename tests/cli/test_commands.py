@@ -111,6 +111,29 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another name or folder."
 
 
+def test_a_lost_arm_is_inferred_from_the_memory_that_calibrate_wrote(mocapfix, cleaned, tmp_path):
+    markers, labels = cleaned.truth.marker_positions[:240].copy(), cleaned.truth.labels
+    (tmp_path / "whole.c3d").write_bytes(build_c3d(markers, labels))
+    written = ("-o", tmp_path / "p.yaml", "--person-memory", tmp_path / "p.safetensors")
+    status, out, _ = mocapfix("calibrate", tmp_path / "whole.c3d", *written)
+    assert status == 0
+    assert f"{tmp_path / 'p.safetensors'}: how the person moves in 1 take." in flat(out)
+    arm = [labels.index(label) for label in ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")]
+    markers[100:190, arm] = np.nan
+    (tmp_path / "lost.c3d").write_bytes(build_c3d(markers, labels))
+    read = ("--subject", tmp_path / "p.yaml", "--person-memory", tmp_path / "p.safetensors", "--out", tmp_path / "out")
+    status, _, _ = mocapfix("clean", tmp_path / "lost.c3d", *read)
+    assert status == 0
+    notes = json.loads((tmp_path / "out" / "lost.report.json").read_text(encoding="utf-8"))["notes"]
+    assert "Inferred from the memory of the person: left arm in frames 101\u2013190 from whole, 0:00-0:02." in notes
+    status, _, err = mocapfix("clean", tmp_path / "lost.c3d", "--person-memory", tmp_path / "p.yaml", "--out", tmp_path / "no")
+    assert status == 1
+    assert "p.yaml: is not the memory of a person" in flat(err)
+    status, _, err = mocapfix("calibrate", tmp_path / "whole.c3d", "-o", tmp_path, "--person-memory", tmp_path / "x.safetensors")
+    assert status == 2
+    assert "--person-memory is of one person" in flat(err)
+
+
 def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_path):
     take = tmp_path / "walk.1.c3d"
     take.write_bytes(brief.path.read_bytes())

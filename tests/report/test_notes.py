@@ -3,10 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocapfix.model.body_fit import RememberedGap
 from mocapfix.model.faults import Fault
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (
     describe_lost_part,
+    describe_remembered_gaps,
     describe_stray_markers,
     describe_unassigned_markers,
     describe_uncertain_fills,
@@ -131,3 +134,19 @@ def test_uncertain_fills_are_counted_with_their_markers():
 
 def test_a_body_that_fits_has_no_notes(cleaned):
     assert cleaned.result.report["notes"] == []
+
+
+def test_limbs_from_the_memory_of_the_person_are_listed_with_their_source():
+    names = load_cmu31_body().skeleton.names
+    arm, feet = (tuple(map(names.index, joints)) for joints in (("LeftForeArm", "LeftHand"), ("LeftFoot", "RightFoot")))
+    gaps = [
+        RememberedGap(110, 120, arm, "walk2, 0:31-0:33"),
+        RememberedGap(130, 170, feet, "walk3, 1:02-1:03"),
+        *[RememberedGap(n, n + 1, arm, "walk2, 0:31-0:32") for n in (200, 210, 220)],
+    ]
+    assert describe_remembered_gaps(gaps, names) == [
+        "Inferred from the memory of the person: LeftFoot, RightFoot in frames 130\u2013170 from walk3, 1:02-1:03; left "
+        "forearm in frames 110\u2013120 from walk2, 0:31-0:33; left forearm in frames 200\u2013201 from walk2, 0:31-0:32; "
+        "and 2 more."
+    ]
+    assert describe_remembered_gaps([], names) == []
