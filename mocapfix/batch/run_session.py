@@ -3,7 +3,8 @@
 Before takes are cleaned it is found out who is who, the takes of each person are surveyed, and each person is calibrated. What
 these stages write is in DIR/people: a subject file for each person, and one for each take in which markers lie elsewhere; in
 `.records` the measurements of the bodies in each take, and the calibration frames of takes whose person is in others too. All
-of it is used again while takes, options and version are the same. DIR/people.yaml names the people, their takes, and the
+of it is used again while takes, options and version are the same. If people are remembered, their takes are solved besides, and
+DIR/people has a memory of each person, from which lost limbs are inferred. DIR/people.yaml names the people, their takes, and the
 markers that moved. Records are the state: whatever ends the batch, the next one goes on with the takes that have no current
 record.
 """
@@ -56,11 +57,20 @@ RECORDS_FOLDER = ".records"  # in that folder: hidden, so that no outputs of a t
 COMPARE_FUNCTION = "mocapfix.batch.run_session:measure_recorded_take"
 SURVEY_FUNCTION = "mocapfix.batch.run_session:survey_recorded_take"
 CALIBRATE_FUNCTION = "mocapfix.batch.run_session:calibrate_recorded_person"
+REMEMBER_FUNCTION = "mocapfix.batch.run_session:remember_recorded_take"
+MEMORY_SUFFIX = ".memory.safetensors"
 
 
 @dataclass(frozen=True)
 class SurveyRequest:
     """A take to be surveyed."""
+
+    take: CleanRequest
+
+
+@dataclass(frozen=True)
+class MemoryRequest:
+    """A take, with the subjects of its people, of which it is to be remembered how they move."""
 
     take: CleanRequest
 
@@ -174,13 +184,33 @@ def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), calibrate)
 
 
-def locate_record(request: CleanRequest | SurveyRequest | PersonRequest) -> tuple[Path, str]:
+def remember_recorded_take(request: MemoryRequest) -> dict[str, Any]:
+    """Write the memory of each subject in a take, unless it is there; return their files. Run in a child."""
+    from mocapfix import pipeline
+    from mocapfix.solve.person_memory import write_memory
+
+    def remember(key: str) -> dict[str, Any]:
+        path, take = locate_record(request)[0], request.take
+        try:
+            memories = pipeline.remember_take(take.path, PurePosixPath(take.take).with_suffix("").as_posix(), take.options)
+        except MocapfixError as error:
+            return {"key": key, "files": [], "subjects": {}, "error": str(error)}
+        files = {name: str(path.with_suffix(f".{number}.safetensors")) for number, name in enumerate(memories)}
+        for name, memory in memories.items():
+            write_memory(Path(files[name]), memory)
+        return {"key": key, "files": list(files.values()), "subjects": files, "error": ""}
+
+    return _use_record(*locate_record(request), remember)
+
+
+def locate_record(request: CleanRequest | SurveyRequest | MemoryRequest | PersonRequest) -> tuple[Path, str]:
     """Return the file with the result of a job, and the key of what the result depends on."""
     if isinstance(request, PersonRequest):
         return locate_records(request.output_folder) / f"{request.name}.json", f"{request.key} {request.basis}"
-    take, suffix = (request.take, ".survey.json") if isinstance(request, SurveyRequest) else (request, ".bodies.json")
+    take = request if isinstance(request, CleanRequest) else request.take
+    kind = "bodies" if isinstance(request, CleanRequest) else "survey" if isinstance(request, SurveyRequest) else "memory"
     key = f"{try_to_hash(take.path)} {hash_options(take.options)} {get_version()}"
-    return locate_records(take.output_folder) / "takes" / f"{take.take}{suffix}", key
+    return locate_records(take.output_folder) / "takes" / f"{take.take}.{kind}.json", key
 
 
 def locate_records(output_folder: Path) -> Path:
@@ -212,7 +242,7 @@ def _write_record(path: Path, record: dict[str, Any]) -> None:
         part.write_text(json.dumps(record, indent=1), encoding="utf-8")
 
 
-COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE = "compare", "survey", "calibrate"
+COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE, REMEMBER_STAGE = "compare", "survey", "calibrate", "remember"
 MIN_PERSON_TAKES = 2  # takes of a person from which a subject is calibrated; a single take is calibrated while it is cleaned
 
 
@@ -222,6 +252,8 @@ def assign_subjects(
     names: Mapping[str, Sequence[str]],
     limits: JobLimits,
     progress: BatchProgress,
+    *,
+    remembers_people: bool,
 ) -> list[CleanRequest]:
     """Return the requests with the subjects calibrated from all takes of each person, and write people.yaml.
 
@@ -230,6 +262,7 @@ def assign_subjects(
     Args:
         connect: Opens the cluster, which is not needed where all was done before.
         names: By name of a person, the ids of takes.
+        remembers_people: Whether the requests also have a memory of each person.
     """
     from mocapfix.subject.people import BodyMeasurements, group_people
 
@@ -258,7 +291,8 @@ def assign_subjects(
     for entry in entries:
         for take, subject_name in entry.takes.items():
             subjects.setdefault(take, {})[subject_name] = entry.take_files.get(take, entry.subject_file)
-    return [_add_subjects(request, subjects.get(request.take, {})) for request in requests]
+    with_subjects = [_add_subjects(request, subjects.get(request.take, {})) for request in requests]
+    return _add_memories(connect, with_subjects, entries, limits, progress) if remembers_people else with_subjects
 
 
 def build_person_request(person: "Person", surveyed: Mapping[str, dict[str, Any]], folder: Path) -> PersonRequest | None:
@@ -290,9 +324,44 @@ def _add_subjects(request: CleanRequest, files: Mapping[str, str]) -> CleanReque
     """Return the request with the subject files of a take, by the names of its subjects."""
     if not files:
         return request
-    paths = {name: request.output_folder / path for name, path in files.items()}
-    subject = paths[""] if set(paths) == {""} else tuple(paths.items())
+    subject = _name_files({name: request.output_folder / path for name, path in files.items()})
     return replace(request, options=request.options.change(subject=subject), subject_files=tuple(files.items()))
+
+
+def _name_files(paths: Mapping[str, Path]) -> Path | tuple[tuple[str, Path], ...]:
+    """Return files by the names of the subjects of a take as an option has them."""
+    return paths[""] if set(paths) == {""} else tuple(paths.items())
+
+
+def _add_memories(
+    connect: "Callable[[], Client]",
+    requests: Sequence[CleanRequest],
+    people: Sequence[PersonEntry],
+    limits: JobLimits,
+    progress: BatchProgress,
+) -> list[CleanRequest]:
+    """Return the requests with memories of people in several takes, which are written."""
+    from mocapfix.model.skeleton import load_cmu31_body
+    from mocapfix.solve.person_memory import join_memories, read_memory, write_memory
+
+    skeleton, shared = load_cmu31_body().skeleton, {take for person in people for take in person.takes}
+    to_remember = {request.take: MemoryRequest(request) for request in requests if request.take in shared}
+    found = _run_stage(connect, REMEMBER_STAGE, REMEMBER_FUNCTION, to_remember, limits, progress)
+    files: dict[str, dict[str, Path]] = {}
+    for person in people:
+        parts = [found[take]["subjects"].get(name) for take, name in person.takes.items() if take in found]
+        memories = [read_memory(Path(part), skeleton) for part in parts if part]
+        if len(memories) >= MIN_PERSON_TAKES:
+            path = requests[0].output_folder / PEOPLE_FOLDER / f"{person.name}{MEMORY_SUFFIX}"
+            write_memory(path, join_memories(memories))
+            for take, name in person.takes.items():
+                files.setdefault(take, {})[name] = path
+    return [
+        replace(request, options=request.options.change(person_memory=_name_files(files[request.take])))
+        if request.take in files
+        else request
+        for request in requests
+    ]
 
 
 def _run_stage(
@@ -333,6 +402,7 @@ class BatchSettings:
     """How a batch is run.
 
     each_take_alone whether each take is calibrated alone, not with the other takes of the person
+    remembers_people whether lost limbs are inferred from the other takes of the person, too
     """
 
     output_folder: Path  # folder for outputs, records and the page
@@ -343,6 +413,7 @@ class BatchSettings:
     repeat_failed: bool = False  # whether takes that failed are cleaned again although nothing has changed
     clean_function: str = CLEAN_FUNCTION  # "module:name" of what the children run, which tests replace
     each_take_alone: bool = True
+    remembers_people: bool = False
     # by name of a person, the ids of the takes that show the person, from a session file
     people: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
@@ -377,7 +448,8 @@ def run_session(
             if knows_people(settings) and len(requests) > 1:
                 if settings.repeat_failed or not settings.resume:
                     forget_results(folder, failed_only=settings.resume)
-                requests = assign_subjects(connect, requests, settings.people, settings.limits, progress)
+                of_people = settings.people, settings.limits, progress
+                requests = assign_subjects(connect, requests, *of_people, remembers_people=settings.remembers_people)
             records |= find_finished_takes(requests, settings)
             if waiting := [request for request in requests if request.take not in records]:
                 clean_takes_on_cluster(connect(), waiting, records, settings, progress)

@@ -48,7 +48,11 @@ class RunArguments:
     retries: Annotated[int, tyro.conf.arg(metavar="N", help="repeat a take whose process crashed, this often")] = 1
     repeat_failed: Annotated[FlagOption, tyro.conf.arg(help="clean takes that failed again, although nothing changed")] = False
     people: Annotated[
-        Literal["session", "each-take"], tyro.conf.arg(help="calibrate each person from all takes, or in each take alone")
+        Literal["session", "memory", "each-take"],
+        tyro.conf.arg(
+            help="calibrate each person from all takes, infer lost limbs from the person's other takes besides (memory), "
+            "or use each take alone"
+        ),
     ] = "session"
     resume: Annotated[bool, tyro.conf.arg(help="skip takes that are done and unchanged")] = True
 
@@ -120,6 +124,7 @@ def run_batch(
         run.resume,
         run.repeat_failed,
         each_take_alone=run.people == "each-take",
+        remembers_people=run.people == "memory",
         people=session.people,
     )
     if run.scheduler is None and not run.slurm and not run.ssh:

@@ -10,8 +10,11 @@ from mocapfix.batch import run_session as session_people
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.cluster import BatchProgress
 from mocapfix.batch.jobs import CleanRequest
-from mocapfix.batch.records import read_people_file
+from mocapfix.batch.records import PersonEntry, read_people_file
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import CleanOptions
+from mocapfix.solve.person_memory import RememberedTake, digest_capture, read_memory
+from tests.conftest import BriefTake
 
 run_stage: Any = session_people._run_stage  # pyright: ignore
 
@@ -124,9 +127,45 @@ def test_people_with_one_take_are_not_surveyed(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(session_people, "_run_stage", run)
     (tmp_path / "out").mkdir()
     requests = [CleanRequest(take, tmp_path / take, tmp_path / "out", CleanOptions()) for take in sizes]
-    found = session_people.assign_subjects(lambda: None, requests, {}, JobLimits(), BatchProgress())  # pyright: ignore
+    arguments: Any = (lambda: None, requests, {}, JobLimits(), BatchProgress())
+    found = session_people.assign_subjects(*arguments, remembers_people=False)
     assert stages == {"compare": ["a.c3d", "b.c3d", "c.c3d"], "survey": ["a.c3d", "c.c3d"], "calibrate": []}
     assert found == requests
     people = read_people_file(tmp_path / "out")
     assert people is not None
     assert [sorted(person.takes) for person in people.people] == [["a.c3d", "c.c3d"], ["b.c3d"]]
+
+
+def test_takes_of_a_person_are_cleaned_with_the_memory_of_all(
+    brief: BriefTake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved = list[str]()
+
+    def run(_connect: Any, _stage: str, _function: str, requests: Any, *_: Any) -> dict[str, Any]:
+        solved.extend(requests)
+        return {take: session_people.remember_recorded_take(request) for take, request in requests.items()}
+
+    monkeypatch.setattr(session_people, "_run_stage", run)
+    options = CleanOptions().change(subject=brief.subject)
+    requests = [CleanRequest(take, tmp_path / take, tmp_path / "out", options) for take in ("day1/a.c3d", "b.c3d", "c.c3d")]
+    for number, request in enumerate(requests):
+        request.path.parent.mkdir(exist_ok=True)
+        request.path.write_bytes(brief.path.read_bytes() + bytes(number))
+    requests[2].path.write_bytes(b"nothing")
+    people = (
+        PersonEntry(name="Ann", takes={"day1/a.c3d": "", "b.c3d": "", "c.c3d": ""}),
+        PersonEntry(name="Jim", takes={"c.c3d": "Jim"}),
+    )
+    add_memories: Any = session_people._add_memories  # pyright: ignore
+    found = add_memories(lambda: None, requests, people, JobLimits(), BatchProgress())
+    assert solved == ["day1/a.c3d", "b.c3d", "c.c3d"]
+    path = tmp_path / "out" / "people" / "Ann.memory.safetensors"
+    assert [request.options.prior.person_memory for request in found] == [path] * 3
+    assert not (path.parent / "Jim.memory.safetensors").exists()
+    memory = read_memory(path, load_cmu31_body().skeleton)
+    assert memory.takes == tuple(
+        RememberedTake(name, digest_capture(request.path)) for name, request in zip(("day1/a", "b"), requests, strict=False)
+    )
+    content = path.read_bytes()
+    add_memories(lambda: None, requests, people, JobLimits(), BatchProgress())
+    assert path.read_bytes() == content
