@@ -131,11 +131,8 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
 
 def reject_animation_options(take: Take, options: CleanOptions) -> None:
     """Raise TakeError if options are given that apply to animations only."""
-    given = [
-        flag
-        for flag, value in (("--hierarchy", options.subject.hierarchy), ("--contacts", options.contacts.contacts_file))
-        if value is not None
-    ]
+    values = {"--hierarchy": options.subject.hierarchy, "--contacts": options.contacts.contacts_file}
+    given = [flag for flag, value in values.items() if value is not None]
     if given:
         raise TakeError(f"{take.name}: has markers and no joints; clean it without {' and '.join(given)}.")
 
@@ -232,7 +229,9 @@ def run_stages(
             if memory and (difference := describe_other_person(memory, body.subject.skeleton)):
                 choice, memory = replace(choice, notes=(*choice.notes, difference)), None
             body = complete_body(body, conditioner, options, memory)
-            standing = hold_standing_feet(body, take, options.contacts.feet)
+            are_written = options.contacts.write_events or "events" in options.output.extra_formats
+            has_events = are_written or not options.initialise.is_fast
+            standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
     with timer("fill"):
         # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
         body = replace(standing.fit, motion=standing.filling_motion) if standing else None

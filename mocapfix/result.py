@@ -205,11 +205,8 @@ class CleaningResult:
         """Return whether the result has the body and the markers that a format needs, and a preview has the format."""
         is_wanted = output_format.is_in_preview or not self.requested.initialise.is_fast
         has_markers = self.subject is not None and len(self.subject.labels) > 0
-        return (
-            is_wanted
-            and (has_markers or not output_format.needs_markers)
-            and (self.motion is not None or not output_format.needs_body)
-        )
+        has_body = self.motion is not None
+        return is_wanted and (has_markers or not output_format.needs_markers) and (has_body or not output_format.needs_body)
 
     @property
     def _stem(self) -> str:

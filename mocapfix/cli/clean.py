@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
-from rich.table import Table
 
 from mocapfix.cli import console
 from mocapfix.cli.console import print_line, print_note, print_usage_error, show_progress
@@ -257,6 +256,8 @@ def print_faults(inspection: "InspectionReport") -> None:
         console.stdout_console.print("No faults were detected.")
         return
     severity_heading = "severity" if is_animation else "severity, mm"
+    from rich.table import Table  # slow to import
+
     table = Table(point, "kind", "frames", severity_heading, "confidence", "reason")
     for fault in inspection["faults"]:
         frames, severity = f"{fault['first']}-{fault['last']}", _format_severity(fault, is_animation)

@@ -228,18 +228,19 @@ PARTIAL_ROUNDS = 3  # rounds in which a foot is held in part where it moved visi
 MAX_YIELD_ROUNDS = 8
 
 
-def hold_standing_feet(body: BodyFit, take: Take, mode: str) -> StandingBody:
+def hold_standing_feet(body: BodyFit, take: Take, mode: str, *, has_events: bool = True) -> StandingBody:
     """Find the contacts and the events of gait of the solved body, and hold its feet.
 
     Args:
         take: The take as it was read, whose file may have force plates and events.
         mode: One of FEET_MODES.
+        has_events: Whether the events are needed, also those of the file and of force plates.
     """
     skeleton = body.subject.skeleton
     standing = find_contacts(skeleton, body.motion, body.solved_joint_positions, take.rate)
     find_events = partial(add_gait_events, standing, body, body.take.markers, take)
     if mode == FEET_OFF or not standing.is_contact.any():
-        return StandingBody(body, find_events(), body.motion)
+        return StandingBody(body, find_events() if has_events else standing, body.motion)
     hold_feet = partial(hold_measured_feet, body, body.take.markers, standing, is_locked=mode == FEET_LOCK)
     tasks: list[Callable[[], Any]] = [hold_feet, find_events]
     held, contacts = map_in_threads(call, tasks)

@@ -148,9 +148,8 @@ def detect_sample_faults(
     measured = take.masked(take.measured & ~build_fault_mask(virtual, shape))
     measured = measured.replace_markers(np.ascontiguousarray(measured.markers.swapaxes(0, 1)).swapaxes(0, 1))  # path after path
     all_spikes = noise.detect_spikes(measured, options.min_spike_m, options.max_spike_duration_s, memory)
-    exact = external_fills.detect_frozen(measured, memory=memory) + external_fills.detect_polynomial_fills(
-        measured, memory=memory
-    )
+    detectors = external_fills.detect_frozen, external_fills.detect_polynomial_fills
+    exact = [fault for detect in detectors for fault in detect(measured, memory=memory)]
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
     bursts = noise.detect_jitter(measured, is_usable, options.min_jitter_m, memory)
     has_jitter = build_fault_mask(bursts, shape)

@@ -164,7 +164,9 @@ def estimate_preview(markers: Float[np.ndarray, "T M 3"], rate: float, body: Bod
             growth = 4 * share * (1 - share) if len(edges) > 1 else 1 - share if first == 0 else share
             lag = -(-length // len(edges))  # to the middle between two edges, or to the end of a stretch with one
             change = residual[lag:] - residual[:-lag]
-            error = np.sqrt(np.nanmean((change if np.isfinite(change).any() else residual) ** 2) / len(edges))
+            change = change[~np.isnan(change[:, 0])]
+            shown = change if len(change) else residual[~is_lost[:, m]]
+            error = np.sqrt((shown * shown).mean() / len(edges))
             line_sd = BODY_ERROR_RATIO * error * np.sqrt(growth)
             line = axes.transform_to_world(edges[0] + share[:, None] * (edges[-1] - edges[0]), frames)
             is_better = ~(sd[frames, m] <= line_sd)

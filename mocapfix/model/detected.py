@@ -188,9 +188,10 @@ class Detected:
 
     def place_on_body(self, body: BodyFit) -> Float[np.ndarray, "T M 3"]:
         """Return where a body carries the take's markers, in metres; NaN for markers that it does not carry."""
-        has_column = body.marker_columns >= 0
-        positions = np.full(self.epochs.take.markers.shape, np.nan)
-        positions[:, body.marker_columns[has_column]] = body.marker_positions[:, has_column]
+        place = np.full(len(self.epochs.column_marker), -1)
+        place[body.marker_columns[body.marker_columns >= 0]] = np.flatnonzero(body.marker_columns >= 0)
+        positions = np.take(body.marker_positions, place, axis=1)
+        positions[:, place < 0] = np.nan
         return self.epochs.merge_columns(positions)
 
     def measure_residuals(self, body: BodyFit) -> Float[np.ndarray, "T M"]:

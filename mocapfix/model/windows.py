@@ -239,10 +239,10 @@ def release_pages(value: object, frame_count: int) -> None:
     map_arrays(value, frame_count, release)
 
 
-def iterate_blocks(value: Value, frame_count: int, block_frames: int = MAX_BLOCK_FRAMES) -> Iterator[tuple[slice, Value]]:
+def iterate_blocks(value: Value, frame_count: int, block_frames: int = 0) -> Iterator[tuple[slice, Value]]:
     """Yield blocks of frames, and a value there. What was read from the files of its arrays leaves the memory after each."""
-    for first in range(0, frame_count, block_frames):
-        frames = slice(first, min(first + block_frames, frame_count))
+    for first in range(0, frame_count, length := block_frames or MAX_BLOCK_FRAMES):
+        frames = slice(first, min(first + length, frame_count))
         yield frames, map_arrays(value, frame_count, lambda _, array, frames=frames: array[frames])
         release_pages(value, frame_count)
 

@@ -69,7 +69,7 @@ def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
         joint_positions=body.solved_joint_positions,
         contacts=standing.contacts,
         residual_m=detected.measure_residuals(body),
-        lost_parts=find_lost_body_parts(detected, body),
+        lost_parts=find_lost_body_parts(detected, body) if body.evidence else (),  # a preview loses too many
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),
         remembered=body.remembered,

@@ -152,7 +152,6 @@ CLEANED_POINT_RADIUS_M = 0.013
 BONE_RADIUS_M = 0.007
 
 FIELD_OF_VIEW_RAD = np.radians(55)  # rerun's vertical field of view
-MAX_BLOCK_FRAMES = 14_400  # that are logged at once: rerun's columns take several times the memory of the positions
 MAX_CAMERA_FRAMES = 1000  # frames used to place the camera
 CAMERA_MARGIN_FACTOR = 1.12  # space around the body at the edges of the picture
 RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 95th percentile
@@ -176,7 +175,7 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
     writer, count = _RecordingWriter(recording, comparison.input_take), comparison.input_take.frame_count
     states, residual_m = comparison.sample_states, comparison.residual_m
     lanes, worst = writer.prepare_state_lanes(states), [] if residual_m is None else writer.prepare_residual_curves(residual_m)
-    for frames, block in iterate_blocks(comparison, count, MAX_BLOCK_FRAMES):
+    for frames, block in iterate_blocks(comparison, count):
         writer.block = frames
         writer.log_markers(block, states[frames])
         if block.skeleton is not None and block.joint_position_world is not None:

@@ -267,10 +267,10 @@ def initialise_between(subject: SubjectInTake, method: str, pose_rate_hz: float 
     motion = initialise_motion(posed, subject.extended_subject, body, prior, method)
     root, local = kinematics.interpolate_poses((motion.root_position, motion.local_rotations), frames, take.frame_count)
     nearest = np.rint(np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))).astype(int)
-    return replace(motion.select_frames(nearest), root_position=root, local_rotations=local)
+    others = (values[nearest] for values in (motion.status, motion.iterations, motion.marker_sd, motion.joint_sd))
+    return Motion(root, local, *others)
 
 
-LEARNED_START_PASSES = 2  # a third changes hardly anything
 MIN_SEGMENT_TRUST = 0.25  # robust weight from which a marker shows the rotation of its segment
 
 
@@ -281,7 +281,7 @@ def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subjec
         motion: Closed-form poses of all frames.
         estimate: The joint positions that they are made of.
     """
-    model = PoseRegressor(load_shipped_ik_network(), subject.skeleton, LEARNED_START_PASSES)
+    model = PoseRegressor(load_shipped_ik_network(), subject.skeleton)
     joint_sd = np.nan_to_num(estimate.sd, nan=1.0)
     start = motion.root_position, motion.local_rotations
     is_seen = find_seen_segments(estimate, subject)

@@ -11,6 +11,7 @@ from mocapfix.errors import ReadError
 from mocapfix.io import bvh, capture
 from mocapfix.io.animation_inference import estimate_height, infer_up_axis
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
+from mocapfix.model import windows
 from mocapfix.model.animation import Animation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.options import ReadOptions
@@ -246,7 +247,7 @@ def test_a_long_motion_is_written_block_by_block(tmp_path, monkeypatch):
     subject = draw_subject(np.random.default_rng(2), asymmetric=False)
     motion = compose_motion(subject, 1.0, 30.0)
     bvh.write_bvh(tmp_path / "once.bvh", subject.skeleton, motion, 30.0)
-    monkeypatch.setattr(bvh, "MAX_BLOCK_FRAMES", 7)
+    monkeypatch.setattr(windows, "MAX_BLOCK_FRAMES", 7)
     bvh.write_bvh(tmp_path / "blocks.bvh", subject.skeleton, motion, 30.0)
     assert (tmp_path / "blocks.bvh").read_bytes() == (tmp_path / "once.bvh").read_bytes()
 

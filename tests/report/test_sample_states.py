@@ -3,20 +3,24 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from mocapfix.model import windows
 from mocapfix.model.changes import SampleState
 from mocapfix.model.faults import Faults
 from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
 
 
-def test_outcome_of_every_sample(scene):
+@pytest.mark.parametrize("block_frames", [7, 1000])
+def test_outcome_of_every_sample(scene, block_frames, monkeypatch):
+    monkeypatch.setattr(windows, "MAX_BLOCK_FRAMES", block_frames)
     expected = np.full((240, 31), SampleOutcome.MEASURED)
     expected[50:100, 3] = expected[60:70, 29] = SampleOutcome.FILLED
     expected[70:80, 29] = expected[:, 30] = expected[200] = SampleOutcome.EMPTY
     expected[70, 5] = SampleOutcome.REPLACED
     expected[120:140, 7] = SampleOutcome.SUSPECT
     expected[150:170, [10, 11]] = expected[20:40, 12] = SampleOutcome.RELABELLED
-    np.testing.assert_array_equal(scene.comparison.sample_states, expected)
+    np.testing.assert_array_equal(replace(scene.comparison).sample_states, expected)
     assert find_estimated_samples(expected).sum() == 50 + 10 + 1
 
 

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
+from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.io.c3d_events import add_c3d_events
+from mocapfix.io.capture import read_take
 from mocapfix.model.body_fit import SubjectInTake
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
@@ -11,6 +14,7 @@ from mocapfix.solve import initial_motion
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.synthetic import compose_take, write_synthetic_take
+from tests.c3d_files import get_layout
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +68,18 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     assert {"rrd", "report.html"} == set(pipeline.clean(path).write(tmp_path / "out", overwrite=True)) - preview
     result.write(tmp_path / "out", overwrite=True)
     assert not (tmp_path / "out" / "take.rrd").exists()
+
+
+def test_preview_has_events_of_gait_only_if_they_are_written(performance, tmp_path):
+    path, events = tmp_path / "take.c3d", [GaitEvent("left", "foot strike", 0.5, "file")]
+    write_synthetic_take(path, performance)
+    add_c3d_events(path, get_layout(read_take(path)).data_start_byte, {"": events}, 1, performance.rate)
+    without, written = (pipeline.clean(path, is_fast=True, write_events=each).contacts for each in (False, True))
+    assert without is not None
+    assert written is not None
+    assert not without.events
+    assert any(each.source == "file" for each in written.events)
+    np.testing.assert_array_equal(without.is_contact, written.is_contact)
 
 
 def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance):
