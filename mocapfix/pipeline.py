@@ -308,6 +308,7 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
     """Clean a long take of one subject window by window, two at a time, with labels, marker set and body of the whole take."""
     windows, folder = plan_windows(take.visible, take.rate), tempfile.TemporaryDirectory(**ARRAY_FOLDER)
     conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
+    memory = load_memory(take, options)
     with timer("survey"):
         survey, frames = build_survey(take)
         choice = identify_subject(survey, options.subject)
@@ -315,7 +316,9 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
         check_contradictions(detected, body, options)
     with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
     note = f"Cleaned in {len(windows)} windows, which overlap{with_body}."
-    choice, jobs = replace(choice, notes=(*choice.notes, note), is_learned=False), list[partial[WindowResult]]()
+    others = [describe_other_person(memory, body.subject.skeleton)] if memory and body else []
+    notes = (*choice.notes, note, *filter(None, others))
+    choice, jobs = replace(choice, notes=notes, is_learned=False), list[partial[WindowResult]]()
     for window in windows:
         subject = body and select_marker_places(detected, body, int((frames >= window.first).argmax()))
         own, known = review.select_frames(slice(window.first, window.stop)), replace(choice, subject=subject)

@@ -19,7 +19,7 @@ from mocapfix.model import windows
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.option import FRAME_LIMIT
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.solve import kinematics
+from mocapfix.solve import kinematics, person_memory
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import library
 from mocapfix.subject.library import load_marker_set
@@ -550,6 +550,15 @@ def test_subject_before_another_separator_is_known_and_kept_in_the_file(brief, t
     assert {change.markers for change in result.changes} == {("Jim_RELB",), ("Jim_STRN",)}
     result.write(tmp_path / "out")
     assert capture.read_take(tmp_path / "out" / "jim.c3d").labels == tuple(f"Jim_{label}" for label in brief.labels)
+
+
+def test_the_memory_of_another_person_is_not_used(brief, tmp_path):
+    remembered = pipeline.remember_take(brief.path, "other", CleanOptions().change(subject=brief.subject))[""]
+    larger = replace(remembered, bone_lengths_m=np.float32(1.2) * remembered.bone_lengths_m)
+    person_memory.write_memory(tmp_path / "p.safetensors", larger)
+    result = pipeline.clean(brief.path, subject=brief.subject, person_memory=tmp_path / "p.safetensors")
+    note = "The memory of other is another person's, whose bones differ by 18%: it was not used."
+    assert note in result.subject_report["notes"]
 
 
 @pytest.fixture(scope="module")
