@@ -169,7 +169,7 @@ class PriorOptions(StageOptions):
 
     prior: str = define_option(DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
     prior_scope: str = define_option(
-        PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
+        PRIOR_EVERY_FRAME, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
         job_key="prior.scope", choices=PRIOR_SCOPES,
     )  # fmt: skip
     person_memory: str | Path | tuple[tuple[str, Path], ...] | None = define_option(

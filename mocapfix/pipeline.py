@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from mocapfix.contacts.body_contacts import hold_standing_feet
+from mocapfix.contacts.contacts import CONTACT_JOINTS
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
@@ -52,14 +53,14 @@ from mocapfix.model.windows import (
     select_marker_places,
     write_rows,
 )
-from mocapfix.options import FEET_OFF, CleanOptions, check_take_options
+from mocapfix.options import FEET_OFF, PRIOR_EVERY_FRAME, CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import SolvedBody, build_solved_body, describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleanedSubject, CleaningResult, join_windows, merge_results
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
 from mocapfix.solve.initial_motion import PREVIEW_POSE_RATE_HZ, initialise_between, initialise_body
-from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
+from mocapfix.solve.motion_solver import apply_prior, complete_body, place_body, solve_body
 from mocapfix.solve.parallel import compute_beside, map_in_threads
 from mocapfix.solve.person_memory import (
     PersonMemory,
@@ -70,7 +71,7 @@ from mocapfix.solve.person_memory import (
     remember_motion,
 )
 from mocapfix.solve.pose_problem import find_unobserved_joints
-from mocapfix.solve.prior_conditioner import PriorConditioner, build_prior_conditioner
+from mocapfix.solve.prior_conditioner import build_prior_conditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
 from mocapfix.subject.library import NO_BODY_NOTE, SubjectChoice, describe_marker_set_match, withdraw_marker_set
@@ -216,24 +217,26 @@ def run_stages(
     take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer, kept: slice | None = None
 ) -> CleanedSubject:
     """Run all stages on the take of one subject, or on a part of a long take, of which the frames `kept` are returned."""
-    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
     memory = load_memory(take, options)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
-    choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, conditioner, timer)
+    choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, timer)
     if take.part is None:
         check_contradictions(detected, body, options)
     standing, marker_set = None, choice.marker_set
     if body:
         with timer("solve", "limbs and feet"):
+            conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
             if memory and (difference := describe_other_person(memory, body.subject.skeleton)):
                 choice, memory = replace(choice, notes=(*choice.notes, difference)), None
             body = complete_body(body, conditioner, options, memory)
             are_written = options.contacts.write_events or "events" in options.output.extra_formats
             has_events = are_written or not options.initialise.is_fast
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
+            if conditioner and options.prior.prior_scope == PRIOR_EVERY_FRAME:
+                standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
     with timer("fill"):
-        # lost markers are filled from feet that are held in full; changes are compared with the body that visible markers allow
+        # markers are filled from feet that are held in full, without the prior; changes are compared with the body of the outputs
         body = replace(standing.fit, motion=standing.filling_motion) if standing else None
         props = marker_set.props if marker_set else {}
         filled = fill_gaps(detected, body, props, review.corrections, options.fill)
@@ -270,11 +273,10 @@ def remember_take(path: str | Path, take_id: str, options: CleanOptions = DEFAUL
         raise TakeError(f"{capture.name}: is an animation without markers; remember marker takes.")
     reject_animation_options(capture, options)
     capture, options = label_capture(capture, options, calibrate_takes)
-    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
     remembered, memories = RememberedTake(take_id, digest_capture(Path(path))), dict[str, PersonMemory]()
     for take in split_corrected_subjects(capture, options)[0]:
         choice = identify_subject(take, options.subject)
-        body = detect_and_fit(take, choice, FaultReview(), options, conditioner, StageTimer()).body
+        body = detect_and_fit(take, choice, FaultReview(), options, StageTimer()).body
         if body:
             is_shown = body.subject.body_model.free_joints
             is_inferred = find_unobserved_joints(body.take.visible, body.extended_subject, is_shown)
@@ -307,12 +309,11 @@ WindowResult: TypeAlias = tuple[CleanedSubject, dict[str, PartTime]]
 def clean_windows(take: Take, review: Review, options: CleanOptions, timer: StageTimer) -> CleanedSubject:
     """Clean a long take of one subject window by window, two at a time, with labels, marker set and body of the whole take."""
     windows, folder = plan_windows(take.visible, take.rate), tempfile.TemporaryDirectory(**ARRAY_FOLDER)
-    conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
     memory = load_memory(take, options)
     with timer("survey"):
         survey, frames = build_survey(take)
         choice = identify_subject(survey, options.subject)
-        choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, conditioner, StageTimer())
+        choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, StageTimer())
         check_contradictions(detected, body, options)
     with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
     note = f"Cleaned in {len(windows)} windows, which overlap{with_body}."
@@ -368,7 +369,6 @@ def detect_and_fit(
     choice: SubjectChoice,
     review: FaultReview,
     options: CleanOptions,
-    conditioner: PriorConditioner | None,
     timer: StageTimer,
 ) -> FittedTake:
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
@@ -380,14 +380,14 @@ def detect_and_fit(
         check_visible_markers(detected)
     if choice.marker_set is None:
         return FittedTake(choice, detected, None)
-    calibrated, body = fit_body(detected, choice.marker_set, choice.subject, None, options, conditioner, timer)
+    calibrated, body = fit_body(detected, choice.marker_set, choice.subject, None, options, timer)
     for _ in range(0 if options.initialise.is_fast else options.solve.max_solve_rounds - 1):
         with timer("detect", "body"):
             found = detect_on_body(detected, body, calibrated.marker_set, review, options.detect)
         if found is detected:
             break
         detected, known = found, (calibrated, body)
-        calibrated, body = fit_body(detected, calibrated.marker_set, choice.subject, known, options, conditioner, timer)
+        calibrated, body = fit_body(detected, calibrated.marker_set, choice.subject, known, options, timer)
     if choice.is_learned:
         with timer("detect"):
             without_set = detect_on_trajectories(take, None, None, review, options)
@@ -395,7 +395,7 @@ def detect_and_fit(
         if marker_set is None:
             return FittedTake(withdraw_marker_set(choice), without_set, None)
         if marker_set is not choice.marker_set:
-            return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, conditioner, timer)
+            return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, timer)
     return FittedTake(replace(choice, marker_set=calibrated.marker_set), detected, body)
 
 
@@ -405,7 +405,6 @@ def fit_body(
     subject: Subject | None,
     previous: tuple[Calibrated, BodyFit] | None,
     options: CleanOptions,
-    conditioner: PriorConditioner | None,
     timer: StageTimer,
 ) -> tuple[Calibrated, BodyFit]:
     """Calibrate the body, unless its subject is known, and solve its poses: all of them, or those that changed since the previous
@@ -414,20 +413,19 @@ def fit_body(
     calibrated, body = previous or (None, None)
     with timer("calibrate") if subject is None else nullcontext():
         calibrated = calibrate_body(detected, marker_set, subject, calibrated, options.initialise.is_fast)
-    body = initialise_and_solve(calibrated, body, options, conditioner, timer)
+    body = initialise_and_solve(calibrated, body, options, timer)
     if options.initialise.is_fast:
         return calibrated, body
     extended = place_moved_markers(calibrated, body)
     if extended is calibrated:
         return calibrated, body
-    return extended, initialise_and_solve(extended, body, options, conditioner, timer)
+    return extended, initialise_and_solve(extended, body, options, timer)
 
 
 def initialise_and_solve(
     calibrated: SubjectInTake,
     previous: BodyFit | None,
     options: CleanOptions,
-    conditioner: PriorConditioner | None,
     timer: StageTimer,
 ) -> BodyFit:
     """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
@@ -437,7 +435,7 @@ def initialise_and_solve(
     with timer("initialise"):
         start = initialise_body(calibrated, previous, options.initialise.method_used)
     with timer("solve", "poses"):
-        return solve_body(calibrated, start, previous, conditioner, options)
+        return solve_body(calibrated, start, previous, options)
 
 
 @limit_blas_threads
@@ -457,7 +455,7 @@ def inspect(
         MocapfixError: If the file or its subject cannot be used.
     """
     options = options.change(**changed_options)
-    load_pose_model = build_pose_model_loader(options.prior.name_used)
+    build_pose_model_loader(options.prior.name_used)  # an unknown prior is an error before the file is read
     capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         from mocapfix.animations.clean import inspect_animation  # slow to import
@@ -467,10 +465,9 @@ def inspect(
     capture, options = label_capture(capture, options, calibrate_takes)
 
     def inspect_one(take: Take) -> InspectionReport:
-        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         choice = identify_subject(take, options.subject)
         timer = StageTimer(report_progress=progress)
-        choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, conditioner, timer)
+        choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, timer)
         notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take)]
         if marker_set := choice.marker_set:
             notes.append(describe_marker_set_match(marker_set, take.labels))

@@ -85,7 +85,7 @@ def yield_to_markers(
 
     Args:
         markers: Measured positions in metres, NaN if not visible or faulty.
-        before: The motion without what was inferred; its root is that of `inferred`.
+        before: The motion without what was inferred.
         rate: Frames per second.
     """
     place = kinematics.compute_joint_and_marker_positions
@@ -102,5 +102,6 @@ def yield_to_markers(
         turn = scale_rotations(start.swapaxes(1, 2) @ inferred.local_rotations[frames, joints], share[frames, None])
         local_rotations = inferred.local_rotations.copy()
         local_rotations[frames, joints] = start @ turn
-        motion = replace(inferred, local_rotations=local_rotations)
+        root_position = before.root_position + share[:, None] * (inferred.root_position - before.root_position)
+        motion = replace(inferred, root_position=root_position, local_rotations=local_rotations)
     return motion

@@ -14,6 +14,7 @@ weights its terms for robustness; the error of its result is computed from the s
 - the calibration error, which no frame shows: taken from the subject.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from mocapfix.model.body_fit import BodyFit, RememberedGap, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
-from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions
+from mocapfix.options import CleanOptions
 from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
@@ -41,7 +42,7 @@ from mocapfix.solve.pose_problem import (
     list_window_frames,
     select_windows,
 )
-from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
@@ -279,9 +280,7 @@ PREVIEW_NOTE = (
 )
 
 
-def solve_body(
-    subject: SubjectInTake, start: PoseStart, solved: BodyFit | None, conditioner: PriorConditioner | None, options: CleanOptions
-) -> BodyFit:
+def solve_body(subject: SubjectInTake, start: PoseStart, solved: BodyFit | None, options: CleanOptions) -> BodyFit:
     """Solve the motion in the frames that changed, from the initial poses.
 
     Unobserved joints follow interpolations, until `complete_body` finds better poses for them.
@@ -290,10 +289,9 @@ def solve_body(
         subject: The subject and the samples that the solver uses.
         start: The initial poses.
         solved: The body as it was solved before, if it was.
-        conditioner: The trained pose prior, if one is used.
-        options: Those of the prior and the solve.
+        options: Those of the solve.
     """
-    problem = _build_body_problem(subject, conditioner, options)
+    problem = _build_body_problem(subject, options)
     motion, evidence = solve_changed_frames(problem, start.motion, start.changes, solved.evidence if solved else None)
     return _build_body_fit(subject, motion, evidence)
 
@@ -316,7 +314,7 @@ def complete_body(
     """Infer the joints that no marker shows from the rest of the solved motion, and from the memory of the person."""
     if body.evidence is None:
         return body
-    problem = _build_body_problem(body, conditioner, options)
+    problem = _build_body_problem(body, options)
     motion, remembered = complete_motion(problem, body.motion, body.evidence, conditioner, memory)
     if motion is body.motion:
         return body
@@ -326,16 +324,39 @@ def complete_body(
     return replace(_build_body_fit(body, replace(motion, status=status), body.evidence), remembered=gaps)
 
 
+def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorConditioner, options: CleanOptions) -> BodyFit:
+    """Return the body under the trained prior in every frame, which yields to visible markers.
+
+    The prior is weighed against the actual errors of markers: the solve assumes larger ones, to be robust.
+
+    Args:
+        body: The solved body; without evidence it is returned as it is.
+        held_joints: Names of joints that keep their positions, if markers show them.
+        conditioner: The trained prior.
+        options: Those of the solve.
+    """
+    if body.evidence is None:
+        return body
+    problem, subject = _build_body_problem(body, options), body.extended_subject
+    poses = body.motion.root_position, body.motion.local_rotations
+    held = np.array([body.subject.skeleton.find_joint(name) for name in held_joints], int)
+    held = held[body.subject.solved_joints[held]]
+    marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, body.evidence.marker_sd)
+    pose_problem = replace(problem.pose_problem, marker_sd=marker_sd)
+    found = apply_pose_prior(pose_problem, problem.prior, conditioner, poses, held, problem.rate)
+    motion = replace(body.motion, root_position=found[0], local_rotations=found[1])
+    motion = yield_to_markers(subject, problem.pose_problem.marker_positions, body.motion, motion, problem.rate)
+    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
+
+
 def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:
     joints, markers = kinematics.compute_joint_and_marker_positions(subject.extended_subject, motion)
     in_take = subject.subject, subject.extended_subject, subject.marker_columns, subject.take
     return BodyFit(*in_take, motion, joints, markers, evidence)
 
 
-def _build_body_problem(subject: SubjectInTake, conditioner: PriorConditioner | None, options: CleanOptions) -> MotionProblem:
+def _build_body_problem(subject: SubjectInTake, options: CleanOptions) -> MotionProblem:
     """Return the motion problem of the samples that the solver uses."""
     body = subject.extended_subject.body_model
     prior, limits = load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
-    problem = build_motion_problem(subject.take, subject.extended_subject, body, prior, limits, options.solve)
-    is_in_every_frame = options.prior.prior_scope == PRIOR_EVERY_FRAME
-    return replace(problem, conditioner=conditioner if is_in_every_frame else None)
+    return build_motion_problem(subject.take, subject.extended_subject, body, prior, limits, options.solve)

@@ -24,7 +24,6 @@ from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_costs, compute_uncertainty, minimise
 from mocapfix.solve.parallel import SolveOrder
-from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.terms import (
     BodyTerms,
     JointLimitTerm,
@@ -115,11 +114,7 @@ class PoseProblem:
         return build_marker_term(self.attachment, self.marker_positions, self.solver_mask, self.marker_sd)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
-        prior = self.pose_prior
-        if len(prior.rotations) > 1:  # one for each frame, not one for all
-            prior = prior._replace(rotations=prior.rotations[frames], information=prior.information[frames])
-        markers, mask = self.marker_positions[frames], self.solver_mask[frames]
-        return replace(self, marker_positions=markers, solver_mask=mask, pose_prior=prior)
+        return replace(self, marker_positions=self.marker_positions[frames], solver_mask=self.solver_mask[frames])
 
     def build_terms(self, tracking: TrackingTerm | None = None) -> BodyTerms:
         return self.point_term, tracking or build_no_tracking(len(self.tree.parents)), self.pose_prior, self.joint_limits
@@ -176,8 +171,6 @@ class MotionProblem:
     is_uncertain: Bool[np.ndarray, "T J"]  # joints that lack a marker, or all
     rate: float  # frames per second
     options: SolveOptions
-    # the trained prior of every frame; None: all frames have the mean pose as their prior
-    conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
         part, unobserved = self.pose_problem.select_frames(frames), self.is_unobserved[frames]

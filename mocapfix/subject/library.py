@@ -334,15 +334,22 @@ def select_subject(take: Take, subject_prefix: str) -> Take:
     return replace(part, notes=(*part.notes, note))
 
 
+MIN_EXPLAINED_SHARE = 0.9  # of a take's labels that belong to a set of which it has few markers: others name some of them, too
+
+
 def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
     """Return the shipped set that matches the most of a take's labels, among the sets that find a whole body in them.
 
-    If there is none, it is the set with the most markers on a part of a body. Among sets that match equally many, the one with
-    the fewest missing markers is chosen. `MarkerSet.find_shown_sections` defines both.
+    If there is none, it is the markers that the take has of a set to which nearly all its labels belong, if they locate a body;
+    otherwise the set with the most markers on a part of a body. Among sets that match equally many, the one with the fewest
+    missing markers is chosen. `MarkerSet.find_shown_sections` defines bodies and parts.
     """
     shipped = load_shipped_marker_sets()
     ranked = sorted(((each, each.match_labels(labels)) for each in shipped), key=lambda pair: _rank_match(*pair), reverse=True)
     best = next((each for each, found in ranked if not each.describe_incomplete_body(found)), None)
+    if not best:
+        reduced = [each.select_markers(found) for each, found in ranked if len(found) >= MIN_EXPLAINED_SHARE * len(labels)]
+        best = next((each for each in reduced if not each.describe_incomplete_body(each.labels)), None)
     if not best:
         parts = [(each, each.select_shown_part(found), found) for each, found in ranked]
         ranks = [(_rank_match(part, set(found).intersection(part.labels)), each) for each, part, found in parts if part.labels]

@@ -57,8 +57,8 @@ def test_a_body_without_feet_has_none(contacts):
 
 @pytest.mark.parametrize("mode", ["soft", "off", "lock"])
 def test_what_was_done_to_the_feet_is_known(brief, mode):
-    result = pipeline.clean(brief.path, subject=brief.subject, feet=mode)
-    other = pipeline.clean(brief.path, subject=brief.subject, feet="off")
+    result = pipeline.clean(brief.path, subject=brief.subject, feet=mode, prior_scope="lost-limbs")
+    other = pipeline.clean(brief.path, subject=brief.subject, feet="off", prior_scope="lost-limbs")
     assert result.subject is not None
     assert result.contacts is not None
     assert result.joint_position_world is not None

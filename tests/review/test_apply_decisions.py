@@ -66,7 +66,7 @@ def proposed(faulty) -> tuple[Take, Filled]:
     """The faulty take before decisions are applied: as read, and filled."""
     options, take = CleanOptions(), capture.read_take(faulty.path)
     choice = pipeline.identify_subject(take, SubjectOptions(subject=faulty.subject))
-    _, detected, body = pipeline.detect_and_fit(take, choice, FaultReview(), options, None, StageTimer())
+    _, detected, body = pipeline.detect_and_fit(take, choice, FaultReview(), options, StageTimer())
     assert body is not None
     standing = hold_standing_feet(complete_body(body, None, options), take, "soft")
     body = replace(standing.fit, motion=standing.filling_motion)

@@ -71,7 +71,7 @@ def moved(brief) -> tuple[Detected, Subject, BodyFit, StageTimer, int]:
     take = whole.replace_markers(markers)
     shift = MarkerShift("moved", marker, 60, 119, 0.05, "", settled_frame=60)
     detected, timer = Detected(take, sample_faults=Faults((shift,))), StageTimer()
-    _, body = pipeline.fit_body(detected, build_subject_marker_set(subject), subject, None, CleanOptions(), None, timer)
+    _, body = pipeline.fit_body(detected, build_subject_marker_set(subject), subject, None, CleanOptions(), timer)
     return detected, subject, body, timer, marker
 
 

@@ -1,6 +1,4 @@
-"""The dense normal equations of markers, compared with differences of their cost."""
-
-from dataclasses import replace
+"""The curvature of the cost of markers, compared with differences of their places."""
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics, mean_pose, pose_problem
-from mocapfix.solve.window_solver import WorldPoses, compute_left_jacobian, compute_marker_equations
+from mocapfix.solve.prior_conditioner import WorldPoses, compute_left_jacobian, compute_marker_curvature
 from mocapfix.stats.rigid_alignment import compute_rotations
 from mocapfix.synthetic import compose_take
 
@@ -34,25 +32,20 @@ def test_left_jacobian_is_the_derivative_of_the_exponential():
     np.testing.assert_allclose(Rotation.from_matrix(moved[:, 0]).as_rotvec(), expected[:, 0], atol=1e-10)
 
 
-def test_marker_gradient_is_the_derivative_of_the_cost(scene):
+def test_marker_curvature_is_that_of_the_cost(scene):
     truth, problem = scene
     part = problem.pose_problem.select_frames(np.array([30]))
-    part = replace(part, marker_positions=part.marker_positions + 0.01)
     local, root = truth.motion.local_rotations[[30]], truth.motion.root_position[[30]]
     joints = np.flatnonzero(BODY.free_joints)[1:]
     vectors = np.zeros((1, len(joints), 3))
 
-    def build_pose(step):
+    def place_markers(step):
         moved = local.copy()
         moved[:, joints] = compute_rotations(step) @ local[:, joints]
-        return WorldPoses(*kinematics.compute_tree_poses(part.tree, root, moved), moved)
+        return kinematics.predict_markers(truth.subject, (root, moved))
 
-    def compute_cost(step):
-        predicted = kinematics.predict_markers(truth.subject, (root, build_pose(step).local_rotations))
-        error = np.where(part.solver_mask[..., None], predicted - part.marker_positions, 0.0)
-        return 0.5 * (error**2).sum() / part.marker_sd**2
-
-    _, gradient = compute_marker_equations(part, build_pose(vectors), compute_left_jacobian(vectors), 1e6)
+    pose = WorldPoses(*kinematics.compute_tree_poses(part.tree, root, local), local)
+    curvature = compute_marker_curvature(part, pose, compute_left_jacobian(vectors))
     step = 1e-6 * np.eye(vectors.size).reshape(-1, *vectors.shape)
-    slopes = np.array([(compute_cost(each) - compute_cost(-each)) / 2e-6 for each in step])
-    np.testing.assert_allclose(gradient[0, 6:], slopes, rtol=1e-4, atol=1e-3)
+    slopes = np.array([(place_markers(each) - place_markers(-each)).ravel() / 2e-6 for each in step]) / part.marker_sd
+    np.testing.assert_allclose(curvature[0, 6:, 6:], slopes @ slopes.T, rtol=1e-4, atol=1e-3)

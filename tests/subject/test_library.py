@@ -189,6 +189,25 @@ def test_reason_counts_optional_markers_separately():
     )
 
 
+REDUCED = ("LFHD", "C7", "LELB", "LWRA", "RELB", "RWRA", "LFWT", "RFWT", "RBWT", "LKNE", "LANK", "LTOE", "RKNE", "RANK", "RTOE")
+
+
+def test_a_few_markers_of_a_set_are_used_if_all_labels_are_its_own():
+    chosen = choose_marker_set(REDUCED).marker_set
+    assert chosen is not None
+    assert chosen.name == CMU.name
+    assert set(chosen.labels) == set(REDUCED)
+    assert CMU.describe_incomplete_body(REDUCED)
+
+
+def test_a_few_markers_of_a_set_are_not_used_beside_many_others():
+    assert choose_marker_set([*REDUCED, "ONE", "TWO", "THREE"]).marker_set is None
+
+
+def test_a_few_markers_that_do_not_locate_a_body_are_not_a_reduced_set():
+    assert choose_marker_set(["LFHD", "LELB", "LWRA", "RELB", "RWRA", "LFWT"]).marker_set is None
+
+
 def test_whole_body_may_lack_one_arm_but_not_two():
     names = load_cmu31_body().skeleton.names
     arm = ("Arm", "ForeArm", "Hand")
