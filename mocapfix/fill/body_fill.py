@@ -146,7 +146,7 @@ def estimate_preview(markers: Float[np.ndarray, "T M 3"], rate: float, body: Bod
         rate: Frame rate in Hz.
         body: The body with the poses of a preview.
     """
-    position, sd = fill_with_splines(markers, rate, MAX_PREVIEW_SPLINE_S)
+    position, sd, _ = fill_with_splines(markers, rate, MAX_PREVIEW_SPLINE_S)
     method, is_lost = np.full(sd.shape, FillMethod.SPLINE, np.int8), np.isnan(markers[..., 0])
     rotations = kinematics.compute_world_poses(body.extended_subject.skeleton, body.motion)[1]
     for row, m in enumerate(body.marker_columns.tolist()):

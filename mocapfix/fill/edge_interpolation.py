@@ -36,8 +36,8 @@ MAX_TRIAL_STARTS = 20_000  # evenly spaced frames that are examined to find comp
 
 def fill_with_splines(
     markers: Float[np.ndarray, "T M 3"], rate: float, max_gap_s: float
-) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
-    """Return positions of samples in interior gaps in metres, and their standard deviations per axis; NaN elsewhere.
+) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"], Float[np.ndarray, "T M"]]:
+    """Return positions of samples in interior gaps in metres, their standard deviations per axis, and those of lines; else NaN.
 
     Gaps with fewer than three visible samples at an edge are not filled, nor gaps for whose length the marker has too few
     complete stretches to measure the error.
@@ -48,6 +48,7 @@ def fill_with_splines(
     """
     visible, world = ~np.isnan(markers[..., 0]), build_world_axes.__wrapped__(len(markers))  # too large to keep
     filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
+    line_sd = sd.copy()
     context_count = max(MIN_EDGE_SAMPLES, round(SPLINE_CONTEXT_S * rate))
     for m in np.flatnonzero(~visible.all(0) & visible.any(0)):
         path = np.ascontiguousarray(markers[:, m])
@@ -59,11 +60,12 @@ def fill_with_splines(
             if len(trials) >= MIN_TRIAL_STRETCHES:
                 trials, first = trials[sample_evenly(len(trials), MAX_TRIAL_STRETCHES)], np.array(first_frames)
                 edges, ones = build_edge_maps(before, after), np.ones(2)
-                error = interpolate_stretches(path, *world, trials[:, None] + used, inside, length, edges, ones)[0][1]
+                errors = interpolate_stretches(path, *world, trials[:, None] + used, inside, length, edges, ones)[0]
                 found = interpolate_stretches(path, *world, first[:, None] + used, inside, length, edges, ones[:0])[0][1]
                 filled[first[:, None] + inside, m] = found
-                sd[first[:, None] + inside, m] = np.maximum(np.sqrt((error**2).mean((0, 2))), MIN_FILL_SD_M)
-    return filled, sd
+                for of_method, error in zip((line_sd, sd), errors, strict=True):
+                    of_method[first[:, None] + inside, m] = np.sqrt((error**2).mean((0, 2)))
+    return filled, np.maximum(sd, MIN_FILL_SD_M), line_sd
 
 
 def group_gap_patterns(
@@ -118,12 +120,18 @@ WORLD_ERROR_GROWTH = 1.1  # power of the gap's duration with which this error gr
 CLUSTER_ERROR_RATIO = 1.2  # expected error of the straight line in moving axes, relative to the marker's variation in them
 CLUSTER_ERROR_TIME_S = 0.5  # duration of a gap for which it holds; the error grows with the square root of the duration
 MAX_CLUSTER_ERROR_GROWTH = 2.0  # largest growth of this error with the duration
-SPLINE_ERROR_TIME_S = 1.0  # duration of a gap in which the expected error of the spline is twice that of the straight line
+SMOOTH_MOTION_S = 0.1  # duration below which motion is smooth: the error of the line grows with a further power of it
+WORLD_SPLINE_ERROR_RATIO = 0.25  # expected error of the spline in a very short gap, relative to that of the line
+AXES_SPLINE_ERROR_RATIO = 0.75  # the same in moving axes, whose own errors a spline follows
+SPLINE_ERROR_TIME_S = 2.0  # duration of a gap in which this ratio grows by one
 ACTIVITY_POWER = 0.5  # power with which the motion relative to neighbours grows with their own
 ONE_EDGE_ERROR_RATIO = 2.0  # expected error in a gap with one edge, relative to a gap with two
 WORLD_SATURATION_S = 0.8
 """Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
 SPLINE_ERROR_GROWTH = 2.0  # power of the duration, until then, with which the errors of a spline grow; 1 for a line
+
+
+WORLD_AXES = "world"  # the name of the axes of the world
 
 
 class WorldInterpolation(NamedTuple):
@@ -134,7 +142,7 @@ class WorldInterpolation(NamedTuple):
     def __call__(self, gap: Gap) -> list[GapEstimate]:
         path, rate, gap_s = self.take.markers[gap.frames, gap.marker], self.take.rate, gap.window.length / self.take.rate
         line_sd_m = WORLD_ERROR_RATIO * gap.speed_m_s * gap.activity * gap_s**WORLD_ERROR_GROWTH
-        return _interpolate(path, build_world_axes(len(path)), gap, line_sd_m, WORLD_SATURATION_S * rate, "world", rate)
+        return _interpolate(path, build_world_axes(len(path)), gap, line_sd_m, WORLD_SATURATION_S * rate, WORLD_AXES, rate)
 
 
 @lru_cache(32)
@@ -185,13 +193,16 @@ def _interpolate(
     edges = build_edge_maps(tuple((-1 - w.before).tolist()), tuple((w.after - w.length).tolist()))
     share = (w.points + 1) / (w.length + 1)
     one_edge = ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(w.before) else 1 - share)
+    gap_s = w.length / rate
+    line_sd_m *= gap_s / (gap_s + SMOOTH_MOTION_S)
     line_sd = max(line_sd_m, MIN_FILL_SD_M) * (2 * np.sqrt(share * (1 - share)) if len(w.before) and len(w.after) else one_edge)
     growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
     growths = growth ** np.array([1.0, SPLINE_ERROR_GROWTH])
     position, noise = interpolate_stretches(path, *axes, rows[None], np.arange(w.length), w.length, edges, growths[:0])
     error, _ = interpolate_stretches(path, *axes, hidden_rows, w.hidden_points, w.hidden_length, edges, growths)
     noise_sd = SAMPLE_NOISE_M * noise[:, w.points]
-    expected_sd = line_sd, line_sd * (1 + w.length / rate / SPLINE_ERROR_TIME_S)
+    ratio = WORLD_SPLINE_ERROR_RATIO if name == WORLD_AXES else AXES_SPLINE_ERROR_RATIO
+    expected_sd = line_sd, line_sd * (ratio + gap_s / SPLINE_ERROR_TIME_S)
     methods = FillMethod.LINE, FillMethod.SPLINE
     deviations = [np.hypot(sd, noise) for sd, noise in zip(expected_sd, noise_sd, strict=False)]
     return [GapEstimate(methods[e], position[e, 0], error[e], sd, name) for e, sd in enumerate(deviations)]

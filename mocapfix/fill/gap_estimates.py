@@ -3,8 +3,8 @@
 An estimator is built once for a take and called for each lost marker of each gap, the short gaps first: what is filled precisely
 serves as visible for longer ones. Gaps of similar length do not see one another's fills, so the second process estimates half of
 them. `ESTIMATORS` lists the estimators; those of `LATER_ESTIMATORS` need the estimates of all other gaps, and are called in the
-gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate. Without a body, or off it, that of
-the body returns nothing, and the others share the weight.
+gaps that the others leave uncertain. Gaps that a spline fills precisely get no other estimate, unless the marker hardly moves.
+Without a body, or off it, that of the body returns nothing, and the others share the weight.
 
 The errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates &
 Granger 1969, "The combination of forecasts"). It is measured in the hidden stretches of the gap. Few stretches show little of it:
@@ -32,7 +32,7 @@ from mocapfix.fill.gap_windows import (
     GapWindow,
     MarkerEstimate,
     MarkersInTake,
-    choose_hidden_stretches,
+    choose_similar_stretches,
     compare_edge_motion,
     compute_variation_growth,
     iterate_gaps,
@@ -70,6 +70,8 @@ LATER_ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (MarkerProc
 MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
 MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone
 MAX_LONE_SPLINE_SD_M = 0.0005  # standard deviation of a spline up to which nothing else is tried
+MIN_LINE_SD_RATIO = 3.0  # of a straight line to a spline; where the marker hardly moves, others and a line can be more precise
+MIN_RESTING_GAP_S = 0.04  # duration of a gap up to which nothing can be much more precise than a spline
 MAX_KNOWN_SD_M = 0.003  # standard deviation of a filled gap below which it serves as visible for longer gaps
 
 
@@ -104,7 +106,7 @@ def estimate_missing_samples(
     if body and body.evidence is None and not requests:
         settled = estimate_preview(markers, rate, body)
     else:
-        settled = _fill_short_gaps(markers, rate, requests)
+        settled = fill_short_gaps(markers, rate, requests)
     is_settled = ~np.isnan(settled.sd)
     if not (np.isnan(markers[..., 0]) & ~is_settled).any():
         return settled
@@ -123,13 +125,17 @@ def estimate_missing_samples(
     return take.estimate
 
 
-def _fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[FillRequest]) -> MarkerEstimate:
+def fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[FillRequest]) -> MarkerEstimate:
     """Return the estimates of the gaps that splines fill precisely, and of which a reviewer requests no sample."""
-    position, sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
+    position, sd, line_sd = fill_with_splines(markers, rate, MAX_LONE_SPLINE_GAP_S)
     is_unsettled = ~(sd <= MAX_LONE_SPLINE_SD_M)
-    for request in requests:
-        for first, last in find_runs(np.isnan(markers[:, request.column, 0])):
-            is_unsettled[first : last + 1, request.column] |= first <= request.last and last >= request.first
+    for m in np.flatnonzero(np.isnan(markers[..., 0]).any(0)):
+        requested = [each for each in requests if each.column == m]
+        for first, last in find_runs(np.isnan(markers[:, m, 0])) if requested or not is_unsettled[:, m].all() else []:
+            gap, middle = (slice(first, last + 1), m), ((first + last) // 2, m)
+            is_moving = line_sd[middle] >= MIN_LINE_SD_RATIO * sd[middle] or last - first < MIN_RESTING_GAP_S * rate
+            is_requested = any(first <= each.last and last >= each.first for each in requested)
+            is_unsettled[gap] = is_unsettled[gap].any() or not is_moving or is_requested
     position[is_unsettled], sd[is_unsettled] = np.nan, np.nan
     return MarkerEstimate(position, sd, np.full(sd.shape, FillMethod.SPLINE, np.int8))
 
@@ -175,10 +181,11 @@ class _GapEstimation:
     def estimate_markers(self, lost_in_gap: tuple[int, int, Int[np.ndarray, " L"]]) -> list[_EstimatedMarker]:
         """Estimate the markers that are lost in a gap, given its first and last frame, and them."""
         (first, last, lost), estimated = lost_in_gap, list[_EstimatedMarker]()
-        window = choose_hidden_stretches(np.all(self.take.is_known.T[lost], axis=0), first, last, self.take.rate)
+        is_usable = np.all(self.take.is_known.T[lost], axis=0)
+        window = choose_similar_stretches(self.take.markers[:, lost], is_usable, first, last, self.take.rate)
         for gap, similarity in self.describe_gap(window, lost):
             estimates = self.call_estimators(self.estimators, gap)
-            fill = combine_gap_estimates(estimates, window, similarity)
+            fill = combine_gap_estimates(estimates, window, similarity, window.length / self.take.rate)
             is_kept = gap.marker in self.requested or not (fill[1] < MAX_SETTLED_SD_M).all()
             estimated.append(_EstimatedMarker(gap, similarity, fill, estimates if is_kept else []))
         return estimated
@@ -196,11 +203,11 @@ class _GapEstimation:
         shown = np.flatnonzero(known.T[lost_markers].all(0))
         frames = w.list_frames(shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)], len(known))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        for marker in lost_markers.tolist():
+        edges = compare_edge_motion(take.markers[:, lost_markers], w, take.rate)
+        for n, marker in enumerate(lost_markers.tolist()):
             change = take.distance_change_m[marker]
             order = np.argsort(change, kind="stable")
             neighbours = order[(is_neighbour & np.isfinite(change))[order]]
-            edges = compare_edge_motion(take.markers[:, marker], w, take.rate)
             gap = Gap(
                 marker,
                 w,
@@ -208,10 +215,10 @@ class _GapEstimation:
                 neighbours,
                 *frames,
                 activity=self.activity.compare(marker, w, neighbours),
-                speed_m_s=edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), gap_s),
+                speed_m_s=edges.estimate_speed_in_gap(n, float(self.velocity_sd[marker]), gap_s),
                 variation_growth=compute_variation_growth(known[:, marker], gap_s, take.rate),
             )
-            yield gap, edges.similarity
+            yield gap, edges.similarity[:, n]
 
     def call_estimators(self, estimators: Sequence[Estimator], gap: Gap) -> list[GapEstimate]:
         """Return the estimates of a gap that are nowhere faster than the limit, edges included.
@@ -295,7 +302,7 @@ def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_Esti
     later = estimation.map(_GapEstimation.estimate_later, [[each.gap for each in markers] for markers in uncertain if markers])
     for each, added in zip(chain(*uncertain), chain(*later), strict=True):
         each.estimates.extend(added)
-        fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity)
+        fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity, each.gap.window.length / take.rate)
         estimation.use_fills([(each.gap.marker, each.gap.window.first, fill)])
     return list(chain(*estimated))
 
@@ -309,7 +316,7 @@ def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request:
         chosen = [estimate for estimate in each.estimates if estimate.method.name.lower() == request.method]
         frames = np.intersect1d(each.gap.window.gap_frames, wanted)
         if each.gap.marker == request.column and chosen and len(frames):
-            combined = combine_gap_estimates(chosen, each.gap.window, each.similarity)
+            combined = combine_gap_estimates(chosen, each.gap.window, each.similarity, each.gap.window.length / take.rate)
             for values, new in zip(take.estimate, combined, strict=True):
                 values[frames, request.column] = new[frames - each.gap.window.first]
 
@@ -387,16 +394,23 @@ def measure_speed_limit(markers: Float[np.ndarray, "T M 3"], rate: float) -> flo
 
 
 EXPECTED_CORRELATION = 0.3  # expected correlation of the errors of two estimates of one sample
+SHORT_GAP_S = 0.3  # duration of a gap at which a hidden stretch tells half as much beyond what one of a long gap tells
+SHORT_GAP_STRETCHES = 3.0
+"""Number of stretches of a long gap that one of a very short gap is worth: errors of one method in short gaps are more alike."""
+MIN_WEIGHED_SD_M = 0.00003  # standard deviation of an estimate below which it has no more weight
 SAME_AXES_CORRELATION = 0.75  # the same where both were made in the same axes
 
 
-def combine_gap_estimates(estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]) -> Fill:
+def combine_gap_estimates(
+    estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"], gap_s: float
+) -> Fill:
     """Return the combination of estimates with the smallest expected error: positions, their deviations, and the main methods.
 
     An estimate that lacks some frames counts in the others only. Without estimates there is none: NaN.
 
     Args:
         similarity: Of each hidden stretch to the gap, 0 to 1.
+        gap_s: Duration of the gap.
     """
     out = np.full((window.length, 3), np.nan), np.full(window.length, np.nan), np.zeros(window.length, np.int8)
     if not estimates:
@@ -405,10 +419,12 @@ def combine_gap_estimates(estimates: Sequence[GapEstimate], window: GapWindow, s
     largest = np.nanmax(expected_sd, axis=1, initial=MIN_FILL_SD_M, keepdims=True)
     expected_sd = np.where(np.isnan(expected_sd), largest, expected_sd)  # of one that lacks frames
     correlation = build_expected_correlation([e.axes for e in estimates])
+    worth = 1 + (SHORT_GAP_STRETCHES - 1) / (1 + (gap_s / SHORT_GAP_S) ** 2)
     shown = window.hidden_length / window.length * np.array([e.evidence for e in estimates])
-    methods, independent = np.array([int(e.method) for e in estimates]), window.count_independent_stretches()
-    weighting = similarity, independent, shown, correlation, MIN_FILL_SD_M, window.points, methods
+    methods, independent = np.array([int(e.method) for e in estimates]), worth * window.count_independent_stretches()
+    weighting = similarity, independent, shown, correlation, MIN_WEIGHED_SD_M, window.points, methods
     combine_estimates(position, error, expected_sd, *weighting, out)
+    np.maximum(out[1], MIN_FILL_SD_M, out=out[1])
     return out
 
 

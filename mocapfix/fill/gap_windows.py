@@ -2,7 +2,8 @@
 
 The errors of an estimator in a gap are unknown. `choose_hidden_stretches` finds visible parts of the take that imitate the gap
 and are treated as missing. They are as long, hide the same markers, and have visible samples beside them; where the take has none
-that long, shorter ones, which are worth less. Stretches at whose edges the marker moves as fast as at those of the gap tell most.
+that long, shorter ones, which are worth less. Stretches at whose edges the marker moves as fast as at those of the gap tell most:
+`choose_similar_stretches` hides these, and others only where there are too few.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -245,7 +246,7 @@ class Gap(NamedTuple):
 
 Estimator = Callable[[Gap], list[GapEstimate]]  # returns estimates of the marker of a gap, none where it has no estimate
 
-MAX_HIDDEN_STRETCHES = 12  # stretches that are hidden for one gap
+MAX_HIDDEN_STRETCHES = 24  # stretches that are hidden for one gap
 MIN_STRETCH_STARTS = 2  # first frames that must be possible for stretches of a length
 MIN_STARTS_PER_LENGTH = 0.05  # the same, relative to the length
 SHORTER_STRETCH_RATIO = 0.7  # ratio by which stretches are shortened at a time while too few first frames are possible
@@ -255,8 +256,10 @@ MAX_EDGE_SAMPLES = 4  # samples at each edge of a gap that are used
 EDGE_CONTEXT_S = 0.06  # time on either side of a gap whose samples determine position and velocity at its edge
 
 
-def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> GapWindow:
-    """Return the window of a gap first..last.
+def choose_hidden_stretches(
+    is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float, max_count: int = MAX_HIDDEN_STRETCHES
+) -> GapWindow:
+    """Return the window of a gap first..last, with stretches that are spread evenly over the take.
 
     Args:
         is_usable: Frames in which all markers are visible that the gap hides.
@@ -268,7 +271,7 @@ def choose_hidden_stretches(is_usable: Bool[np.ndarray, " T"], first: int, last:
     steps = find_adjacent_samples(is_usable[last + 1 : last + 1 + reach])
     lead, tail = (-int(before[0]) if len(before) else 0), (int(steps[-1]) + 1 if len(steps) else 0)
     hidden_length, starts = find_stretches(is_usable, length, lead, tail)
-    starts = starts[sample_evenly(len(starts), MAX_HIDDEN_STRETCHES)] if len(starts) else starts
+    starts = starts[sample_evenly(len(starts), max_count)] if len(starts) else starts
     count = min(length, MAX_GAP_POINTS)
     return GapWindow(
         first, length, before, length + steps, space_points(length, count),
@@ -343,34 +346,60 @@ MAX_EDGE_SPEED_SHARE = 0.5
 REST_TIME_S = 5.0  # time in which this share decays
 SIMILAR_SPEED_RATIO = 2.0
 """Ratio of the speeds of a gap and a stretch at which the stretch has the weight of one standard deviation, 0.61."""
+MAX_COMPARED_STRETCHES = 240  # stretches that are compared with a gap
+MAX_COMPARED_GAP_S = 1.0  # duration of a gap above which the motion beside it tells too little of that within
+MIN_SIMILARITY = 0.6  # of a stretch to the gap; less similar ones are hidden only where the take has too few others
+MIN_SIMILAR_STRETCHES = 12  # stretches from which on less similar ones are not hidden
 
 
 class EdgeMotion(NamedTuple):
     """The motion of a marker beside a gap."""
 
-    speed_m_s: float | None  # mean of the speeds before, across and after the gap, and RESTING_SPEED_M_S; None without two edges
-    similarity: Float[np.ndarray, " K"]  # of each hidden stretch to the gap, 0 to 1
+    speed_m_s: Float[np.ndarray, " L"] | None
+    """Mean of the speeds before, across and after the gap, and RESTING_SPEED_M_S; None without two edges."""
+    similarity: Float[np.ndarray, "K L"]  # of each hidden stretch to the gap, 0 to 1
 
-    def estimate_speed_in_gap(self, usual_speed_m_s: float, gap_s: float) -> float:
-        """Return the speed in m/s that is expected within a gap: the longer it is, the less the edges show of it."""
+    def estimate_speed_in_gap(self, n: int, usual_speed_m_s: float, gap_s: float) -> float:
+        """Return the speed of the nth in m/s that is expected within a gap: the longer it is, the less the edges show of it."""
         if self.speed_m_s is None:
             return usual_speed_m_s
         edge_share = MAX_EDGE_SPEED_SHARE * np.exp(-gap_s / REST_TIME_S)
-        return float(usual_speed_m_s ** (1 - edge_share) * self.speed_m_s**edge_share)
+        return float(usual_speed_m_s ** (1 - edge_share) * self.speed_m_s[n] ** edge_share)
 
 
-def compare_edge_motion(path: Float[np.ndarray, "T 3"], window: GapWindow, rate: float) -> EdgeMotion:
-    """Return the motion of a marker (metres, NaN if not visible) beside a gap and the similarity of the hidden stretches."""
+def compare_edge_motion(paths: Float[np.ndarray, "T L 3"], window: GapWindow, rate: float) -> EdgeMotion:
+    """Return the motion of markers (metres, NaN if not visible) beside a gap and the similarity of the hidden stretches."""
     w = window
     if not len(w.before) or not len(w.after):
-        return EdgeMotion(None, np.ones(len(w.starts)))
+        return EdgeMotion(None, np.ones((len(w.starts), paths.shape[1])))
     offsets = np.array([[w.before[0], w.before[-1], after[0], after[-1]] for after in (w.after, w.hidden_after)])
-    places = path[np.concatenate([w.first + offsets[:1], w.starts[:, None] + offsets[1]])]
+    places = paths[np.concatenate([w.first + offsets[:1], w.starts[:, None] + offsets[1]])]
     seconds = np.maximum(offsets[:, 1:] - offsets[:, :-1], 1) / rate
-    speeds = compute_lengths(places[:, 1:] - places[:, :-1]) / seconds[[0, *([1] * len(w.starts))]]
+    speeds = compute_lengths(places[:, 1:] - places[:, :-1]) / seconds[[0, *([1] * len(w.starts))], :, None]
     speed = speeds.mean(1) + RESTING_SPEED_M_S
     difference = np.log(speed[1:] / speed[0]) / np.log(SIMILAR_SPEED_RATIO)
-    return EdgeMotion(float(speed[0]), np.exp(-0.5 * np.nan_to_num(difference, nan=np.inf) ** 2))
+    return EdgeMotion(speed[0], np.exp(-0.5 * np.nan_to_num(difference, nan=np.inf) ** 2))
+
+
+def choose_similar_stretches(
+    paths: Float[np.ndarray, "T L 3"], is_usable: Bool[np.ndarray, " T"], first: int, last: int, rate: float
+) -> GapWindow:
+    """Return the window of a gap first..last of L markers, with stretches beside which these move as beside the gap.
+
+    Args:
+        paths: Metres, NaN if not visible.
+        is_usable: Frames in which all of them are visible.
+        last: Last frame of the gap, inclusive.
+        rate: Frame rate in Hz.
+    """
+    if last - first >= MAX_COMPARED_GAP_S * rate:
+        return choose_hidden_stretches(is_usable, first, last, rate)
+    window = choose_hidden_stretches(is_usable, first, last, rate, MAX_COMPARED_STRETCHES)
+    if len(window.starts) <= MIN_SIMILAR_STRETCHES:
+        return window
+    similarity = compare_edge_motion(paths, window, rate).similarity.mean(1)
+    used = np.argsort(-similarity, kind="stable")[: max(MIN_SIMILAR_STRETCHES, np.count_nonzero(similarity > MIN_SIMILARITY))]
+    return window._replace(starts=window.starts[np.sort(used)[sample_evenly(len(used), MAX_HIDDEN_STRETCHES)]])
 
 
 def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rate: float) -> float:

@@ -99,7 +99,7 @@ def test_parabola_is_exact(gap, edge_count, seed):
 def test_swing_is_filled_within_its_sd(first, seconds):
     last = first + round(seconds * SPLINE_RATE)
     truth = build_swing(noise=0.0003)
-    filled, deviation = fill_with_splines(remove_samples(truth, first, last), SPLINE_RATE, 0.5)
+    filled, deviation, _ = fill_with_splines(remove_samples(truth, first, last), SPLINE_RATE, 0.5)
     gap = slice(first, last + 1)
     error = np.abs(filled - truth)[gap, 0]
     assert (error < 5 * deviation[gap]).all()
@@ -120,7 +120,7 @@ def test_random_missing_samples_are_tolerated():
     truth = build_swing(noise=0.0003)
     damaged = truth.copy()
     damaged[np.random.default_rng(1).random(600) < 0.1, 0] = np.nan
-    filled, deviation = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    filled, deviation, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
     done = ~np.isnan(deviation)
     assert done.sum() > 0.9 * np.isnan(damaged[..., 0]).sum()
     assert np.abs(filled - truth)[done].max() < 0.002
@@ -130,7 +130,7 @@ def test_one_outlier_at_the_edge_has_little_influence():
     truth = build_swing()
     damaged = remove_samples(truth, 200, 229)
     damaged[199, 0, 1] += 0.01
-    filled, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    filled, *_ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
     assert np.abs(filled - truth)[200:230, 0].max() < 0.035  # 46 with the velocity of the last two samples alone
 
 
@@ -138,7 +138,7 @@ def test_one_outlier_at_the_edge_has_little_influence():
     ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (2, 10, "too near the start")]
 )
 def test_unsuitable_gaps_are_not_filled(first, last, why):
-    filled, deviation = fill_with_splines(remove_samples(build_swing(), first, last), SPLINE_RATE, 0.5)
+    filled, deviation, _ = fill_with_splines(remove_samples(build_swing(), first, last), SPLINE_RATE, 0.5)
     assert np.isnan(filled).all(), why
     assert np.isnan(deviation).all()
 
@@ -153,7 +153,7 @@ def test_gaps_of_one_pattern_are_filled_like_single_gaps():
     damaged = truth.copy()
     firsts = [100, 200, 300, 301, 420]
     damaged[firsts, 0] = np.nan
-    filled, _ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
+    filled, *_ = fill_with_splines(damaged, SPLINE_RATE, 0.5)
     for first, last in ((100, 100), (200, 200), (300, 301), (420, 420)):
         across = interpolate(truth[first - 7 : last + 8, 0], last - first + 1, range(7)[::-1], range(7))[1]
         np.testing.assert_allclose(filled[first : last + 1, 0], across, atol=1e-12)

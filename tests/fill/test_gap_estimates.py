@@ -21,6 +21,7 @@ from mocapfix.fill.gap_estimates import (
     build_expected_correlation,
     combine_gap_estimates,
     estimate_missing_samples,
+    fill_short_gaps,
     measure_speed_limit,
     measure_velocity_variation,
 )
@@ -129,6 +130,36 @@ def test_marker_at_rest_stays_where_it_is():
     filled, deviation, _ = estimate_take(truth, is_inlier)
     assert np.linalg.norm(filled - truth.markers, axis=-1)[220:320, 8].max() < 0.01
     assert deviation[220:320, 8].max() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_marker_alone_in_an_empty_volume_is_filled_as_well_as_by_a_line(seed):
+    """It rests until the others enter with the person, and then moves with them."""
+    rng, t = np.random.default_rng(seed), np.arange(1200) / 120
+    moved = np.where(t < 1.5, 0.0, np.sin(3 * (t - 1.5)) + 0.2 * np.sin(9 * (t - 1.5)))[:, None, None] * np.array([0.5, 0.2, 0.3])
+    truth = moved + rng.normal(0, 0.3, (8, 3)) + rng.normal(0, 0.0003, (1200, 8, 3))
+    markers = truth.copy()
+    markers[:180, 1:] = np.nan
+    markers[70:95, 0] = np.nan
+    estimate = estimate_missing_samples(markers, 120.0)
+    line = truth[69, 0] + np.arange(1, 26)[:, None] / 26 * (truth[95, 0] - truth[69, 0])
+    errors = [np.sqrt(((each - truth[70:95, 0]) ** 2).mean()) for each in (estimate.position[70:95, 0], line)]
+    assert errors[0] < 1.1 * errors[1]
+
+
+def test_a_gap_is_filled_by_a_spline_alone_throughout_or_not_at_all():
+    """Near its ends a spline is precise in any gap, and what it fills there must not serve as its ends."""
+    t = np.arange(600) / 120
+    markers = np.stack([np.sin(5 * t), np.cos(4 * t), 0 * t], 1)[:, None] + np.random.default_rng(0).normal(
+        0, 0.0002, (600, 1, 3)
+    )
+    gaps = {length: slice(first, first + length) for first, length in ((100, 3), (200, 12), (300, 20), (400, 40))}
+    for gap in gaps.values():
+        markers[gap] = np.nan
+    filled = {length: np.isfinite(fill_short_gaps(markers, 120.0, []).sd[gap, 0]) for length, gap in gaps.items()}
+    assert all(each.all() or not each.any() for each in filled.values())
+    assert filled[3].all()
+    assert not filled[40].any()
 
 
 def test_no_inliers_give_no_estimate():
@@ -324,7 +355,7 @@ def test_estimate_with_small_hidden_errors_is_used():
     window = build_window()
     good = build_estimate(window, 0.001, method=FillMethod.CLUSTER)
     bad = build_estimate(window, 0.1, seed=1, offset=1.0)
-    position, sd, method = combine_gap_estimates([bad, good], window, np.ones(len(window.starts)))
+    position, sd, method = combine_gap_estimates([bad, good], window, np.ones(len(window.starts)), 0.2)
     assert np.abs(position).max() < 0.02
     assert (method == FillMethod.CLUSTER).all()
     assert 0.0007 < sd.mean() < 0.003
@@ -337,7 +368,7 @@ def test_without_hidden_stretches_the_expected_error_counts():
     unknown = np.full((*window.hidden_frames.shape, 3), np.nan)
     near = GapEstimate(FillMethod.SPLINE, np.zeros((46, 3)), unknown, np.full(len(window.points), 0.01))
     far = GapEstimate(FillMethod.CLUSTER, np.ones((46, 3)), unknown, np.full(len(window.points), 0.1))
-    position, sd, _ = combine_gap_estimates([near, far], window, np.ones(len(window.starts)))
+    position, sd, _ = combine_gap_estimates([near, far], window, np.ones(len(window.starts)), 0.2)
     assert np.abs(position).max() < 0.01
     np.testing.assert_allclose(sd, 0.01, rtol=0.01)
 
@@ -346,7 +377,7 @@ def test_dissimilar_stretches_do_not_count():
     window = build_window()
     count = len(window.starts)
     estimate = build_estimate(window, 0.001, expected_sd=0.05)
-    similar, dissimilar = (combine_gap_estimates([estimate], window, np.full(count, each))[1].mean() for each in (1.0, 1e-9))
+    similar, dissimilar = (combine_gap_estimates([estimate], window, np.full(count, each), 0.2)[1].mean() for each in (1.0, 1e-9))
     assert similar < 0.003
     np.testing.assert_allclose(dissimilar, 0.05, rtol=0.01)
 
@@ -422,11 +453,11 @@ def test_estimate_that_lacks_frames_counts_in_the_others():
     window = build_window()
     good, bad = build_estimate(window, 0.001, method=FillMethod.CLUSTER), build_estimate(window, 0.1, seed=1, offset=1.0)
     good.position[5:10] = np.nan
-    position, sd, method = combine_gap_estimates([good, bad], window, np.ones(len(window.starts)))
+    position, sd, method = combine_gap_estimates([good, bad], window, np.ones(len(window.starts)), 0.2)
     is_lacking = np.isin(np.arange(window.length), np.arange(5, 10))
     assert (method == np.where(is_lacking, FillMethod.SPLINE, FillMethod.CLUSTER)).all()
     assert np.abs(position[~is_lacking]).max() < 0.02
     np.testing.assert_allclose(position[is_lacking], 1.0)
     assert sd[~is_lacking].max() < 0.01 < sd[is_lacking].min()
-    alone = combine_gap_estimates([good], window, np.ones(len(window.starts)))
+    alone = combine_gap_estimates([good], window, np.ones(len(window.starts)), 0.2)
     assert (np.isnan(alone[1]) == is_lacking).all()

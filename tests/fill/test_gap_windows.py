@@ -4,8 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.fill.gap_windows import (
+    MAX_HIDDEN_STRETCHES,
     RESTING_SPEED_M_S,
     choose_hidden_stretches,
+    choose_similar_stretches,
     compare_edge_motion,
     compute_variation_growth,
     find_stretches,
@@ -62,18 +64,28 @@ def test_stretches_at_rest_are_similar_to_a_gap_at_rest():
     visible = np.ones(2000, bool)
     visible[400:450] = False
     window = choose_hidden_stretches(visible, 400, 449, RATE)
-    speed, similarity = compare_edge_motion(np.where(visible[:, None], path, np.nan), window, RATE)
+    speed, similarity = compare_edge_motion(np.where(visible[:, None], path, np.nan)[:, None], window, RATE)
     assert speed == pytest.approx(RESTING_SPEED_M_S)
     is_resting = window.starts + 60 < 1000
     assert (similarity[is_resting] == 1).all()
     assert (similarity[window.starts > 1000] < 1e-3).all()
 
 
+def test_stretches_with_the_motion_of_the_gap_are_hidden():
+    t = np.arange(2000) / RATE
+    path = np.stack([np.where(t < 16, 0.0, np.sin(4 * (t - 16))), 0 * t, 0 * t], 1)[:, None]
+    visible = np.ones(2000, bool)
+    visible[1940:1944] = False
+    window = choose_similar_stretches(path, visible, 1940, 1943, RATE)
+    assert len(window.starts) == MAX_HIDDEN_STRETCHES
+    assert (window.starts > 1600).all()  # evenly spread ones would mostly be at rest
+
+
 def test_edges_tell_less_of_a_longer_gap():
     visible = np.ones(100, bool)
     visible[40:45] = False
-    motion = compare_edge_motion(np.zeros((100, 3)), choose_hidden_stretches(visible, 40, 44, RATE), RATE)
-    speeds = [motion.estimate_speed_in_gap(2.0, seconds) for seconds in (0.01, 1.0, 20.0)]
+    motion = compare_edge_motion(np.zeros((100, 1, 3)), choose_hidden_stretches(visible, 40, 44, RATE), RATE)
+    speeds = [motion.estimate_speed_in_gap(0, 2.0, seconds) for seconds in (0.01, 1.0, 20.0)]
     assert RESTING_SPEED_M_S < speeds[0] < speeds[1] < speeds[2] <= 2.0
 
 
