@@ -243,7 +243,7 @@ def iterate_blocks(value: Value, frame_count: int, block_frames: int = 0) -> Ite
     """Yield blocks of frames, and a value there. What was read from the files of its arrays leaves the memory after each."""
     for first in range(0, frame_count, length := block_frames or MAX_BLOCK_FRAMES):
         frames = slice(first, min(first + length, frame_count))
-        yield frames, map_arrays(value, frame_count, lambda _, array, frames=frames: array[frames])
+        yield frames, map_arrays(value, frame_count, lambda name, of, t=frames: of if name.endswith("point_columns") else of[t])
         release_pages(value, frame_count)
 
 
