@@ -18,6 +18,7 @@ import gc
 import hashlib
 import importlib
 import json
+import operator
 import os
 import re
 import shutil
@@ -36,12 +37,14 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
 import numba
-from llvmlite.binding import Linkage, parse_bitcode
+from llvmlite.binding import Linkage, ffi, parse_bitcode
 from numba import njit, types
-from numba.core import environment
+from numba.core import environment, errors
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.runtime.context import NRTContext
 from numba.core.runtime.nrt import rtsys
+from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import infer_global
 
 from mocapfix.model.system import count_cores, get_system
@@ -55,6 +58,15 @@ ARRAY_PATTERN = re.compile(r"(\w+)\[(\d+)([CFA])\](?: (readonly))?")
 DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 FOLDER_PREFIX = "compiled-"
 MAX_PROCESSES = 8  # more would wait for the kernel that takes longest
+SHARING_MODULES = (  # their kernels call the same functions
+    ("levenberg_marquardt", "schur", "covariance"),
+    ("belief_propagation", "pose_transfer", "rigid_registration", "joint_registration"),
+)
+NUMBER_OPERATORS = {
+    operator.add, operator.sub, operator.mul, operator.truediv, operator.neg, operator.lt, operator.le, operator.gt, operator.ge,
+    operator.eq, operator.ne, operator.iadd, operator.isub, operator.imul, operator.itruediv,
+}  # fmt: skip
+MESSAGE_COLOURS = ("code", "errmsg", "filename", "indicate", "highlight", "reset")
 
 
 @cache
@@ -192,11 +204,14 @@ cast(Any, environment).importlib = SimpleNamespace(import_module=lambda name: sy
 
 
 def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function that Python calls, as `numba.njit` does with these options, cached. A decorator."""
+    """Compile a function that Python calls, as `numba.njit` does with these options, cached. A decorator.
+
+    A division by zero is infinite or NaN, as in NumPy; an error for each division would take time to compile.
+    """
     if function is None:
         return partial(compile_kernel, **options)
     jit: Any = njit  # without its types, which do not have all options
-    kernel = jit(no_cfunc_wrapper=True, **options)(function)  # nothing needs kernels' addresses
+    kernel = jit(no_cfunc_wrapper=True, error_model="numpy", **options)(function)  # nothing needs kernels' addresses
     if CACHE_FOLDER:
         kernel._cache = KernelCache(function)
     return kernel
@@ -210,7 +225,7 @@ def compile_inner_kernel(function: Callable[..., Any] | None = None, **options: 
     if function is None:
         return partial(compile_inner_kernel, **options)
     jit, options = cast(Any, njit), {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "fastmath": False, **options}
-    cast(Any, function).compiled = compiled = jit(**options)(function)
+    cast(Any, function).compiled = compiled = jit(error_model="numpy", **options)(function)
     infer_global(function, types.Dispatcher(compiled))  # it does not keep what was compiled
     return function
 
@@ -277,38 +292,82 @@ def precompile_kernels(report_progress: Callable[[int, int], None], processes: i
         try:
             _compile_in_processes(kernels, processes or min(count_cores(), MAX_PROCESSES), report_progress)
         except (OSError, BrokenProcessPool):  # no interpreter, as inside another program
-            for name in kernels:
-                compile_listed_kernel(name)
+            compile_listed_kernels(list(kernels))
         if folder:
             _get_stamp_path(folder).touch()
 
 
 def _compile_in_processes(kernels: Iterable[str], processes: int, report_progress: Callable[[int, int], None]) -> None:
+    groups = group_kernels(kernels, processes)
     with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_begin_compiling) as pool:
-        running = [pool.submit(compile_listed_kernel, name) for name in kernels]
+        running = {pool.submit(compile_listed_kernels, names): len(names) for names in groups}
+        compiled = 0
         try:
-            for compiled, each in enumerate(as_completed(running), 1):
+            for each in as_completed(running):
                 each.result()
-                report_progress(compiled, len(running))
+                compiled += running[each]
+                report_progress(compiled, sum(running.values()))
         except BaseException:  # an interrupt; without this it would take effect after the last kernel
             for each in pool._processes.values():  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
                 each.kill()
             raise
 
 
+def group_kernels(kernels: Iterable[str], processes: int) -> list[list[str]]:
+    """Return the names of the kernels in groups, those of each to be compiled by one process, which compiles what they call once.
+
+    With more than two processes the largest group would be ready last, so each kernel is a group.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in kernels:
+        module = name.partition(".")[0]
+        shared = next((modules[0] for modules in SHARING_MODULES if module in modules), module)
+        groups.setdefault(shared if processes <= 2 else name, []).append(name)
+    return list(groups.values())
+
+
 def _begin_compiling() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that waits for this one answers the keyboard
     gc.disable()
+    save_compilation_time()
 
 
-def compile_listed_kernel(name: str) -> None:
-    """Compile a kernel for its listed types, or load it from the cache. What fails is reported where the kernel is used.
+def save_compilation_time() -> None:
+    """Make Numba compile the same code in less time: by a tenth."""
+    cast(Any, errors)._termcolor_inst = SimpleNamespace(**dict.fromkeys(MESSAGE_COLOURS, str))  # nobody reads the messages
+    cast(Any, ffi).lib._lock._cblist.clear()  # 300,000 events that nobody receives
+    cast(Any, NRTContext).get_meminfos = list_references
+    resolve = BaseFunction.get_call_type
+    resolve_once = cache(lambda function, context, arguments: resolve(function, context, arguments, {}))
+
+    def resolve_operator(function: Any, context: Any, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        if named or function.typing_key not in NUMBER_OPERATORS or not all(isinstance(each, types.Number) for each in arguments):
+            return resolve(function, context, arguments, named)
+        return resolve_once(function, context, arguments)
+
+    cast(Any, BaseFunction).get_call_type = resolve_operator
+
+
+def list_references(runtime: Any, builder: Any, described: Any, value: Any) -> list[tuple[Any, Any]]:
+    """Return what is counted of a value, as `NRTContext.get_meminfos` does, without code for shapes and the like."""
+    models = runtime._context.data_model_manager
+    model = models[described]
+    found = [(described, model.get_nrt_meminfo(builder, value))] if model.has_nrt_meminfo() else []
+    for member, extract in model.traverse(builder):
+        if models[member].contains_nrt_meminfo():
+            found += list_references(runtime, builder, member, extract(value))
+    return found
+
+
+def compile_listed_kernels(names: list[str]) -> None:
+    """Compile kernels for their listed types, or load them from the cache. What fails is reported where the kernel is used.
 
     One process compiles a kernel for all types: the index of its files in Numba's cache is for one writer at a time.
     """
-    with suppress(Exception):
-        for each in read_kernel_list()[name]:
-            find_kernel(name).compile(each)
+    for name in names:
+        with suppress(Exception):
+            for each in read_kernel_list()[name]:
+                find_kernel(name).compile(each)
 
 
 if __name__ == "__main__":

@@ -103,20 +103,26 @@ def regress_without(x, y, left_out, ridge, probes):
     for n in range(len(x)):
         _add_products(x[n], y[n], whole)
     for g in range(len(left_out)):
-        part[:] = 0.0
-        for n in np.flatnonzero(left_out[g]):
-            _add_products(x[n], y[n], part)
+        count = 0
+        clear_array(part)
+        for n in range(len(x)):
+            if left_out[g, n]:
+                count += 1
+                _add_products(x[n], y[n], part)
         for i in range(size):
             for j in range(i + 1):
                 factor[i, j] = whole[i, j] - part[i, j]
-            factor[i, i] += max(len(x) - np.count_nonzero(left_out[g]), 1) * ridge
+            factor[i, i] += max(len(x) - count, 1) * ridge
         factor_cholesky(factor)
         for a in range(3):
             for i in range(size):
                 vector[i] = whole[i, size + a] - part[i, size + a]
             solve_cholesky(factor, vector)
-            coefficients[g, :, a] = vector
-        for n in np.flatnonzero(left_out[g]):
+            for i in range(size):
+                coefficients[g, i, a] = vector[i]
+        for n in range(len(x)):
+            if not left_out[g, n]:
+                continue
             judged[g, 1] += _measure_leverage(factor, x[n], vector)
             for a in range(3):
                 error = y[n, a]
@@ -174,7 +180,10 @@ def combine_estimates(position, error, expected_sd, similarity, independent, sho
         trust[e] = evidence / (evidence + EXPECTED_WEIGHT)
     for s in range(count):
         shrink_covariance(covariance[s], expected_sd, s, correlation, trust, min_sd)
-    weights, sd, by_method, row = np.zeros((count, estimates)), np.empty(count), np.empty(methods.max() + 1), 0
+    method_count = 0
+    for method in methods:
+        method_count = max(method_count, method + 1)
+    weights, sd, by_method, row = np.zeros((count, estimates)), np.empty(count), np.empty(method_count), 0
     is_active, used = np.zeros(estimates, np.bool_), np.empty(estimates, np.int64)
     for f in range(position.shape[1]):
         is_changed, active = f == 0, 0

@@ -176,15 +176,17 @@ def mark_stretch_matches(markers, distances, own_contradiction, first, last, lab
     count = markers.shape[1]
     is_excluded, own_sum = np.zeros(count, np.bool_), np.zeros(count)
     steps = max(1, min(MAX_COMPARED_FRAMES - 1, last - first))
-    compared = first + np.arange(min(steps, last - first) + 1) * (last - first) // steps
-    for t in compared:
+    compared = min(steps, last - first) + 1
+    for n in range(compared):
+        t = first + n * (last - first) // steps
         for i in range(count):
             own_sum[i] += own_contradiction[t, i]
     for i in range(count):
-        if i == label or is_candidate[i, label] or not own_sum[i] > MIN_SWAP_CONTRADICTION * len(compared):
+        if i == label or is_candidate[i, label] or not own_sum[i] > MIN_SWAP_CONTRADICTION * compared:
             continue
         misfit_sum = 0.0
-        for t in compared:
+        for n in range(compared):
+            t = first + n * (last - first) // steps
             misfit_sum += compute_contradiction(markers, distances, t, label, i, is_excluded, 1.0)
             if not misfit_sum < MAX_RELATIVE_CONTRADICTION * own_sum[label]:
                 break

@@ -10,7 +10,15 @@ import numpy as np
 
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
-from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
+from mocapfix.kernels.small_matrices import (
+    clear_array,
+    copy_array,
+    load_single_matrix,
+    multiply_matrices,
+    multiply_vector,
+    store_matrix,
+    transpose_matrix,
+)
 
 MAX_JACOBI_SWEEPS = 10  # Jacobi's method converges quadratically, in four or five
 MAX_OFF_DIAGONAL_RATIO_SQUARED = 1e-32  # of an off-diagonal entry to the diagonal, squared: below it the entry is rounding error
@@ -177,16 +185,22 @@ def align_cluster_frames(markers, frames, cluster, weight, local, rotation, cent
         weight: (K,), of each.
     """
     m, vectors, cross, lever = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3)), np.empty((len(cluster), 3))
-    shape, share = np.empty((len(cluster), 3)), weight / weight.sum()
+    shape, share, total = np.empty((len(cluster), 3)), np.empty(len(cluster)), 0.0
+    for k in range(len(cluster)):  # loops, since whole arrays compile the text of their errors
+        copy_array(markers[cluster[k], frames[0]], shape[k])
+        total += weight[k]
     for k in range(len(cluster)):
-        shape[k] = markers[cluster[k], frames[0]]
+        share[k] = weight[k] / total
     for _ in range(2):
         for a in range(3):  # levers about the mean, so that the points need not be relative to theirs
-            mean = np.sum(share * shape[:, a])
+            mean = 0.0
+            for k in range(len(cluster)):
+                mean += share[k] * shape[k, a]
             for k in range(len(cluster)):
                 lever[k, a], shape[k, a] = share[k] * (shape[k, a] - mean), 0.0
         for n in range(len(frames)):
-            cross[:], centre[n] = 0.0, 0.0
+            clear_array(cross)
+            clear_array(centre[n])
             for k in range(len(cluster)):
                 for a in range(3):
                     x = markers[cluster[k], frames[n], a]
@@ -201,7 +215,9 @@ def align_cluster_frames(markers, frames, cluster, weight, local, rotation, cent
                 x, y, z = multiply_vector(inverse, point[0] - centre[n, 0], point[1] - centre[n, 1], point[2] - centre[n, 2])
                 local[n, k, 0], local[n, k, 1], local[n, k, 2] = x, y, z
                 shape[k, 0], shape[k, 1], shape[k, 2] = shape[k, 0] + x, shape[k, 1] + y, shape[k, 2] + z
-        shape /= len(frames)
+        for k in range(len(cluster)):
+            for a in range(3):
+                shape[k, a] /= len(frames)
 
 
 @compile_kernel

@@ -18,6 +18,7 @@ from mocapfix.kernels.compilation import (
     PACKAGE_FOLDER,
     compile_inner_kernel,
     find_kernel,
+    group_kernels,
     list_named_tuple_files,
     parse_type,
     precompile_kernels,
@@ -223,6 +224,15 @@ def test_listed_kernels_exist() -> None:
     assert kernels
     for name, each in kernels.items():
         assert {len(arguments) for arguments in each} == {find_kernel(name).py_func.__code__.co_argcount}
+
+
+def test_of_two_processes_one_compiles_all_that_call_the_solver() -> None:
+    kernels = list(read_kernel_list())
+    groups = group_kernels(kernels, processes=2)
+    assert sorted(name for group in groups for name in group) == sorted(kernels)
+    solver = {"levenberg_marquardt.solve_frames", "schur.sum_pose_responses", "covariance.compute_uncertainty_frames"}
+    assert [set(group) for group in groups if "levenberg_marquardt.solve_frames" in group] == [solver]
+    assert group_kernels(kernels, processes=3) == [[name] for name in kernels]
 
 
 def test_the_list_has_every_kernel_that_the_demo_calls(tmp_path: Path) -> None:
