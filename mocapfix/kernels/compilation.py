@@ -334,8 +334,8 @@ def _begin_compiling() -> None:
 
 def save_compilation_time() -> None:
     """Make Numba compile the same code in less time: by a tenth."""
-    cast(Any, errors)._termcolor_inst = SimpleNamespace(**dict.fromkeys(MESSAGE_COLOURS, str))  # nobody reads the messages
-    cast(Any, ffi).lib._lock._cblist.clear()  # 300,000 events that nobody receives
+    cast(Any, errors)._termcolor_inst = SimpleNamespace(**dict.fromkeys(MESSAGE_COLOURS, str))  # the messages are not shown
+    cast(Any, ffi).lib._lock._cblist.clear()  # 300,000 events without a listener
     cast(Any, NRTContext).get_meminfos = list_references
     resolve = BaseFunction.get_call_type
     resolve_once = cache(lambda function, context, arguments: resolve(function, context, arguments, {}))
