@@ -250,6 +250,8 @@ MAX_TAKE_MEMORIES = 80  # and for the rest of the take, in which it is found out
 MAX_COMPARED_MEMORIES = 600  # poses, the most similar ones, whose context is compared
 COMPARED_FRAMES = 12  # frames of a gap, and of the rest of the take, with which poses of the memory are compared
 MEMORY_NOISE_RAD2 = (0.0, 0.02, 0.1)  # variances of the memory's rotations beside those of the process, of which one is chosen
+MAX_DISTANT_SHARE = 0.8  # squared error with a memory over that of the take alone, if the take is more similar to the gap
+MIN_JUDGED_STRETCHES = 6  # as long as the gap, in which it is hidden elsewhere; fewer do not show that such a memory helps
 MEMORY_TIMES_S = 1e6, 100.0  # first time of the memory's frames in the process, and their distance: unrelated to the take's
 
 
@@ -274,7 +276,7 @@ class RememberedFrames(NamedTuple):
         self, rotations: Float[np.ndarray, "N Q"], data: "ProcessData", alone: GaussianProcess, gap_s: float
     ) -> float | None:
         """Return the further variance with which limbs hidden elsewhere in the take, for as long as in the gap, are predicted
-        best; None if they are predicted best by the take alone.
+        best; None if the take alone predicts them better. Where it is more similar to the gap, the memory must clearly win.
         """
         values, count = np.concatenate([rotations, self.values]), len(rotations)
         errors = {
@@ -282,7 +284,10 @@ class RememberedFrames(NamedTuple):
             for noise in MEMORY_NOISE_RAD2
         }
         best = min(errors, key=lambda noise: errors[noise])
-        return None if errors[best] > alone.measure_gap_errors(gap_s, count)[1].sum() else best
+        stretch_count = len(np.unique((alone.training_times_s - alone.training_times_s[0]) // gap_s))
+        is_similar, is_judged = bool(self.describe_source()), stretch_count >= MIN_JUDGED_STRETCHES
+        most = (1.0 if is_similar else MAX_DISTANT_SHARE) * alone.measure_gap_errors(gap_s, count)[1].sum()
+        return best if (is_similar or is_judged) and not errors[best] > most else None
 
     def describe_source(self) -> str:
         """Return the frames of the memory that are most similar to the gap; "" if more often those of the take are."""
