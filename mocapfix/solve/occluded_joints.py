@@ -264,6 +264,7 @@ class RememberedFrames(NamedTuple):
     values: Float[np.ndarray, "M Q"]  # quaternions times 2 of the occluded joints
     states: Float[np.ndarray, "N_M F"]  # with their context, of the take's training frames, then of the memory's
     gap_states: Float[np.ndarray, "n F"]  # with their context
+    context_size: int  # number of features before those of the takes' offsets
 
     def extend(self, data: "ProcessData", noise_rad2: float) -> "ProcessData":
         """Return the data of the process with the frames of the memory, whose rotations have a further variance."""
@@ -276,7 +277,8 @@ class RememberedFrames(NamedTuple):
         self, rotations: Float[np.ndarray, "N Q"], data: "ProcessData", alone: GaussianProcess, gap_s: float
     ) -> float | None:
         """Return the further variance with which limbs hidden elsewhere in the take, for as long as in the gap, are predicted
-        best; None if the take alone predicts them better. Where it is more similar to the gap, the memory must clearly win.
+        best; None if the take alone predicts them better. Where it is more similar to the gap, the memory must clearly win. In a
+        take that is too short to tell, similarity decides.
         """
         values, count = np.concatenate([rotations, self.values]), len(rotations)
         errors = {
@@ -286,13 +288,15 @@ class RememberedFrames(NamedTuple):
         best = min(errors, key=lambda noise: errors[noise])
         stretch_count = len(np.unique((alone.training_times_s - alone.training_times_s[0]) // gap_s))
         is_similar, is_judged = bool(self.describe_source()), stretch_count >= MIN_JUDGED_STRETCHES
+        if not is_judged:
+            return best if is_similar else None
         most = (1.0 if is_similar else MAX_DISTANT_SHARE) * alone.measure_gap_errors(gap_s, count)[1].sum()
-        return best if (is_similar or is_judged) and not errors[best] > most else None
+        return None if errors[best] > most else best
 
     def describe_source(self) -> str:
         """Return the frames of the memory that are most similar to the gap; "" if more often those of the take are."""
         count = len(self.states) - len(self.keys)
-        distances = _measure_distances(self.states, self.gap_states)
+        distances = _measure_distances(self.states[:, : self.context_size], self.gap_states[:, : self.context_size])
         nearest = distances[count:].argmin(axis=0)
         is_nearer = distances[count:].min(axis=0) < distances[:count].min(axis=0)
         return self.memory.describe_frames(self.keys[nearest[is_nearer]]) if is_nearer.mean() >= 0.5 else ""
@@ -360,6 +364,7 @@ def find_remembered_frames(
         values=np.where(is_opposite[..., None], -values, values).reshape(len(keys), -1),
         states=np.hstack([np.concatenate([training_states, states]), offsets[of_take]]),
         gap_states=np.hstack([gap_states, np.tile(offsets[0], (len(frames), 1))]),
+        context_size=gap_states.shape[1],
     )
 
 
