@@ -347,7 +347,7 @@ REST_TIME_S = 5.0  # time in which this share decays
 SIMILAR_SPEED_RATIO = 2.0
 """Ratio of the speeds of a gap and a stretch at which the stretch has the weight of one standard deviation, 0.61."""
 MAX_COMPARED_STRETCHES = 240  # stretches that are compared with a gap
-MAX_COMPARED_GAP_S = 1.0  # duration of a gap above which the motion beside it tells too little of that within
+MAX_COMPARED_GAP_S = 0.7  # duration of a gap above which the motion beside it tells too little of that within
 MIN_SIMILARITY = 0.6  # of a stretch to the gap; less similar ones are hidden only where the take has too few others
 MIN_SIMILAR_STRETCHES = 12  # stretches from which on less similar ones are not hidden
 
