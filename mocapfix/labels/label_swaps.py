@@ -31,12 +31,14 @@ from mocapfix.kernels.label_evidence import (
     mark_continuations,
     mark_distance_matches,
 )
+from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.model.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, MarkerTrajectories, build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 MIN_PARTIAL_SWAP_DURATION_S = 0.1  # shortest exchange with a label that is missing at that time: a shorter one may be a spike
+MAX_SPIKE_DURATION_S = 0.05  # longest spike that may look like an exchange with a missing label
 SWAPPED_COST_PER_S = 0.1  # cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct
 MIN_SWAP_GAIN = 0.7  # smallest cost, in leaps, that an exchange saves
 # Largest contradiction of exchanged samples, relative to that of the labels as they are, if no leap shows the exchange. In a rare
@@ -112,7 +114,7 @@ def detect_label_swaps(take: Take) -> list[Fault]:
     """
     swaps: list[Fault] = []
     for _ in range(MAX_SWAP_PASSES):
-        found = [_build_swap_fault(take, exchange) for exchange in _select_exchanges(take)]
+        found = [_build_swap_fault(take, exchange) for exchange in _reject_spikes(take, _select_exchanges(take))]
         found = [swap for swap in found if not any(swap.overlaps(old) for old in swaps)]
         swaps += found
         for swap in found:
@@ -138,6 +140,19 @@ def _select_exchanges(take: Take) -> list[LabelExchange]:
         if exchange.gain > MIN_SWAP_GAIN and not any(overlap_in_time(exchange, other) for other in selected):
             selected.append(exchange)
     return sorted(selected, key=lambda exchange: exchange.first)
+
+
+def _reject_spikes(take: Take, exchanges: list[LabelExchange]) -> list[LabelExchange]:
+    """Return the exchanges without those with a missing label that are not found if the spikes of their labels are removed."""
+    partial = {each for each in exchanges if not take.visible[each.first : each.last + 1, each.cycle].any(0).all()}
+    markers, spike_frames = take.markers.copy(), max(1, round(MAX_SPIKE_DURATION_S * take.rate))
+    for m in {m for each in partial for m in each.cycle}:
+        frames = np.flatnonzero(take.visible[:, m])
+        is_kept = find_cheapest_chain(frames, np.ascontiguousarray(markers[frames, m]), take.rate, spike_frames)
+        markers[frames[~is_kept], m] = np.nan
+    sound = [(set(each.cycle), each) for each in _select_exchanges(take.replace_markers(markers))] if partial else []
+    confirmed = {each for each in partial if any(set(each.cycle) == of and overlap_in_time(each, other) for of, other in sound)}
+    return [each for each in exchanges if each in confirmed or each not in partial]
 
 
 def _build_swap_fault(take: Take, exchange: LabelExchange) -> Fault:

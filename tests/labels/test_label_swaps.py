@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from mocapfix.io import capture
 from mocapfix.kernels import label_evidence
+from mocapfix.lab.clean_speed import compose_heavily_damaged_take
 from mocapfix.labels import label_swaps
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
@@ -99,6 +100,12 @@ def test_gaps_spikes_and_jitter_are_no_swaps():
         markers[f : f + rng.integers(1, 4), m] += rng.normal(0, 0.1, 3)
     markers[200:260, 4] += rng.normal(0, 0.012, (60, 3))
     assert label_swaps.detect_label_swaps(take) == label_swaps.detect_label_swaps(take.replace_markers(markers)) == []
+
+
+def test_spikes_beside_a_missing_marker_are_no_exchange_with_it():
+    take = compose_heavily_damaged_take(seed=13)  # in a gap of RMT1, the other markers of the foot have six spikes in 30 frames
+    found = label_swaps.detect_label_swaps(Take(take.damaged_positions, take.labels, take.rate))
+    assert [swap for swap in found if swap.last - swap.first > 2] == []
 
 
 def test_reason_names_labels_duration_and_distance():
