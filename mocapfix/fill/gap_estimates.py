@@ -218,7 +218,7 @@ class _GapEstimation:
                 speed_m_s=edges.estimate_speed_in_gap(n, float(self.velocity_sd[marker]), gap_s),
                 variation_growth=compute_variation_growth(known[:, marker], gap_s, take.rate),
             )
-            yield gap, edges.similarity[:, n]
+            yield gap, np.ascontiguousarray(edges.similarity[:, n])
 
     def call_estimators(self, estimators: Sequence[Estimator], gap: Gap) -> list[GapEstimate]:
         """Return the estimates of a gap that are nowhere faster than the limit, edges included.

@@ -378,7 +378,7 @@ def apply_pose_prior(
     joints, offsets = np.r_[attachment.joints, held], np.r_[attachment.offsets, np.zeros((len(held), 3))]
     placed = position[:, joints] + (rotation[:, joints] @ offsets[..., None])[..., 0]
     sd_m = np.repeat([problem.marker_sd, HELD_JOINT_SD_M], [len(attachment.joints), len(held)])
-    points = PointTerm(joints, offsets, placed, np.tile(sd_m**-2, (len(frames), 1)))
+    points = PointTerm(joints, offsets, np.ascontiguousarray(placed), np.tile(sd_m**-2, (len(frames), 1)))
     found = minimise(tree, (points, build_no_tracking(len(tree.parents)), prior, problem.joint_limits), known).poses
     step, turn = interpolate_poses((found[0] - known[0], known[1].swapaxes(-1, -2) @ found[1]), frames, frame_count)
     return poses[0] + step, poses[1] @ turn
