@@ -246,7 +246,7 @@ class Gap(NamedTuple):
 
 Estimator = Callable[[Gap], list[GapEstimate]]  # returns estimates of the marker of a gap, none where it has no estimate
 
-MAX_HIDDEN_STRETCHES = 24  # stretches that are hidden for one gap
+MAX_HIDDEN_STRETCHES = 12  # stretches that are hidden for one gap
 MIN_STRETCH_STARTS = 2  # first frames that must be possible for stretches of a length
 MIN_STARTS_PER_LENGTH = 0.05  # the same, relative to the length
 SHORTER_STRETCH_RATIO = 0.7  # ratio by which stretches are shortened at a time while too few first frames are possible
