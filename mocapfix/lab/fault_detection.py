@@ -36,7 +36,7 @@ from mocapfix.model.faults import (
     build_fault_mask,
 )
 from mocapfix.model.stage_timer import ProgressCallback
-from mocapfix.options import CleanOptions, FillOptions
+from mocapfix.options import CleanOptions, FillOptions, ReadOptions
 from mocapfix.result import CleaningResult
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -348,7 +348,7 @@ FAULT_INJECTIONS: dict[str, Callable[[DamagedTake], None]] = {
 
 
 REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
-REFILL_OPTIONS = CleanOptions(fill=FillOptions(refill=True))  # other programs' fills are estimated as well
+REFILL_OPTIONS = CleanOptions(read=ReadOptions(accept_contradictions=True), fill=FillOptions(refill=True))
 FAULT_MIXES: dict[str, tuple[str, ...]] = {
     "samples": ("gap", "flicker", "spike", "jitter"),
     "fills": ("stuck", "straight", "ghost"),
