@@ -298,7 +298,7 @@ def _infer_lost_joints(
                 training=training, kernel=RECORDED_ROTATION_KERNEL, conditioner=conditioner, pose_predictions=pose_predictions,
             )  # fmt: skip
             interpolated = _interpolate_tracks(given.local_rotations[:, lost], ~hidden[:, lost], at) if inferred else []
-            return [*interpolated, *(SpanEstimate(RepairMethod.JOINT_INFERRED, *each) for each in inferred)]
+            return [*interpolated, *(SpanEstimate(RepairMethod.JOINT_INFERRED, *each[:2]) for each in inferred)]
 
         is_mine = np.isin(np.arange(len(parents)), lost)
         above = [find_ancestor(joint, parents, is_mine) for joint in lost.tolist()]
