@@ -298,7 +298,8 @@ def crop_stages(take: Take, filled: Filled, body: SolvedBody | None, frames: sli
     if body:
         contacts = body.contacts.move_events(-frames.start / take.rate, (frames.stop - frames.start) / take.rate)
         parts = tuple(part for part in map(crop, body.lost_parts) if part.frame_count)
-        body = crop(replace(body, contacts=contacts, lost_parts=parts))
+        remembered = tuple(crop_intervals(body.remembered, frames))
+        body = crop(replace(body, contacts=contacts, lost_parts=parts, remembered=remembered))
     return replace(filled, detected=replace(filled.detected, label_faults=labels, sample_faults=faults)), body
 
 

@@ -501,13 +501,15 @@ def _join_bodies(take: Take, bodies: Sequence[tuple[Window, SolvedBody]], whole:
         nothing = LostPart(part.name, np.zeros(count, bool), np.full(count, np.nan), np.zeros((count, marker_count), bool))
         joined, frames = lost.setdefault(part.name, nothing), slice(window.start, window.end)
         joined.frames[frames], joined.distance_m[frames], joined.markers[frames] = part.frames, part.distance_m, part.markers
+    spans = ((body.remembered, slice(-window.start, count - window.start)) for window, body in bodies)
+    remembered = [gap for gaps, span in spans for gap in crop_intervals(gaps, span)]
     return replace(
         whole,
         contacts=contacts,
         lost_parts=tuple(lost.values()),
         is_observed=np.any([body.is_observed for _, body in bodies], axis=0),
         carried_markers=tuple(sorted({marker for _, body in bodies for marker in body.carried_markers})),
-        remembered=tuple(sorted({gap for _, body in bodies for gap in body.remembered})),
+        remembered=tuple(join_at_cuts(remembered, {window.start for window, _ in bodies}, lambda gap: gap.joints)),
     )
 
 

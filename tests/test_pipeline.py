@@ -20,6 +20,7 @@ from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.option import FRAME_LIMIT
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.solve import kinematics, person_memory
+from mocapfix.solve.lost_in_sight import BODY_PARTS
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import library
 from mocapfix.subject.library import load_marker_set
@@ -590,6 +591,25 @@ def test_a_take_in_windows_is_cleaned_as_in_one_piece(cleaned, windowed):
     for key in ("missing_before", "filled", "replaced", "relabelled", "left_empty"):
         assert many.report["fill"][key] == one.report["fill"][key]
     assert len(many.report["faults"]) == len(one.report["faults"])
+
+
+def test_a_remembered_gap_over_the_cuts_of_windows_is_one(cleaned, tmp_path, monkeypatch):
+    truth, known = cleaned.truth, tmp_path / "known.yaml"
+    library.write_subject(known, truth.subject)
+    memory = pipeline.remember_take(cleaned.path, "whole", CleanOptions().change(subject=known))[""]
+    person_memory.write_memory(tmp_path / "p.safetensors", memory)
+    markers, names = truth.marker_positions.copy(), truth.subject.skeleton.names
+    arm = [k for k, j in enumerate(truth.subject.joints) if names[j] in BODY_PARTS["left arm"]]
+    markers[150:550, arm] = np.nan
+    (tmp_path / "lost.c3d").write_bytes(build_c3d(markers, truth.labels, first=11))
+    for name in ("OVERLAP_S", "MAX_OVERLAP_S", "MIN_SHOWN_S"):
+        monkeypatch.setattr(windows, name, 1.0)
+    monkeypatch.setattr(capture, "MAX_PIECE_FRAMES", 300)
+    monkeypatch.setattr(pipeline, "plan_windows", partial(windows.plan_windows, window_frames=240))
+    result = pipeline.clean(tmp_path / "lost.c3d", subject=known, person_memory=tmp_path / "p.safetensors")
+    (note,) = [each for each in result.report["notes"] if each.startswith("Inferred from the memory")]
+    assert "left arm in frames 161\u2013560 from whole" in note
+    assert note.count("left arm") == 1
 
 
 def test_motion_and_fills_go_on_over_the_cuts_of_windows(windowed):

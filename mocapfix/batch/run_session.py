@@ -358,7 +358,7 @@ def _add_memories(
                 files.setdefault(take, {})[name] = path
     return [
         replace(request, options=request.options.change(person_memory=_name_files(files[request.take])))
-        if request.take in files
+        if request.take in files and request.options.prior.person_memory is None
         else request
         for request in requests
     ]

@@ -157,8 +157,8 @@ def run_calibrate(
     if not takes:
         return console.print_usage_error("calibrate: name at least one take.")
     parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
-    if person_memory and not is_file:
-        return console.print_usage_error("calibrate: --person-memory is of one person; name a subject file with --output.")
+    if person_memory and (not is_file or person_memory.resolve() == output.resolve()):
+        return console.print_usage_error("calibrate: --person-memory is of one person; give --output another file, NAME.yaml.")
     if is_file:
         check_outputs_absent([output, *([person_memory] if person_memory else [])], overwrite)
     attempts = console.TakeAttempts()

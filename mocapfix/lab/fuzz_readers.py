@@ -405,7 +405,7 @@ MAX_STRANGENESSES = 3  # of one take
 OPTION_SHARE = 0.35  # of the cases that are cleaned with other options than the default
 RANDOM_OPTIONS: tuple[dict[str, object], ...] = (
     {"is_fast": True}, {"prior": "none"}, {"init_method": "registration"},
-    {"prior_scope": "every-frame"}, {"known_sets_only": True}, {"marker_set": "cmu41"}, {"max_gap_s": 0.1},
+    {"prior_scope": "lost-limbs"}, {"known_sets_only": True}, {"marker_set": "cmu41"}, {"max_gap_s": 0.1},
     {"update_computed": True}, {"up_axis": "X"}, {"extra_formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "output_rate_hz": 24.0},
 )  # fmt: skip
 WRITERS = {"c3d": write_c3d, "trc": write_trc, "csv": write_csv}

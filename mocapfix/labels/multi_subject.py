@@ -5,9 +5,10 @@ that are not the body's (such as a prop) are filled from markers that move with 
 cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -29,16 +30,19 @@ def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...
         TakeError: Where the options give one subject for a take of several, or subjects of whom it shows none.
     """
     takes = split_subjects(take, load_requested_subject(options).marker_set, options.subject_prefix)
-    if isinstance(options.subject, tuple) and not any(choose_subject(each, options).subject for each in takes):
-        given = " and ".join(name for name, _ in options.subject)
-        shown = format_subject_names(takes) or take.main_subject or "no named subject"
-        raise TakeError(f"{take.name}: shows {shown}, but --subject is for {given}.")
-    if options.subject is not None and not isinstance(options.subject, tuple) and len(takes) > 1:
-        names = format_subject_names(takes)
-        raise TakeError(
-            f"{take.name}: shows {names}, but --subject describes one person; name that person with --subject-prefix."
-        )
+    _check_subject_files(take, takes, "--subject", options.subject)
     return takes
+
+
+def _check_subject_files(take: Take, takes: Sequence[Take], flag: str, files: object) -> None:
+    """Raise TakeError if an option has one file, or a subject, for a take of several subjects, or files of others only."""
+    shown = format_subject_names(takes) or take.main_subject or "no named subject"
+    if isinstance(files, tuple):
+        by_prefix = cast("tuple[tuple[str, Path], ...]", files)
+        if not any(choose_subject_file(each, by_prefix) for each in takes):
+            raise TakeError(f"{take.name}: shows {shown}, but {flag} is for {' and '.join(name for name, _ in by_prefix)}.")
+    elif files is not None and len(takes) > 1:
+        raise TakeError(f"{take.name}: shows {shown}, but {flag} describes one person; name that person with --subject-prefix.")
 
 
 def split_corrected_subjects(take: Take, options: CleanOptions) -> tuple[tuple[Take, ...], list[Review], SubjectExchanges]:
@@ -47,6 +51,7 @@ def split_corrected_subjects(take: Take, options: CleanOptions) -> tuple[tuple[T
     Returns the takes, the review of each, and the exchanges. Raises as `split_known_subjects`.
     """
     parts = split_known_subjects(take, options.subject)
+    _check_subject_files(take, parts, "--person-memory", options.prior.person_memory)
     reviews = read_changes_files(options.review.review_files, parts, take.labels)
     exchanges = correct_subject_labels(take, parts, reviews, options)
     if exchanges.faults:

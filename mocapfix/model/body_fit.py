@@ -1,7 +1,6 @@
 """The body fit: a calibrated subject, the columns of its markers in a take, and the motion that was solved from them."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,7 +20,8 @@ class SubjectInTake:
     take: Take  # the samples that the solver uses, of the K markers
 
 
-class RememberedGap(NamedTuple):
+@dataclass(frozen=True, order=True)
+class RememberedGap:
     """Joints that are inferred from the memory of the person in some frames, and from which frames of it."""
 
     first: int
@@ -36,7 +36,7 @@ class BodyFit(SubjectInTake):
 
     Attributes:
         evidence: What the solver needs to know of a solution to improve it; None for a preview, which is not solved.
-        remembered: Where limbs are inferred from the memory of the person, with the frame numbers of the file.
+        remembered: Where limbs are inferred from the memory of the person.
     """
 
     motion: Motion  # its poses, one a frame

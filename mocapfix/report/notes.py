@@ -55,7 +55,7 @@ class SolvedBody:
     lost_parts: tuple[LostPart, ...]  # parts that the solve lost in sight, with the samples of the M markers of the take
     is_observed: Bool[np.ndarray, " J"]  # whether an inlier of any marker on a joint is visible
     carried_markers: tuple[int, ...]  # the markers of the take that the body carries
-    remembered: tuple[RememberedGap, ...]  # limbs inferred from the memory of the person, with frame numbers of the file
+    remembered: tuple[RememberedGap, ...]  # limbs that are inferred from the memory of the person
 
 
 def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
@@ -90,18 +90,19 @@ def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
         *(describe_lost_part(detected.take, part, detected.inlier_mask) for part in body.lost_parts),
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
-        *describe_remembered_gaps(body.remembered, names),
+        *describe_remembered_gaps(detected.take, body.remembered, names),
     ]
 
 
-def describe_remembered_gaps(gaps: Sequence[RememberedGap], names: Sequence[str]) -> list[str]:
+def describe_remembered_gaps(take: Take, gaps: Sequence[RememberedGap], names: Sequence[str]) -> list[str]:
     """Return a note on the limbs that are inferred from the memory of the person; no note without any."""
     listed: list[str] = []
     for gap in sorted(gaps, key=lambda gap: gap.first - gap.last)[:MAX_LISTED_REMEMBERED]:
         joints = {names[joint] for joint in gap.joints}
         parts = [part for part, of_part in BODY_PARTS.items() if joints <= set(of_part)]
         what = min(parts, key=lambda part: len(BODY_PARTS[part])) if parts else format_name_list(sorted(joints))
-        listed.append(f"{what} in frames {format_frame_range(gap.first, gap.last)} from {gap.source}")
+        frames = format_frame_range(*map(take.get_frame_number, (gap.first, gap.last)))
+        listed.append(f"{what} in frames {frames} from {gap.source}")
     more = f"; and {len(gaps) - len(listed):,} more" if len(gaps) > len(listed) else ""
     return [f"Inferred from the memory of the person: {'; '.join(listed)}{more}."] if listed else []
 

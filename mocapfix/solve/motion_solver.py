@@ -319,9 +319,7 @@ def complete_body(
     if motion is body.motion:
         return body
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
-    number = body.take.get_frame_number
-    gaps = tuple(gap._replace(first=number(gap.first), last=number(gap.last)) for gap in remembered)
-    return replace(_build_body_fit(body, replace(motion, status=status), body.evidence), remembered=gaps)
+    return replace(_build_body_fit(body, replace(motion, status=status), body.evidence), remembered=tuple(remembered))
 
 
 def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorConditioner, options: CleanOptions) -> BodyFit:

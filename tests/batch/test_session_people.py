@@ -1,5 +1,6 @@
 """The stages before the cleaning: people do not depend on the order in which takes are surveyed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,8 @@ def test_takes_of_a_person_are_cleaned_with_the_memory_of_all(
     assert memory.takes == tuple(
         RememberedTake(name, digest_capture(request.path)) for name, request in zip(("day1/a", "b"), requests, strict=False)
     )
+    given = [replace(each, options=each.options.change(person_memory=tmp_path / "x.safetensors")) for each in requests]
+    assert add_memories(lambda: None, given, people, JobLimits(), BatchProgress()) == given
     content = path.read_bytes()
     add_memories(lambda: None, requests, people, JobLimits(), BatchProgress())
     assert path.read_bytes() == content

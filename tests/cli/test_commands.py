@@ -132,6 +132,10 @@ def test_a_lost_arm_is_inferred_from_the_memory_that_calibrate_wrote(mocapfix, c
     status, _, err = mocapfix("calibrate", tmp_path / "whole.c3d", "-o", tmp_path, "--person-memory", tmp_path / "x.safetensors")
     assert status == 2
     assert "--person-memory is of one person" in flat(err)
+    same = ("-o", tmp_path / "p.yaml", "--person-memory", tmp_path / "p.yaml", "--overwrite")
+    status, _, err = mocapfix("calibrate", tmp_path / "whole.c3d", *same)
+    assert status == 2
+    assert "give --output another file" in flat(err)
 
 
 def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_path):

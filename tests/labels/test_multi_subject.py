@@ -412,6 +412,13 @@ def test_subject_files_of_other_people_are_refused(files, two, tmp_path):
         pipeline.clean(files / "two.c3d", subject=(("Bob", tmp_path / "bob.yaml"),))
 
 
+def test_a_memory_of_one_person_needs_the_name_of_one_of_several_subjects(files, tmp_path):
+    with pytest.raises(TakeError, match="shows Jim and Ann, but --person-memory describes one person; name that person with"):
+        pipeline.clean(files / "two.c3d", person_memory=tmp_path / "p.safetensors")
+    with pytest.raises(TakeError, match=r"two\.c3d: shows Jim and Ann, but --person-memory is for Bob\."):
+        pipeline.clean(files / "two.c3d", person_memory=(("Bob", tmp_path / "p.safetensors"),))
+
+
 def test_each_subject_may_have_a_subject_file(files, two, tmp_path):
     library.write_subject(tmp_path / "ann.yaml", two[0].subject_results[1].subject)
     result = pipeline.clean(files / "two.c3d", subject=(("ann", tmp_path / "ann.yaml"),))

@@ -144,9 +144,10 @@ def test_limbs_from_the_memory_of_the_person_are_listed_with_their_source():
         RememberedGap(130, 170, feet, "walk3, 1:02-1:03"),
         *[RememberedGap(n, n + 1, arm, "walk2, 0:31-0:32") for n in (200, 210, 220)],
     ]
-    assert describe_remembered_gaps(gaps, names) == [
-        "Inferred from the memory of the person: LeftFoot, RightFoot in frames 130\u2013170 from walk3, 1:02-1:03; left "
-        "forearm in frames 110\u2013120 from walk2, 0:31-0:33; left forearm in frames 200\u2013201 from walk2, 0:31-0:32; "
+    take = Take(np.zeros((300, 1, 3)), ("A",), 120.0, first_frame=11)
+    assert describe_remembered_gaps(take, gaps, names) == [
+        "Inferred from the memory of the person: LeftFoot, RightFoot in frames 141\u2013181 from walk3, 1:02-1:03; left "
+        "forearm in frames 121\u2013131 from walk2, 0:31-0:33; left forearm in frames 211\u2013212 from walk2, 0:31-0:32; "
         "and 2 more."
     ]
-    assert describe_remembered_gaps([], names) == []
+    assert describe_remembered_gaps(take, [], names) == []
