@@ -380,8 +380,7 @@ class CleanOptions:
     def get_default(self, name: str) -> object:
         """Return the default of an option for the purpose of these options."""
         option = OPTION_BY_NAME[name]
-        is_other = self.purpose.purpose == PURPOSE_LAB and option.lab_default is not None
-        return option.lab_default if is_other else option.default
+        return option.lab_default if self.purpose.purpose == PURPOSE_LAB and option.lab_default is not None else option.default
 
     def map_files(self, change: Callable[[str | Path], str | Path]) -> "CleanOptions":
         """Return the options with every name of a file, or of something shipped, changed by a function."""

@@ -238,8 +238,7 @@ def run_stages(
     with timer("fill"):
         # markers are filled from feet that are held in full, without the prior; changes are compared with the body of the outputs
         body = replace(standing.fit, motion=standing.filling_motion) if standing else None
-        props = marker_set.props if marker_set else {}
-        filled = fill_gaps(detected, body, props, review.corrections, options.fill)
+        filled = fill_gaps(detected, body, marker_set.props if marker_set else {}, review.corrections, options.fill)
         solved = build_solved_body(detected, standing) if standing else None
         if kept is not None:
             filled, solved = crop_stages(take, filled, solved, kept)
@@ -275,8 +274,7 @@ def remember_take(path: str | Path, take_id: str, options: CleanOptions = DEFAUL
     capture, options = label_capture(capture, options, calibrate_takes)
     remembered, memories = RememberedTake(take_id, digest_capture(Path(path))), dict[str, PersonMemory]()
     for take in split_corrected_subjects(capture, options)[0]:
-        choice = identify_subject(take, options.subject)
-        body = detect_and_fit(take, choice, FaultReview(), options, StageTimer()).body
+        body = detect_and_fit(take, identify_subject(take, options.subject), FaultReview(), options, StageTimer()).body
         if body:
             is_shown = body.subject.body_model.free_joints
             is_inferred = find_unobserved_joints(body.take.visible, body.extended_subject, is_shown)
@@ -317,9 +315,8 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
         choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, StageTimer())
         check_contradictions(detected, body, options)
     with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
-    note = f"Cleaned in {len(windows)} windows, which overlap{with_body}."
     others = [describe_other_person(memory, body.subject.skeleton)] if memory and body else []
-    notes = (*choice.notes, note, *filter(None, others))
+    notes = (*choice.notes, f"Cleaned in {len(windows)} windows, which overlap{with_body}.", *filter(None, others))
     choice, jobs = replace(choice, notes=notes, is_learned=False), list[partial[WindowResult]]()
     for window in windows:
         subject = body and select_marker_places(detected, body, int((frames >= window.first).argmax()))
@@ -467,8 +464,7 @@ def inspect(
 
     def inspect_one(take: Take) -> InspectionReport:
         choice = identify_subject(take, options.subject)
-        timer = StageTimer(report_progress=progress)
-        choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, timer)
+        choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, StageTimer(report_progress=progress))
         notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take)]
         if marker_set := choice.marker_set:
             notes.append(describe_marker_set_match(marker_set, take.labels))

@@ -66,8 +66,7 @@ def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> li
     reason = "the joints could not be identified" if is_animation else "the take has no body"
     notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
     if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
-        is_json = take.path is not None and take.path.suffix.lower() == ".json"
-        kind = "is JSON" if is_json else "lists only visible markers"
+        kind = "is JSON" if take.path is not None and take.path.suffix.lower() == ".json" else "lists only visible markers"
         notes.append(f"{take.name} {kind}, so the cleaned markers are written as a plain table.")
     output_rate = options.output_rate_hz
     if has_body and output_rate and output_rate != take.rate:
@@ -276,8 +275,7 @@ class CleaningResult:
         markers[tuple(np.array(unstorable_samples).T)] = np.nan
         take = self.take.replace_markers(markers, self.take.sample_sd)
         reason = "its cleaned position is outside the range of the file format"
-        dropped = tuple(UnfilledRun(marker, frame, frame, reason) for frame, marker in unstorable_samples)
-        runs = self.unfilled_runs + dropped
+        runs = self.unfilled_runs + tuple(UnfilledRun(marker, frame, frame, reason) for frame, marker in unstorable_samples)
         fill = build_fill_section(self.input_take, self.relabelled_take, take, runs, self.fragment_donors)
         report: Report = {**self.subject_report, "fill": fill}
         return replace(self, take=take, unfilled_runs=runs, report=report)

@@ -607,7 +607,7 @@ def test_a_remembered_gap_over_the_cuts_of_windows_is_one(cleaned, tmp_path, mon
     monkeypatch.setattr(capture, "MAX_PIECE_FRAMES", 300)
     monkeypatch.setattr(pipeline, "plan_windows", partial(windows.plan_windows, window_frames=240))
     result = pipeline.clean(tmp_path / "lost.c3d", subject=known, person_memory=tmp_path / "p.safetensors")
-    (note,) = [each for each in result.report["notes"] if each.startswith("Inferred from the memory")]
+    (note,) = [each for each in result.subject_report["notes"] if each.startswith("Inferred from the memory")]
     assert "left arm in frames 161\u2013560 from whole" in note
     assert note.count("left arm") == 1
 

@@ -97,9 +97,8 @@ def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, 
         return cast("dict[str, Any]", outcome.value)
     if function != CALIBRATE_FUNCTION and outcome.status in ("timeout", "memory", "crash"):
         path, key = locate_record(request)
-        _write_record(
-            path, {"key": key, "files": [], "bodies": [], "subjects": {}, "error": outcome.error, "limits": asdict(limits)}
-        )
+        nothing: dict[str, Any] = {"files": [], "bodies": [], "subjects": {}}
+        _write_record(path, {"key": key, **nothing, "error": outcome.error, "limits": asdict(limits)})
     return outcome.error
 
 
@@ -268,8 +267,7 @@ def assign_subjects(
 
     by_id = {request.take: request for request in requests}
     measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)
-    bodies = [BodyMeasurements(**body) for found in measured.values() for body in found["bodies"]]
-    people = group_people(bodies, names)
+    people = group_people([BodyMeasurements(**body) for found in measured.values() for body in found["bodies"]], names)
     shared = {body.take for person in people if len(person.takes) >= MIN_PERSON_TAKES for body in person.takes}
     to_survey = {take: SurveyRequest(request) for take, request in by_id.items() if take in shared}
     surveyed = _run_stage(connect, SURVEY_STAGE, SURVEY_FUNCTION, to_survey, limits, progress)

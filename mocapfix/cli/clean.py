@@ -161,8 +161,7 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         f"{report['seconds']['total']:.1f} s."
     )
     if report["solve"]:
-        residual = report["solve"]["marker_residual_mm"]
-        print_line(f"  {take['marker_set']}: mean marker residual {residual['mean']:.1f} mm.")
+        print_line(f"  {take['marker_set']}: mean marker residual {report['solve']['marker_residual_mm']['mean']:.1f} mm.")
     if accepted := [change["kind"] for change in changes if change["decision"] == "accept"]:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
@@ -255,10 +254,9 @@ def print_faults(inspection: "InspectionReport") -> None:
     if not inspection["faults"]:
         console.stdout_console.print("No faults were detected.")
         return
-    severity_heading = "severity" if is_animation else "severity, mm"
     from rich.table import Table  # slow to import
 
-    table = Table(point, "kind", "frames", severity_heading, "confidence", "reason")
+    table = Table(point, "kind", "frames", "severity" if is_animation else "severity, mm", "confidence", "reason")
     for fault in inspection["faults"]:
         frames, severity = f"{fault['first']}-{fault['last']}", _format_severity(fault, is_animation)
         what = escape(fault["marker"]), fault["kind"], frames, severity

@@ -220,9 +220,8 @@ def run_label(
     if target.exists() and take.exists() and target.samefile(take):
         raise WriteError(f"{take}: would be replaced by its labelled copy; name another file with --output.")
     check_outputs_absent([target], overwrite)
-    parsed = parse_options(options)
     with console.show_progress(take.name, needs_kernels=True) as progress:
-        labelled = pipeline.label(take, parsed, progress=progress)
+        labelled = pipeline.label(take, parse_options(options), progress=progress)
     assert labelled.labelled_file is not None
     with replace_atomically(target) as part:
         part.write_bytes(labelled.labelled_file)

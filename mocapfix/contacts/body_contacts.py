@@ -66,8 +66,7 @@ def reduce_held_uncertainty(subject: Subject, motion: Motion, contacts: BodyCont
             joint_sd[is_joint_held, joint] = np.minimum(joint_sd[is_joint_held, joint], np.hypot(usual, ROLLING_SD_M))
         shin = skeleton.find_joint(SHINS[side])
         is_foot_held, is_ankle_known = np.all(is_held, axis=1), contacts.is_known[:, columns[0]]
-        markers = np.flatnonzero(np.isin(subject.joints, [*feet, shin])) if marker_sd.size else []
-        for k in markers:
+        for k in np.flatnonzero(np.isin(subject.joints, [*feet, shin])) if marker_sd.size else []:
             usual = _compute_known_sd(motion.marker_sd[:, k], is_ankle_known)
             to_ankle = skeleton.offsets[feet[0]]
             along_shin = np.clip(subject.marker_offsets[k] @ to_ankle / (to_ankle @ to_ankle), 0, 1)  # 0 at the knee
@@ -184,8 +183,7 @@ def displace_feet(
 
 def build_foot_targets(feet: Int[np.ndarray, " C"], target: Float[np.ndarray, "N C 3"]) -> PointTerm:
     """Return the term that places the joints `feet` at their targets, in metres."""
-    weight = np.full(target.shape[:2], CONTACT_SD_M**-2)
-    return PointTerm(feet, np.zeros((len(feet), 3)), np.ascontiguousarray(target), weight)
+    return PointTerm(feet, np.zeros((len(feet), 3)), np.ascontiguousarray(target), np.full(target.shape[:2], CONTACT_SD_M**-2))
 
 
 def add_leg_markers(
@@ -208,8 +206,7 @@ def solve_legs(skeleton: Skeleton, poses: Poses, points: PointTerm, start: Poses
     is_free = np.isin(np.arange(count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
     weight = np.full((frame_count, count), LEG_ROTATION_SD_RAD**-2)
     weight[:, 0] = (root_share * ROOT_ROTATION_SD_RAD) ** -2
-    root_weight = np.full(frame_count, (root_share * ROOT_SD_M) ** -2)
-    tracking = TrackingTerm(poses[1], weight, poses[0], root_weight)
+    tracking = TrackingTerm(poses[1], weight, poses[0], np.full(frame_count, (root_share * ROOT_SD_M) ** -2))
     tree = KinematicTree(skeleton.parents[:count], skeleton.offsets[:count], is_free)
     settings = SolverSettings(damping_ratio=SolverSettings.damping_ratio * root_share**2)  # it is relative to the root's weight
     terms = points, tracking, build_no_pose_prior(count), build_no_joint_limits(count)  # others would compile the solver again
@@ -321,8 +318,7 @@ def select_held_contacts(contacts: BodyContacts, share: Float[np.ndarray, "T F"]
     """Return the contacts of feet that are held, without those that yield to visible markers."""
     is_contact = contacts.is_contact.copy()
     for foot, joints in enumerate(FOOT_JOINTS.values()):
-        columns = [contacts.joints.index(joint) for joint in joints]
-        is_contact[:, columns] &= share[:, [foot]] >= MIN_HOLDING_SHARE
+        is_contact[:, [contacts.joints.index(joint) for joint in joints]] &= share[:, [foot]] >= MIN_HOLDING_SHARE
     return replace(contacts, is_contact=is_contact)
 
 
@@ -347,9 +343,8 @@ def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.nda
     if not all(body.subject.solved_joints[body.subject.skeleton.names.index(joint)] for joint in CONTACT_JOINTS):
         return replace(contacts, events=recorded)
     feet = build_foot_points(body.extended_subject, body.motion, markers, body.marker_positions, contacts.is_known)
-    detected = detect_gait_events(feet, contacts.floor, contacts.rate)
     on_plates = find_plate_contacts(plates, feet, contacts.floor, contacts.rate)
-    events, disagreements = merge_events(detected, recorded, on_plates)
+    events, disagreements = merge_events(detect_gait_events(feet, contacts.floor, contacts.rate), recorded, on_plates)
     return replace(align_contacts_with_plates(contacts, on_plates), events=events, event_disagreements=disagreements)
 
 

@@ -83,9 +83,8 @@ class BodyPlacement:
         )  # fmt: skip
         beside = np.concatenate([w.before, w.hidden_after])
         hidden_map, hidden_variance = map_residual(beside / rate, w.hidden_points / rate, **shape, noise_variance=noise)
-        known_share = known / (known + STEP_NOISE_M**2)
         steps = _measure_steps(axes, w.first, w.length)[np.where(edges > 0, 1, 0)]
-        context = residual[w.context_frames] - known_share[:, None] * steps
+        context = residual[w.context_frames] - (known / (known + STEP_NOISE_M**2))[:, None] * steps
         position = axes.transform_to_world(gap_map @ context, w.gap_frames)
         error = hidden_map @ residual[w.hidden_context_frames] - residual[w.hidden_frames]
         known_count, squares = (~np.isnan(error)).sum((0, 2)), np.nansum(error**2, axis=(0, 2))

@@ -52,8 +52,7 @@ def fill_with_splines(
     context_count = max(MIN_EDGE_SAMPLES, round(SPLINE_CONTEXT_S * rate))
     for m in np.flatnonzero(~visible.all(0) & visible.any(0)):
         path = np.ascontiguousarray(markers[:, m])
-        patterns = group_gap_patterns(visible[:, m], context_count, max_gap_s * rate)
-        for (length, before, after), first_frames in patterns.items():
+        for (length, before, after), first_frames in group_gap_patterns(visible[:, m], context_count, max_gap_s * rate).items():
             inside = np.arange(length)
             used = np.concatenate([-1 - np.array(before), length + np.array(after), inside])
             trials = find_complete_stretches(visible[:, m], np.sort(used), 1 + len(path) // MAX_TRIAL_STARTS)

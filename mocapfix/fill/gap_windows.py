@@ -315,8 +315,7 @@ def iterate_gaps(
     """
     gaps = group_gaps(is_missing & (is_visible.any(0) | has_ends))
     for (first, last), lost in sorted(gaps.items(), key=lambda gap: (gap[0][1] - gap[0][0], gap[0])):
-        is_inside = first > 0 and last < len(is_missing) - 1
-        remaining = lost if is_inside else lost[has_ends[lost]]
+        remaining = lost if first > 0 and last < len(is_missing) - 1 else lost[has_ends[lost]]
         while len(remaining):
             by_frequency = remaining[np.argsort(-is_visible[:, remaining].sum(0), kind="stable")]
             others, _ = select_visible_together(is_visible, int(by_frequency[0]), by_frequency[1:], 0, len(remaining))
@@ -408,7 +407,6 @@ def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rat
     A marker that is visible for a shorter time than the gap shows less of its motion. Each visible frame shows the time until the
     next one, up to CLUSTER_SATURATION_S.
     """
-    steps_s = np.diff(np.flatnonzero(is_shown)) / rate
-    shown_s = 1 / rate + float(np.minimum(steps_s, CLUSTER_SATURATION_S).sum())
+    shown_s = 1 / rate + float(np.minimum(np.diff(np.flatnonzero(is_shown)) / rate, CLUSTER_SATURATION_S).sum())
     shown, hidden = (duration_s / (CLUSTER_SATURATION_S + duration_s) for duration_s in (shown_s, gap_s))
     return max(hidden / shown, 1.0)

@@ -179,7 +179,7 @@ class MarkerProcesses:
             np.einsum("tab,tmb->tma", axes.rotation_world_axes[frames], predicted.reshape(len(frames), -1, 3))
             + axes.origin[frames, None]
         )
-        power = np.fmax(process.cross_validate_gaps(len(frames) / self.rate), process.signal_power).reshape(-1, 3).mean(1)
+        power = np.fmax(process.measure_gap_errors(len(frames) / self.rate)[0], process.signal_power).reshape(-1, 3).mean(1)
         novelty = compute_variation_growth(is_usable, w.length / self.rate, self.rate)
         sd = np.sqrt(relative_variance[:, None] * power + PROCESS_SAMPLE_NOISE_M**2) * novelty
         error = np.full((len(w.starts), len(w.points), len(lost_markers), 3), np.nan)

@@ -125,8 +125,7 @@ class _HierarchyParser:
         is_root = keyword.upper() == "ROOT"
         if is_root and (self.open_joints or self.pending_joints):
             self.raise_error(line_number, f"ROOT {name} is inside of another joint; a brace is missing before it")
-        parent = -1 if is_root else self.get_open_joint(line_number, f"JOINT {name}")
-        self.joints.append(_BvhJoint(name, parent))
+        self.joints.append(_BvhJoint(name, -1 if is_root else self.get_open_joint(line_number, f"JOINT {name}")))
         self.pending_joints.append(len(self.joints) - 1)
 
     def add_offset(self, line_number: int, rest: str) -> None:
@@ -403,9 +402,8 @@ def _build_hierarchy(
 ) -> Iterator[str]:
     """Yield the lines of the HIERARCHY section."""
     yield "HIERARCHY\n"
-    depths = [depth for _, depth in joints] + [0]
     rotation_channels = " ".join(f"{axis}rotation" for axis in rotation_order)
-    for (joint, depth), next_depth in zip(joints, depths[1:], strict=True):
+    for (joint, depth), next_depth in zip(joints, [*(depth for _, depth in joints[1:]), 0], strict=True):
         name, indent = skeleton.names[joint], "\t" * depth
         is_positioned = joint in positioned_joints
         position_channels = "Xposition Yposition Zposition " if is_positioned else ""

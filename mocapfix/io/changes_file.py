@@ -253,8 +253,7 @@ def _format_entry(entry: Mapping[str, Any]) -> str:
 @lru_cache(MAX_KEPT_TEXTS, typed=True)
 def _format_plain_value(value: object) -> str:
     text = value if isinstance(value, str) else "null" if value is None else repr(value)
-    pattern = _PLAIN_TEXT if isinstance(value, str) else _PLAIN_NUMBER
-    return text if pattern.fullmatch(text) else _NOT_PLAIN
+    return text if (_PLAIN_TEXT if isinstance(value, str) else _PLAIN_NUMBER).fullmatch(text) else _NOT_PLAIN
 
 
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:
@@ -306,8 +305,7 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
     declined = tuple(ReviewedChange(each, *places) for each, places in located if each.decision != "accept")
     corrections = (locate_correction(entry, take, f"{path}: corrections.{n}") for n, entry in enumerate(file.corrections))
     reviewed_ids = frozenset(entry.id for entry in file.changes if entry.reviewed)
-    notes = {entry.id: entry.note for entry in file.changes if entry.note}
-    return Review(declined, tuple(corrections), reviewed_ids, notes)
+    return Review(declined, tuple(corrections), reviewed_ids, {entry.id: entry.note for entry in file.changes if entry.note})
 
 
 def build_fault_review(take: Take, review: Review) -> FaultReview:
@@ -335,8 +333,7 @@ def build_fault_review(take: Take, review: Review) -> FaultReview:
             return False
         return not kept[samples[0]][:, samples[1]].any()
 
-    marked = tuple(fault for each in review.corrections if (fault := each.marked_fault))
-    return FaultReview(tuple(labels), marked, is_accepted)
+    return FaultReview(tuple(labels), tuple(fault for each in review.corrections if (fault := each.marked_fault)), is_accepted)
 
 
 def reject_corrections(review: Review, name: str, kind: str) -> None:

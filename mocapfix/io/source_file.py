@@ -120,6 +120,5 @@ def format_rows(values: Float[np.ndarray, "T C"], decimals: int) -> bytes:
         template = " ".join([f"%.{decimals}f"] * values.shape[1]) + "\n"
         return "".join([template % tuple(row) for row in values.tolist()]).encode()
     separator, line_end = (np.frombuffer(text, np.uint8) for text in (b" ", b"\n"))
-    size = values.size * (INTEGER_PART_BYTES + decimals + 1) + len(values)
-    out = np.empty(size, np.uint8)
+    out = np.empty(values.size * (INTEGER_PART_BYTES + decimals + 1) + len(values), np.uint8)
     return out[: write_rows(values, decimals, power, separator, line_end, out)].tobytes()

@@ -70,8 +70,7 @@ def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, dis
             inside = slice(first, last + 1)
             unchanged = np.where((np.arange(len(state)) >= first) & (np.arange(len(state)) <= last), 0, state)
             t = np.arange(max(first, 1), min(last + 2, len(state)))
-            saved = step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]
-            leap_gain = float(saved.sum())
+            leap_gain = float((step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]).sum())
             misfit_share = float(state_cost[inside, s].sum()) / max(float(state_cost[inside, 0].sum()), 1e-9)
             if leap_gain < MIN_SWAP_GAIN and misfit_share > MAX_EXCHANGED_MISFIT:
                 continue

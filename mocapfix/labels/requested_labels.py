@@ -56,8 +56,7 @@ def are_labels_arbitrary(labels: Sequence[str], marker_set: MarkerSet) -> bool:
     if choose_marker_set(labels).marker_set is not None:
         return False
     names = [label.rpartition(":")[2] for label in labels]
-    stems = {fold_label(name).strip("0123456789") for name in names}
-    if len(stems) <= max(1.0, MAX_STEM_SHARE * len(names)):
+    if len({fold_label(name).strip("0123456789") for name in names}) <= max(1.0, MAX_STEM_SHARE * len(names)):
         return True
     return len(guess_marker_set_from_words(names).labels) <= MAX_KNOWN_WORD_SHARE * len(names)
 
@@ -129,23 +128,19 @@ def build_labelled_c3d(take: Take, columns: LabelledColumns) -> bytes:
 
 def _build_frames(layout: C3dLayout, data: bytes, source_points: Int[np.ndarray, "T P"]) -> bytes:
     """Return the data section with other points; the analog samples of each frame are unchanged."""
-    words = layout.view_words(data)
-    missing = patches.encode_samples(layout, np.array([patches.MISSING_SAMPLE]))[0]
-    moved = words[np.arange(layout.frame_count)[:, None], source_points]
-    moved[source_points < 0] = missing
+    moved = layout.view_words(data)[np.arange(layout.frame_count)[:, None], source_points]
+    moved[source_points < 0] = patches.encode_samples(layout, np.array([patches.MISSING_SAMPLE]))[0]
     point_bytes = np.ascontiguousarray(moved).view(np.uint8).reshape(layout.frame_count, -1)
     old_point_bytes = layout.point_count * 4 * layout.word_size_bytes
     shape = layout.frame_count, layout.frame_stride_bytes - old_point_bytes
-    strides = layout.frame_stride_bytes, 1
-    analog = np.ndarray(shape, np.uint8, data, layout.data_start_byte + old_point_bytes, strides)
+    analog = np.ndarray(shape, np.uint8, data, layout.data_start_byte + old_point_bytes, (layout.frame_stride_bytes, 1))
     return np.concatenate([point_bytes, analog], axis=1).tobytes()
 
 
 def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labels: tuple[str, ...]) -> bytes:
     """Return the bytes of a new text table: a TRC for a TRC, else a plain CSV. Positions are in metres, Y up."""
-    labelled = replace(
-        take, markers=positions, labels=labels, unlabelled=None, computed_points=None, point_columns=np.zeros(0, int)
-    )
+    nothing = {"unlabelled": None, "computed_points": None, "point_columns": np.zeros(0, int)}
+    labelled = replace(take, markers=positions, labels=labels, **nothing)
     write = trc_csv.write_trc if take.path and take.path.suffix.lower() == ".trc" else trc_csv.write_csv
     with make_scratch_folder() as folder:
         path = folder / "labelled"
@@ -165,15 +160,13 @@ class FilePoints:
 
 def collect_unlabelled_points(take: Take) -> FilePoints | None:
     """Return the points of a take in which no point has a label, None for any other take."""
-    is_numbered = [label.startswith(f"{NUMBERED_POINT_NAME} ") for label in take.labels]
-    if not all(is_numbered):
+    if not all(label.startswith(f"{NUMBERED_POINT_NAME} ") for label in take.labels):
         return None
     parts = [each for each in (take if take.labels else None, take.unlabelled) if each is not None]
     if not parts:
         return None
-    return FilePoints(
-        np.concatenate([each.markers for each in parts], axis=1), np.concatenate([each.point_indices for each in parts])
-    )
+    positions = np.concatenate([each.markers for each in parts], axis=1)
+    return FilePoints(positions, np.concatenate([each.point_indices for each in parts]))
 
 
 def find_file_tracklets(points: FilePoints, rate: float) -> UnlabelledPoints:
@@ -181,16 +174,14 @@ def find_file_tracklets(points: FilePoints, rate: float) -> UnlabelledPoints:
     if not points.replaced_labels or are_points_unordered(points.positions):
         return find_tracklets(points.positions, rate)
     visible = ~np.isnan(points.positions[..., 0])
-    first = np.where(visible.any(0), visible.argmax(0), len(visible))
-    number = np.argsort(np.argsort(first, kind="stable"), kind="stable")
+    number = np.argsort(np.argsort(np.where(visible.any(0), visible.argmax(0), len(visible)), kind="stable"), kind="stable")
     return UnlabelledPoints(points.positions, np.where(visible, number, -1), rate)
 
 
 def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labels: tuple[str, ...]) -> Take:
     """Return the take as it is read from its file with labels."""
     is_visible = ~np.isnan(points.positions[..., 0])
-    names = list_point_names(take)
-    columns = plan_columns(names, points.columns, point_labels.marker_indices, is_visible, labels)
+    columns = plan_columns(list_point_names(take), points.columns, point_labels.marker_indices, is_visible, labels)
     if isinstance(take.layout, C3dLayout):
         data = build_labelled_c3d(take, columns)
     else:
@@ -200,8 +191,7 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
         gathered = np.stack([_gather(points_of_file, coordinate, columns) for coordinate in positions], axis=-1)
         data = build_labelled_table(take, gathered, columns.labels)
     assert take.path is not None
-    known = replace(points.read_options, accept_contradictions=True)
-    labelled = read_capture_bytes(take.path, data, known)
+    labelled = read_capture_bytes(take.path, data, replace(points.read_options, accept_contradictions=True))
     assert isinstance(labelled, Take)
     assert take.layout is not None
     labelled = change_convention(labelled, take.layout.unit_m, take.layout.rotation_y_up_file, take.up_axis)
@@ -266,8 +256,7 @@ def label_capture(
         labelled = label_take_like(take, Path(requested.like), options.read)
         if labelled is not None:
             return labelled, options.change(like=None)
-        subject = calibrate([Path(requested.like)], CleanOptions(read=options.read))
-        options = options.change(subject=subject, like=None)
+        options = options.change(subject=calibrate([Path(requested.like)], CleanOptions(read=options.read)), like=None)
     return label_take(take, load_requested_subject(options.subject), options.read), options
 
 
@@ -385,9 +374,8 @@ def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, ma
     notes = list(describe_labelling(labelled, marker_set.required_labels))
     if points.replaced_labels:
         names = format_name_list(points.replaced_labels, MAX_LISTED_ARBITRARY_LABELS)
-        notes.insert(
-            0, f"The labels {names} mean nothing in {marker_set.name}: the trajectories were labelled by their positions."
-        )
+        note = f"The labels {names} mean nothing in {marker_set.name}: the trajectories were labelled by their positions."
+        notes.insert(0, note)
     return replace(labelled, notes=(*labelled.notes, *notes))
 
 

@@ -132,9 +132,8 @@ def find_namesakes(take: Take) -> dict[int, int]:
     If several markers have the same label, the one that is visible longest is the marker. A numbered label whose base label
     is not in the take is a label of its own.
     """
-    visible_count = take.visible.sum(0)
     first_of_label: dict[str, int] = {}
-    for m in np.argsort(-visible_count, kind="stable"):
+    for m in np.argsort(-take.visible.sum(0), kind="stable"):
         first_of_label.setdefault(take.labels[m], int(m))
     bases = [label if first_of_label[label] != m else _strip_number(label) for m, label in enumerate(take.labels)]
     return {m: first_of_label[base] for m, base in enumerate(bases) if base in first_of_label}

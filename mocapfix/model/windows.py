@@ -193,9 +193,8 @@ def _join_two(one: Any, other: Any) -> Any:
     after, samples = SampleState(one.after.missing + other.after.missing, main.after.off_body_mm), one.samples + other.samples
     frames = [each.last + 1 - each.first for each in (one, other) if each.predicted_mm is not None]
     squares = [each.predicted_mm**2 for each in (one, other) if each.predicted_mm is not None]
-    predicted_mm = round(float(np.sqrt(np.average(squares, weights=frames))), 1) if squares else None
     joined = replace(main, id=one.id, first=one.first, last=other.last, samples=samples, before=before, after=after)
-    return replace(joined, predicted_mm=predicted_mm)
+    return replace(joined, predicted_mm=round(float(np.sqrt(np.average(squares, weights=frames))), 1) if squares else None)
 
 
 def _send_array(array: "np.memmap[Any, Any]") -> Any:

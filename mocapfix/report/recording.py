@@ -86,8 +86,7 @@ def build_floor_grids(contacts: BodyContacts, position: Float[np.ndarray, "T C 3
         return []
     height = points[:, 1] - floor.slope_x * points[:, 0] - floor.slope_z * points[:, 2]
     level = np.abs(height[:, None] - np.array(floor.level_heights_m)).argmin(1)
-    grids = (_build_grid(floor, n, points[level == n]) for n in range(len(floor.level_heights_m)) if (level == n).any())
-    return list(grids)
+    return [_build_grid(floor, n, points[level == n]) for n in range(len(floor.level_heights_m)) if (level == n).any()]
 
 
 def _build_grid(floor: Floor, level: int, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "N 2 3"]:
@@ -117,8 +116,7 @@ def _log_events(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
     frame = np.rint(time_s * contacts.rate).astype(int) + writer.frame_numbers[0]
     texts = [f"{event.side} {event.kind}, from {event.source}" for event in contacts.events]
     times = [rr.TimeColumn("time", duration=time_s), rr.TimeColumn("frame", sequence=frame)]
-    columns = rr.TextLog.columns(text=texts, level=["INFO"] * len(texts))
-    rr.send_columns("events", times, columns, recording=writer.recording)
+    rr.send_columns("events", times, rr.TextLog.columns(text=texts, level=["INFO"] * len(texts)), recording=writer.recording)
 
 
 def build_contact_views(contacts: BodyContacts) -> list[rrb.View]:
@@ -191,9 +189,8 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
 
 def check_recording_complete(path: Path) -> None:
     """Raise OSError if a recording has no end: rerun writes in a thread of its own, which only logs that the disk is full."""
-    data_end = path.stat().st_size - RECORDING_END_BYTES
     with path.open("rb") as file:
-        file.seek(max(data_end, 0))
+        file.seek(max(path.stat().st_size - RECORDING_END_BYTES, 0))
         if RECORDING_END not in file.read():
             raise OSError(errno.ENOSPC, "the recording is incomplete; is the disk full?")
 
@@ -225,8 +222,7 @@ class _RecordingWriter:
         colours = _select_colours(INPUT_COLOUR, {FAULTY_COLOUR: is_faulty, RELABELLED_COLOUR: is_relabelled})
         self._log_points("world/before", before, colours, INPUT_POINT_RADIUS_M)
         if before.unlabelled and after.unlabelled:
-            joined = before.unlabelled.visible & ~after.unlabelled.visible
-            colours = _select_colours(INPUT_COLOUR, {RELABELLED_COLOUR: joined})
+            colours = _select_colours(INPUT_COLOUR, {RELABELLED_COLOUR: before.unlabelled.visible & ~after.unlabelled.visible})
             path = "world/unlabelled"
             self._log_points(path, before.unlabelled, colours, UNLABELLED_POINT_RADIUS_M, first_id=len(before.labels))
         masks = {ESTIMATED_COLOUR: find_estimated_samples(outcome), RELABELLED_COLOUR: outcome == SampleOutcome.RELABELLED}
@@ -261,9 +257,8 @@ class _RecordingWriter:
     def log_sample_states(self, outcome: Int[np.ndarray, "T M"], lanes: Mapping[str, int]) -> None:
         """Log the changes of state of markers."""
         names = [each.label for each in SampleOutcome]
-        style = rr.StateConfiguration(
-            values=names, labels=(" ", *names[1:]), colors=[_convert_to_rgba(colour) for colour in STATE_COLOURS]
-        )
+        colours = [_convert_to_rgba(colour) for colour in STATE_COLOURS]
+        style = rr.StateConfiguration(values=names, labels=(" ", *names[1:]), colors=colours)
         for path, m in lanes.items():
             self.log_states(path, outcome[:, m], names, style)
 
@@ -312,8 +307,7 @@ def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
     ]
     residual_m = comparison.residual_m
     if residual_m is not None and np.isfinite(residual_m).any():
-        limit_mm = RESIDUAL_CLIP_FACTOR * 1e3 * float(np.nanpercentile(residual_m, 95))
-        axis = rrb.ScalarAxis(range=(0, limit_mm), zoom_lock=False)
+        axis = rrb.ScalarAxis(range=(0, RESIDUAL_CLIP_FACTOR * 1e3 * float(np.nanpercentile(residual_m, 95))), zoom_lock=False)
         name = "Largest distances from the body, mm"
         plots.append(rrb.TimeSeriesView(origin="error", name=name, axis_y=axis, plot_legend=legend))
     shares, views = [3, 1, 2][: len(plots)], list[rrb.View | rrb.Container](plots)
@@ -340,8 +334,7 @@ def _compute_eye_position(position_world: Float[np.ndarray, "T N 3"]) -> tuple[F
     right /= np.linalg.norm(right)
     position_eye = (points - target) @ np.stack([right, np.cross(towards, right), towards], axis=1)
     half_width = CAMERA_MARGIN_FACTOR * np.abs(position_eye[:, :2]).max(axis=1)
-    distance = (position_eye[:, 2] + half_width / np.tan(FIELD_OF_VIEW_RAD / 2)).max()
-    return target + distance * towards, target
+    return target + (position_eye[:, 2] + half_width / np.tan(FIELD_OF_VIEW_RAD / 2)).max() * towards, target
 
 
 def _convert_to_rgba(colour: str) -> np.uint32:

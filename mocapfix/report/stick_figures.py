@@ -131,8 +131,7 @@ def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: 
     ground = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
     stray = input_position[np.isfinite(input_position).all(axis=1)]
     stray = np.clip(stray, low - MAX_DRAWN_STRAY_DISTANCE_M, high + MAX_DRAWN_STRAY_DISTANCE_M)
-    view = FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0))
-    projected = view.project_points(np.concatenate([points, stray]))[:, :2]
+    projected = FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0)).project_points(np.concatenate([points, stray]))[:, :2]
     left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
     width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
     return FigureView(axes, ground, (float(left), float(top), float(width), float(height)))

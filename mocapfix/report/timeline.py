@@ -98,18 +98,16 @@ def _merge_near_bars(bars: Sequence[TimelineBar], frame_count: int) -> Iterator[
         starts = [n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last - 1 > max_gap]
         for start, end in zip(starts, [*starts[1:], len(each)], strict=True):
             more = f" And {end - start - 1} more nearby." if end - start > 1 else ""
-            last = max(bar.last for bar in each[start:end])
-            yield TimelineBar(css_class, each[start].first, last, each[start].title + more)
+            yield TimelineBar(css_class, each[start].first, max(bar.last for bar in each[start:end]), each[start].title + more)
 
 
 def build_time_ticks(take: Take, first: int = 0, stop: int | None = None) -> list[TimeTick]:
     """Return the marks of the time axis of the frames first..stop - 1, by default of all; times start at the first frame."""
     start_s, duration_s = first / take.rate, ((take.frame_count if stop is None else stop) - first) / take.rate
     step_s = compute_round_step(duration_s / MAX_TIME_TICKS)
-    times = np.arange(int(np.ceil(start_s / step_s - 1e-9)), (start_s + duration_s) / step_s - 1e-9) * step_s
     return [
         TimeTick((time - start_s) / duration_s, take.get_frame_number(round(time * take.rate)), round(float(time), 6))
-        for time in times
+        for time in np.arange(int(np.ceil(start_s / step_s - 1e-9)), (start_s + duration_s) / step_s - 1e-9) * step_s
     ]
 
 
@@ -244,8 +242,7 @@ def describe_contact_section(section: ContactSection, terms: PointTerms) -> str:
 def divide_take(take: Take) -> list[tuple[int, int]]:
     """Return the intervals (first, stop) of frames of the strips, of about equal length."""
     count = int(np.clip(np.ceil(take.frame_count / take.rate / MAX_STRIP_S), 1, MAX_STRIPS))
-    edges = np.linspace(0, take.frame_count, count + 1).round().astype(int).tolist()
-    return list(pairwise(edges))
+    return list(pairwise(np.linspace(0, take.frame_count, count + 1).round().astype(int).tolist()))
 
 
 def build_contact_strip(contacts: BodyContacts, joints: list[str], first: int, stop: int, take: Take) -> ContactStrip:

@@ -139,8 +139,7 @@ def build_meetings(rigid: RigidSkeleton) -> JointSegments:
     for parent, position, own in zip(rigid.parent_segment, rigid.position_in_parent, coincident, strict=True):
         segments += [parent, *own]
         joint_offsets += [position, *np.zeros((len(own), 3))]
-    first_segment = np.cumsum([0] + [1 + len(own) for own in coincident])
-    return JointSegments(first_segment, np.array(segments), np.array(joint_offsets))
+    return JointSegments(np.cumsum([0] + [1 + len(own) for own in coincident]), np.array(segments), np.array(joint_offsets))
 
 
 MIN_MARKER_TRUST = 0.25
@@ -241,8 +240,7 @@ def initialise_body(subject: SubjectInTake, solved: BodyFit | None, method: str)
     take, body = subject.take, subject.extended_subject.body_model
     changes = change_all_frames(take.frame_count)
     if solved is not None and solved.evidence is not None:
-        is_same_subject = subject.subject is solved.subject
-        changes = find_changed_frames(solved.take.markers, take.markers, is_same_subject=is_same_subject)
+        changes = find_changed_frames(solved.take.markers, take.markers, is_same_subject=subject.subject is solved.subject)
     if solved is None or changes.is_restarted.all():
         return PoseStart(initialise_between(subject, method), change_all_frames(take.frame_count))
     restarted = np.flatnonzero(changes.is_restarted)
@@ -263,8 +261,7 @@ def initialise_between(subject: SubjectInTake, method: str, pose_rate_hz: float 
     take, body = subject.take, subject.extended_subject.body_model
     frames = list_posed_frames(take.frame_count, take.rate, pose_rate_hz)
     posed = replace(take.replace_markers(take.markers[frames]), rate=take.rate * len(frames) / take.frame_count)
-    prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    motion = initialise_motion(posed, subject.extended_subject, body, prior, method)
+    motion = initialise_motion(posed, subject.extended_subject, body, load_mean_pose_prior("mean-pose", body.skeleton), method)
     root, local = kinematics.interpolate_poses((motion.root_position, motion.local_rotations), frames, take.frame_count)
     nearest = np.rint(np.interp(np.arange(take.frame_count), frames, np.arange(len(frames)))).astype(int)
     others = (values[nearest] for values in (motion.status, motion.iterations, motion.marker_sd, motion.joint_sd))
@@ -286,8 +283,7 @@ def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subjec
     start = motion.root_position, motion.local_rotations
     is_seen = find_seen_segments(estimate, subject)
     is_given = is_seen | is_seen[:, np.maximum(subject.skeleton.parents, 0)]  # at an end of a segment with markers
-    positions = np.where(is_given[..., None], estimate.positions, np.nan)
-    root, local = model.refine_take(start, positions, joint_sd, rate_hz)
+    root, local = model.refine_take(start, np.where(is_given[..., None], estimate.positions, np.nan), joint_sd, rate_hz)
     seen_world = compute_world_poses(subject.skeleton, motion)[1]
     learned = Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
     world = np.where(is_seen[..., None, None], seen_world, compute_world_poses(subject.skeleton, learned)[1])

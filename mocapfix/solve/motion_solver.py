@@ -70,8 +70,7 @@ def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvide
         frames, marker_sd = np.arange(motion.frame_count), np.empty(evidence.marker_sd.shape)
     known = frames[find_key_frames(frames, problem.pose_problem.solver_mask[frames], problem.rate)]
     pose = motion.root_position[known], motion.local_rotations[known]
-    weight = problem.is_uncertain[known] / actual_variance[known]
-    tracking = TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[known])
+    tracking = TrackingTerm(pose[1], problem.is_uncertain[known] / actual_variance[known], pose[0], evidence.root_weight[known])
     part = problem.pose_problem.select_frames(known)
     of_body, scale_m = (problem.subject, problem.prior, actual_marker_sd), problem.options.robust_scales_m[-1]
     found = compute_pose_sd(part, pose, *of_body, tracking, scale_m)
@@ -175,9 +174,8 @@ def infer_unobserved_joints(
     known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate, memory)
     remembered = occluded_joints.infer_occluded_joints(known, conditioner)
     inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
-    is_unobserved = problem.is_unobserved[frames]
     local_rotations[:] = motion.local_rotations
-    rows, joints = np.nonzero(is_unobserved)
+    rows, joints = np.nonzero(problem.is_unobserved[frames])
     local_rotations[frames[rows], joints] = inferred[rows, joints]
     return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance), remembered
 

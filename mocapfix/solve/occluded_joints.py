@@ -227,9 +227,8 @@ def infer_gap_joints(
             every = np.arange(len(remembered.values))
             expected = conditioner.predict_rotations(remembered.rotations, observed, occluded, every, remembered.values)
             drift = np.concatenate([drift, expected])
-        sampled = (
-            rows[is_new.sum() :] - fit_gaussian_process(drift, *data).predict(gap_states[queried], frames[queried] / rate)[0]
-        )
+        from_process = fit_gaussian_process(drift, *data).predict(gap_states[queried], frames[queried] / rate)[0]
+        sampled = rows[is_new.sum() :] - from_process
         innovation = np.stack([np.interp(frames, frames[queried], values) for values in sampled.T], axis=1)
         gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
         gap_rotations = _convert_rows(predicted + np.repeat(gain, 4, axis=1) * innovation)

@@ -86,8 +86,7 @@ def find_unobserved_joints(
         is_observed[:, joint] |= is_used[:, k]
     for j in range(len(free_joints) - 1, 0, -1):
         is_observed[:, subject.skeleton.parents[j]] |= is_observed[:, j]
-    is_ever_observed = is_observed.any(0)
-    return ~is_observed & free_joints & is_ever_observed & (np.arange(len(free_joints)) > 0)
+    return ~is_observed & free_joints & is_observed.any(0) & (np.arange(len(free_joints)) > 0)
 
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
@@ -183,8 +182,7 @@ def build_motion_problem(
     """Return the problem of a take whose markers are in the subject's order, NaN where missing or rejected."""
     problem = build_pose_problem(take, subject, body, prior, limits, options)
     is_unobserved = find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
-    is_partly_observed = find_partly_observed_joints(problem.solver_mask, subject)
-    is_uncertain = (is_partly_observed | is_unobserved) & body.free_joints
+    is_uncertain = (find_partly_observed_joints(problem.solver_mask, subject) | is_unobserved) & body.free_joints
     return MotionProblem(problem, subject, prior, is_unobserved, is_uncertain, take.rate, options)
 
 
@@ -218,8 +216,7 @@ def list_posed_frames(frame_count: int, rate: float, pose_rate_hz: float = POSE_
 def find_key_frames(frames: Int[np.ndarray, " N"], is_used: Bool[np.ndarray, "N K"], rate: float) -> Bool[np.ndarray, " N"]:
     """Return which frames others are interpolated from: those at POSE_RATE_HZ, and both sides of a break or a change of use."""
     has_changed = (np.diff(frames) > 1) | (is_used[1:] != is_used[:-1]).any(1)
-    is_posed = frames % max(1, round(rate / POSE_RATE_HZ)) == 0
-    return is_posed | np.r_[True, has_changed] | np.r_[has_changed, True]
+    return (frames % max(1, round(rate / POSE_RATE_HZ)) == 0) | np.r_[True, has_changed] | np.r_[has_changed, True]
 
 
 SMOOTHING_REACH_S = 0.5  # over which a frame affects others: twice the windows in which accelerations are measured
@@ -286,8 +283,7 @@ def select_windows(is_affected: Bool[np.ndarray, " T"], rate: float) -> list[Fra
         inner_mask[:] = True
     windows: list[FrameWindow] = []
     for first, last in find_runs(inner_mask):
-        count = -(-(last + 1 - first) // MAX_WINDOW_FRAMES)
-        bounds = np.linspace(first, last + 1, count + 1).astype(int).tolist()
+        bounds = np.linspace(first, last + 1, -(-(last + 1 - first) // MAX_WINDOW_FRAMES) + 1).astype(int).tolist()
         windows += [FrameWindow(a, b, max(0, a - reach), min(frame_count, b + reach)) for a, b in pairwise(bounds)]
     return windows
 

@@ -89,20 +89,16 @@ class GaussianProcess(NamedTuple):
     def predict_held_out(self, indices: Int[np.ndarray, " H"]) -> tuple[Float[np.ndarray, "H C"], Float[np.ndarray, " H"]]:
         """Return the errors of predicting some training frames from the others, and the variances relative to the signal power.
 
-        No second factorisation is needed (see `cross_validate_gaps`).
+        No second factorisation is needed (see `measure_gap_errors`).
         """
         covariance = np.linalg.inv(self.precision[np.ix_(indices, indices)])
         return -covariance @ self.weights[indices], np.diag(covariance)
 
-    def cross_validate_gaps(self, gap_s: float) -> Float[np.ndarray, " C"]:
-        """Return (C,) the mean square error in stretches of `gap_s` seconds, each predicted from all others, over the
-        predicted variance; NaN if there are fewer than two stretches.
-        """
-        return self.measure_gap_errors(gap_s, len(self.training_times_s))[0]
-
-    def measure_gap_errors(self, gap_s: float, count: int) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
-        """Return (C,) the mean square errors in stretches of `gap_s` seconds of the first `count` training frames, each predicted
-        from all others: over the predicted variance, and themselves. NaN if there are fewer than two stretches.
+    def measure_gap_errors(
+        self, gap_s: float, count: int | None = None
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
+        """Return (C,) the mean square errors in stretches of `gap_s` seconds of all or the first `count` training frames, each
+        predicted from all others: over the predicted variance, and themselves. NaN if there are fewer than two stretches.
 
         No second factorisation is needed: with K the covariance, a stretch's error is the inverse of its block of K^-1 times
         its weights (Rasmussen and Williams 2006, Eq. 5.12, for more than one value). Stretches of the same number of frames are
@@ -144,8 +140,7 @@ def fit_gaussian_process(
     noise = np.diag(covariance.noise_power + noise_variance / scale)
     precision = np.linalg.inv(covariance.compute_covariance(states, times_s, states, times_s) + noise)
     weights = precision @ values
-    power = (values * weights).mean(0)
-    return GaussianProcess(covariance, state_mean, states, times_s, value_mean, precision, weights, power)
+    return GaussianProcess(covariance, state_mean, states, times_s, value_mean, precision, weights, (values * weights).mean(0))
 
 
 MIN_ROUGHNESS_STEPS = 6  # changes over this lag that show the roughness
@@ -202,8 +197,7 @@ def estimate_roughness(
     change = known.take(later[earlier], axis=0) - known.take(earlier, axis=0)
     if len(change) < MIN_ROUGHNESS_STEPS:
         return 0.0
-    lag_s = np.array([step / rate])
-    smooth, rough = (float(compute_residual_correlation(lag_s, time_scale_s, part)[0]) for part in (0.0, 1.0))
+    smooth, rough = (float(compute_residual_correlation(np.array([step / rate]), time_scale_s, part)[0]) for part in (0.0, 1.0))
     decorrelation = (NORMAL_MEDIAN_FACTOR * float(np.median(change**2)) - 2 * noise_sd**2) / (2 * power)
     return float(np.clip((decorrelation - (1 - smooth)) / (smooth - rough), 0.0, 1.0))
 
