@@ -76,13 +76,15 @@ def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePr
             entry = data["joints"][joint]
             quaternion = np.reshape(entry["quaternion_xyzw"], (1, 4)).astype(float)
             lie.store_joint_quaternions(quaternion, j, mean_rotations[None])
+            if not np.isfinite(mean_rotations[j]).all():
+                raise ValueError("it is no rotation")
             covariance = build_symmetric_matrix(entry["covariance"])
             between_take_covariance[j] = build_symmetric_matrix(entry["between_takes"])
             np.linalg.cholesky(covariance - between_take_covariance[j])  # the covariance within takes is positive definite
             information[j] = np.linalg.inv(covariance)
             for axis in np.array(entry["locked_axes"], float).reshape(-1, 3):  # locked axes are principal axes of the covariance
                 locked_information[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
-        except (KeyError, TypeError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
             keys = "quaternion_xyzw, covariance and between_takes (xx, yy, zz, xy, xz, yz) and locked_axes"
             raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
     return MeanPosePrior(path.stem, mean_rotations, information, locked_information, between_take_covariance)

@@ -107,7 +107,7 @@ def test_cross_validation_equals_refitting_without_the_stretch():
         gain = cross @ np.linalg.inv(covariance + COVARIANCE.noise_power * np.eye(20))
         error = values[held_out] - known.value_mean - gain @ (values[rest] - known.value_mean)
         ratios.append((error**2 / (prior + COVARIANCE.noise_power - (gain * cross).sum(1))[:, None]).mean(0))
-    np.testing.assert_allclose(known.cross_validate_gaps(1.0), np.mean(ratios, 0), rtol=1e-6)
+    np.testing.assert_allclose(known.measure_gap_errors(1.0)[0], np.mean(ratios, 0), rtol=1e-6)
 
 
 def test_cross_validation_error_of_the_models_own_draws():
@@ -115,9 +115,9 @@ def test_cross_validation_error_of_the_models_own_draws():
     state, times_s = rng.normal(0, 0.3, (200, 4)), np.arange(200) / 20
     covariance = COVARIANCE.compute_covariance(state, times_s, state, times_s) + COVARIANCE.noise_power * np.eye(200)
     values = 0.2 * np.linalg.cholesky(covariance) @ rng.normal(size=(200, 50))
-    np.testing.assert_allclose(fit(values, state, times_s).cross_validate_gaps(0.5).mean(), 0.04, rtol=0.1)
+    np.testing.assert_allclose(fit(values, state, times_s).measure_gap_errors(0.5)[0].mean(), 0.04, rtol=0.1)
 
 
 def test_cross_validation_needs_two_stretches():
     times_s = np.arange(20) / 20
-    assert np.isnan(fit(np.sin(times_s)[:, None], np.zeros((20, 1)), times_s).cross_validate_gaps(5.0)).all()
+    assert np.isnan(fit(np.sin(times_s)[:, None], np.zeros((20, 1)), times_s).measure_gap_errors(5.0)[0]).all()
