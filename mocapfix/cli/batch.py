@@ -106,7 +106,7 @@ def run_batch(
     cluster = ClusterOptions(run.workers, run.scheduler, run.slurm, split_names([run.ssh]))
     check_dask_installed(cluster)
     from mocapfix.batch.child_process import JobLimits
-    from mocapfix.batch.run_session import BatchSettings, run_session
+    from mocapfix.batch.run_session import BatchSettings, knows_people, run_session
     from mocapfix.batch.session_page import write_session_page
     from mocapfix.batch.take_list import read_session_file
     from mocapfix.subject.library import load_requested_subject
@@ -127,6 +127,8 @@ def run_batch(
         remembers_people=run.people == "memory",
         people=session.people,
     )
+    if settings.remembers_people and not knows_people(settings):
+        return console.print_usage_error("--people memory cannot be used with --subject, --like, --subject-prefix or --fast.")
     if run.scheduler is None and not run.slurm and not run.ssh:
         console.compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:

@@ -246,8 +246,7 @@ def hold_standing_feet(body: BodyFit, take: Take, mode: str, *, has_events: bool
     filling = reduce_held_uncertainty(subject, held.filling_motion, standing)
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     moved_m = np.linalg.norm((held.body.joint_positions - body.joint_positions)[:, feet], axis=-1)
-    yielded_s = float((held.share < MIN_HOLDING_SHARE).any(1).sum() / contacts.rate)
-    done = HeldFeet(mode, float(moved_m.max(initial=0.0)), yielded_s)
+    done = HeldFeet(mode, float(moved_m.max(initial=0.0)), float((held.share < MIN_HOLDING_SHARE).any(1).sum() / contacts.rate))
     return StandingBody(replace(held.body, motion=motion), replace(contacts, held_feet=done), filling)
 
 

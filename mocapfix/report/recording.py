@@ -245,8 +245,7 @@ class _RecordingWriter:
         bones = np.stack([position[:, parent], position[:, child]], axis=2)[known]
         style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(RECORDING_BONE_COLOUR))
         self.recording.log("world/skeleton", style, static=True)
-        columns = rr.LineStrips3D.columns(strips=_build_strips(bones))
-        self.send_columns("world/skeleton", columns.partition(known.sum(axis=1)))
+        self.send_columns("world/skeleton", rr.LineStrips3D.columns(strips=_build_strips(bones)).partition(known.sum(axis=1)))
 
     def prepare_state_lanes(self, outcome: Int[np.ndarray, "T M"]) -> dict[str, int]:
         """Return the paths of the lanes of the markers with the most samples that are not simply measured."""

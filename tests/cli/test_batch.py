@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.batch.session_records import build_failed
+from tests.conftest import BriefTake
 
 
 def run_without_cluster(takes, settings, progress, write_page):
@@ -55,6 +56,13 @@ def test_folder_without_takes_is_one_sentence(mocapfix, tmp_path: Path) -> None:
     status, _, errors = mocapfix("batch", tmp_path, "--out", tmp_path / "out")
     assert status == 1
     assert "holds no take" in errors
+
+
+def test_memories_of_people_are_not_made_for_a_named_subject(mocapfix, tmp_path: Path, brief: BriefTake) -> None:
+    arguments = ("--people", "memory", "--subject", brief.subject)
+    status, _, errors = mocapfix("batch", brief.path.parent, "--out", tmp_path / "out", *arguments)
+    assert status == 2
+    assert "--people memory cannot be used with --subject" in " ".join(errors.split())
 
 
 def test_marker_set_that_does_not_exist_is_refused_before_any_take(mocapfix, tmp_path: Path) -> None:
