@@ -34,11 +34,13 @@ from mocapfix.solve.measured_segments import yield_to_markers
 from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.pose_problem import (
+    POSE_RATE_HZ,
     FrameChanges,
     MotionProblem,
     PoseProblem,
     build_motion_problem,
     find_key_frames,
+    list_posed_frames,
     list_window_frames,
     select_windows,
 )
@@ -323,7 +325,8 @@ def complete_body(
 def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorConditioner, options: CleanOptions) -> BodyFit:
     """Return the body under the trained prior in every frame, which yields to visible markers.
 
-    The prior is weighed against the actual errors of markers: the solve assumes larger ones, to be robust.
+    What it changes is computed at POSE_RATE_HZ, and interpolated in between. It is weighed against the actual errors of markers:
+    the solve assumes larger ones, to be robust.
 
     Args:
         body: The solved body; without evidence it is returned as it is.
@@ -333,15 +336,19 @@ def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorCon
     """
     if body.evidence is None:
         return body
-    problem, subject = _build_body_problem(body, options), body.extended_subject
-    poses = body.motion.root_position, body.motion.local_rotations
-    held = np.array([body.subject.skeleton.find_joint(name) for name in held_joints], int)
-    held = held[body.subject.solved_joints[held]]
+    problem, subject, motion = _build_body_problem(body, options), body.extended_subject, body.motion
+    poses, frames = (motion.root_position, motion.local_rotations), list_posed_frames(motion.frame_count, problem.rate)
+    held = [j for j in map(body.subject.skeleton.find_joint, held_joints) if body.subject.solved_joints[j]]
     marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, body.evidence.marker_sd)
-    pose_problem = replace(problem.pose_problem, marker_sd=marker_sd)
-    found = apply_pose_prior(pose_problem, problem.prior, conditioner, poses, held, problem.rate)
-    motion = replace(body.motion, root_position=found[0], local_rotations=found[1])
-    motion = yield_to_markers(subject, problem.pose_problem.marker_positions, body.motion, motion, problem.rate)
+    pose_problem, rate = replace(problem.pose_problem, marker_sd=marker_sd), min(problem.rate, POSE_RATE_HZ)
+    known = motion.select_frames(frames)
+    before = known.root_position, known.local_rotations
+    found = apply_pose_prior(pose_problem, problem.prior, conditioner, before, np.array(held, int), rate)
+    inferred = replace(known, root_position=found[0], local_rotations=found[1])
+    inferred = yield_to_markers(subject, pose_problem.marker_positions[frames], known, inferred, rate)
+    changes = inferred.root_position - before[0], before[1].swapaxes(-1, -2) @ inferred.local_rotations
+    step, turn = kinematics.interpolate_poses(changes, frames, motion.frame_count)
+    motion = replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
     return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
 
 

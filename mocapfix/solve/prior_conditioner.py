@@ -31,7 +31,7 @@ from mocapfix.solve.minimise import minimise
 from mocapfix.solve.motion_prior import GapContext, GapPrediction
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
-from mocapfix.solve.pose_problem import PoseProblem, find_key_frames
+from mocapfix.solve.pose_problem import PoseProblem
 from mocapfix.solve.terms import PointTerm, PosePriorTerm, build_no_tracking
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 from mocapfix.stats.sequences import interpolate_rows, sample_evenly
@@ -351,34 +351,27 @@ def compute_locked_prior(
 def apply_pose_prior(
     problem: PoseProblem,
     base: MeanPosePrior,
-    conditioner: PriorConditioner,
+    prior: PriorConditioner,
     poses: Poses,
     held: Int[np.ndarray, " H"],
     rate: float,
 ) -> Poses:
     """Return the poses that are most probable under the trained prior and the markers where solved poses place them.
 
-    They are computed at POSE_RATE_HZ; in between, the change is interpolated.
-
     Args:
         problem: Of any frames: the body, its mean pose and its joint limits.
         base: The mean pose.
-        conditioner: The trained prior.
+        prior: The trained prior.
         poses: The solved poses.
         held: Joints that keep their positions.
-        rate: Frames per second.
+        rate: Poses per second.
     """
-    frame_count, tree, attachment = len(poses[0]), problem.tree, problem.attachment
-    frames = np.flatnonzero(find_key_frames(np.arange(frame_count), np.zeros((frame_count, 0), bool), rate))
-    known = poses[0][frames], np.ascontiguousarray(poses[1][frames])
-    sample_count = 1 + math.ceil((frame_count - 1) / (MAX_SAMPLE_INTERVAL_S * rate))
-    model, sampled = conditioner.load_pose_model(), sample_evenly(len(frames), sample_count)
-    prior = build_frame_prior_term(model, conditioner.prior_scale**-2, problem, base, known, sampled)
-    position, rotation = compute_tree_poses(tree, *known)
+    tree, attachment = problem.tree, problem.attachment
+    sampled = sample_evenly(len(poses[0]), 1 + math.ceil((len(poses[0]) - 1) / (MAX_SAMPLE_INTERVAL_S * rate)))
+    term = build_frame_prior_term(prior.load_pose_model(), prior.prior_scale**-2, problem, base, poses, sampled)
+    position, rotation = compute_tree_poses(tree, *poses)
     joints, offsets = np.r_[attachment.joints, held], np.r_[attachment.offsets, np.zeros((len(held), 3))]
     placed = position[:, joints] + (rotation[:, joints] @ offsets[..., None])[..., 0]
     sd_m = np.repeat([problem.marker_sd, HELD_JOINT_SD_M], [len(attachment.joints), len(held)])
-    points = PointTerm(joints, offsets, np.ascontiguousarray(placed), np.tile(sd_m**-2, (len(frames), 1)))
-    found = minimise(tree, (points, build_no_tracking(len(tree.parents)), prior, problem.joint_limits), known).poses
-    step, turn = interpolate_poses((found[0] - known[0], known[1].swapaxes(-1, -2) @ found[1]), frames, frame_count)
-    return poses[0] + step, poses[1] @ turn
+    points = PointTerm(joints, offsets, np.ascontiguousarray(placed), np.tile(sd_m**-2, (len(placed), 1)))
+    return minimise(tree, (points, build_no_tracking(len(tree.parents)), term, problem.joint_limits), poses).poses
