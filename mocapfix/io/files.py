@@ -49,8 +49,8 @@ def open_temporary_folder(folder: Path) -> Generator[Path]:
         try:
             lock.acquire()
             break
-        except FileNotFoundError:
-            if not folder.is_dir():  # otherwise another process has removed it before it was locked
+        except (FileNotFoundError, FileExistsError):  # the latter where it is removed while filelock looks whether it is there
+            if not folder.is_dir():  # otherwise another process or thread has removed it before it was locked
                 raise
         except OSError:
             if (path / LOCK_NAME).exists():  # a file system without locks

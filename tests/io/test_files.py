@@ -144,3 +144,24 @@ def test_takes_on_several_drives_have_no_common_folder(tmp_path: Path, monkeypat
     paths = [PureWindowsPath(r"C:\takes\walk.c3d"), PureWindowsPath(r"D:\takes\run.c3d")]
     with pytest.raises(ReadError, match=r"^D:\\takes: is on another drive than C:\\takes;"):
         find_common_folder(paths)
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError, FileExistsError])
+def test_a_temporary_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, monkeypatch, error):
+    removed = []
+    build_lock = files.build_lock
+
+    class Lock:
+        def __init__(self, path):
+            self.path = path
+
+        def acquire(self):
+            removed.append(self.path.parent)
+            self.path.parent.rmdir()
+            raise error(2, "as filelock raises it")
+
+    monkeypatch.setattr(files, "build_lock", lambda path: build_lock(path) if removed else Lock(path))
+    with open_temporary_folder(tmp_path) as folder:
+        assert folder.is_dir()
+        assert folder != removed[0]
+    assert list(tmp_path.iterdir()) == []
