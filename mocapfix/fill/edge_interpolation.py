@@ -122,7 +122,7 @@ MAX_CLUSTER_ERROR_GROWTH = 2.0  # largest growth of this error with the duration
 SMOOTH_MOTION_S = 0.1  # duration below which motion is smooth: the error of the line grows with a further power of it
 WORLD_SPLINE_ERROR_RATIO = 0.25  # expected error of the spline in a very short gap, relative to that of the line
 AXES_SPLINE_ERROR_RATIO = 0.75  # the same in moving axes, whose own errors a spline follows
-SPLINE_ERROR_TIME_S = 1.0  # duration of a gap in which this ratio grows by one
+SPLINE_ERROR_TIME_S, SHORT_SPLINE_GAP_S = 1.0, 0.3  # durations in which this ratio grows by one, and its start has half gone
 ACTIVITY_POWER = 0.5  # power with which the motion relative to neighbours grows with their own
 ONE_EDGE_ERROR_RATIO = 2.0  # expected error in a gap with one edge, relative to a gap with two
 WORLD_SATURATION_S = 0.8
@@ -201,7 +201,7 @@ def _interpolate(
     error, _ = interpolate_stretches(path, *axes, hidden_rows, w.hidden_points, w.hidden_length, edges, growths)
     noise_sd = SAMPLE_NOISE_M * noise[:, w.points]
     ratio = WORLD_SPLINE_ERROR_RATIO if name == WORLD_AXES else AXES_SPLINE_ERROR_RATIO
-    expected_sd = line_sd, line_sd * (ratio + gap_s / SPLINE_ERROR_TIME_S)
+    expected_sd = line_sd, line_sd * (1 - (1 - ratio) / (1 + (gap_s / SHORT_SPLINE_GAP_S) ** 2) + gap_s / SPLINE_ERROR_TIME_S)
     methods = FillMethod.LINE, FillMethod.SPLINE
     deviations = [np.hypot(sd, noise) for sd, noise in zip(expected_sd, noise_sd, strict=False)]
     return [GapEstimate(methods[e], position[e, 0], error[e], sd, name) for e, sd in enumerate(deviations)]

@@ -419,7 +419,7 @@ def combine_gap_estimates(
     largest = np.nanmax(expected_sd, axis=1, initial=MIN_FILL_SD_M, keepdims=True)
     expected_sd = np.where(np.isnan(expected_sd), largest, expected_sd)  # of one that lacks frames
     correlation = build_expected_correlation([e.axes for e in estimates])
-    worth = 1 + (SHORT_GAP_STRETCHES - 1) / (1 + (gap_s / SHORT_GAP_S) ** 2)
+    worth = 1 + (SHORT_GAP_STRETCHES - 1) / (1 + (gap_s / SHORT_GAP_S) ** 4)
     shown = window.hidden_length / window.length * np.array([e.evidence for e in estimates])
     methods, independent = np.array([int(e.method) for e in estimates]), worth * window.count_independent_stretches()
     weighting = similarity, independent, shown, correlation, MIN_WEIGHED_SD_M, window.points, methods
