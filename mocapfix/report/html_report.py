@@ -37,6 +37,7 @@ from mocapfix.report.sample_states import (
     SampleOutcome,
     classify_input_samples,
     find_estimated_samples,
+    group_changes,
 )
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
 from mocapfix.report.terms import FAULT_GROUPS, format_frame_range, format_number, get_fault_group
@@ -81,6 +82,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
     notes = [("Note", note) for note in report["notes"]]
+    events = group_changes(comparison.changes, comparison.cleaned_take.labels, comparison.cleaned_take.markers)
     review_file, name = f"{take.output_stem}.changes.yaml", take.path.name if take.path else "TAKE"
     write_page(
         target,
@@ -101,7 +103,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         contacts=build_contact_part(report.get("contacts"), comparison.contacts, take, comparison.terms),
         take=take,
-        changes=comparison.changes,
+        changes=[(n, each) for n, event in enumerate(events, 1) for each in event],
         unchanged=[fault for fault in comparison.unchanged_faults if fault.kind not in MISSING_KINDS],
         review_file=review_file,
         review_command=shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]),

@@ -1,23 +1,28 @@
-"""A take before and after cleaning: its faults and changes, and the state of every sample.
+"""A take before and after cleaning: its faults, its changes and their events, and the state of every sample.
 
 A sample is measured, filled, replaced, relabelled, reassigned, suspect or empty. The HTML report and the recording show this.
 """
 
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import product
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.changes import Change, list_affected_markers
-from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment, build_fault_mask
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment, FrameInterval, build_fault_mask
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.model.windows import iterate_blocks
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
+from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.sequences import sample_evenly
 
 
 class SampleOutcome(IntEnum):
@@ -96,6 +101,63 @@ def classify_input_samples(
     other_marker = np.isin(outcome, (SampleOutcome.RELABELLED, SampleOutcome.REASSIGNED, SampleOutcome.FILLED))
     states = [SampleOutcome.EMPTY, SampleOutcome.RELABELLED, SampleOutcome.SUSPECT]
     return np.select([~visible, other_marker, outcome != SampleOutcome.MEASURED], states, SampleOutcome.MEASURED)
+
+
+@runtime_checkable
+class ChangedInterval(FrameInterval, Protocol):
+    """A change, as it is in the report or as it is in a changes file; see `Change`."""
+
+    @property
+    def markers(self) -> Sequence[str]:
+        """The labels of its markers."""
+        ...
+
+
+ChangeT = TypeVar("ChangeT", bound=ChangedInterval)
+# Two changes are of one event if they have at least this share of their frames in common, and the median distance of a marker of
+# the one from a marker of the other is not larger. On composed takes of which a tenth is missing, all of 131 lost arms and legs
+# are one event, and 42 of 1,485 events hold a gap of another cause.
+MIN_EVENT_OVERLAP = 0.5
+MAX_EVENT_DISTANCE_M = 0.35
+MAX_EVENT_FRAMES = 50  # in which distances are measured
+
+
+def group_changes(
+    changes: Iterable[ChangeT], labels: Sequence[str], markers: Float[np.ndarray, "T M 3"]
+) -> list[tuple[ChangeT, ...]]:
+    """Return the events of a take: the changes at one time of neighbouring markers, such as those of a lost arm.
+
+    Events, and the changes of each, are in the order of time; each change is in one event.
+
+    Args:
+        labels: The labels of the M markers.
+        markers: Their positions in metres after cleaning.
+    """
+    column, sampled = {label: m for m, label in enumerate(labels)}, markers[sample_evenly(len(markers), MAX_EVENT_FRAMES)]
+
+    @cache
+    def are_near(one: str, other: str) -> bool:
+        if one == other or not {one, other} <= column.keys():
+            return one == other
+        distance_m = compute_lengths(sampled[:, column[one]] - sampled[:, column[other]])
+        known = distance_m[np.isfinite(distance_m)]
+        return bool(len(known) and np.median(known) <= MAX_EVENT_DISTANCE_M)
+
+    ordered = sorted(changes, key=lambda each: each.first)
+    events = [[n] for n in range(len(ordered))]  # of each change the changes of its event so far, one list for all of them
+    for n, one in enumerate(ordered):
+        for k in range(n + 1, len(ordered)):
+            other = ordered[k]
+            if other.first > one.last + 1 - MIN_EVENT_OVERLAP * (one.last - one.first + 1):
+                break
+            common, union = (end(one.last, other.last) + 1 for end in (min, max))
+            is_same_time = common - other.first >= MIN_EVENT_OVERLAP * (union - one.first)
+            pairs, joined = product(one.markers, other.markers), events[k]
+            if joined is not events[n] and is_same_time and any(are_near(*pair) for pair in pairs):
+                events[n] += joined
+                for each in joined:
+                    events[each] = events[n]
+    return [tuple(ordered[n] for n in sorted(each)) for each in {id(each): each for each in events}.values()]
 
 
 @dataclass(frozen=True)

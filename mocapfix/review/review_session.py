@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
 from mocapfix.output_formats import get_file_version
+from mocapfix.report.sample_states import group_changes
 from mocapfix.review import take_files
 
 MAX_MESSAGE_LENGTH = 1000
@@ -178,6 +179,7 @@ class OpenTake:
                 "difference": self._difference,
                 "export": {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": written},
                 "can_clean": not reason,
+                "can_correct": not self.take.report["take"].get("animation"),
                 "cannot_clean_reason": reason,
                 **self.describe_review(),
             }
@@ -188,13 +190,16 @@ class OpenTake:
             file = self.store.file
             own = {(each.kind, tuple(each.markers), each.first) for each in file.corrections}
             known = {id(change) for change in before.changes} if before else set[int]()
+            events = () if before else group_changes(file.changes, self.view.labels, self.view.after)
             return {
                 "revision": self.store.revision,
                 "changed" if before else "changes": [
                     describe_change(change, own) for change in file.changes if id(change) not in known
                 ],
+                **({} if before else {"events": [[change.id for change in each] for each in events]}),
                 "corrections": [each.model_dump() for each in file.corrections],
-                "undo_count": self.store.undo_count,
+                "undo_count": len(self.store.state.done),
+                "redo_count": len(self.store.state.undone),
                 **self._describe_state(),
             }
 
@@ -205,20 +210,8 @@ class OpenTake:
         """
         with self.lock:
             self.check_not_running()
-            store, before = self.store, self.store.file
-            match action:
-                case {"type": "decide", "ids": list() as ids, "decision": "accept" | "reject" | "keep" as decision}:
-                    store.decide(revision, [str(each) for each in cast("list[object]", ids)], decision)
-                case {"type": "note", "id": str() as name, "text": str() as text}:
-                    store.note(revision, name, text)
-                case {"type": "add", "correction": dict() as values}:
-                    store.add_correction(revision, values)
-                case {"type": "remove", "index": int() as index}:
-                    store.remove_correction(revision, index)
-                case {"type": "undo"}:
-                    store.undo(revision)
-                case _:
-                    raise SceneError("The page sent an edit that is not known; load it again.")
+            before = self.store.file
+            self.store.edit(revision, take_files.parse_edit(action))
             return self.describe_review(before)
 
     def approve(self, name: str) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
-from pydantic import Field, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
 from mocapfix.io.c3d import read_fill_sd
@@ -24,7 +24,7 @@ from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import CHANGES_SUFFIX, format_change, join_changes_file
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_atomically, return_free_memory
-from mocapfix.io.yaml_files import MAX_NOTE_LENGTH, ChangeModel, ChangesFileModel, CorrectionModel, StrictModel, read_yaml_model
+from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel, NoteText, StrictModel, read_yaml_model
 from mocapfix.model.animation import Animation, build_tip_take
 from mocapfix.model.faults import Decision
 from mocapfix.model.take import Take
@@ -175,7 +175,108 @@ def determine_state(file: ChangesFileModel, approval: Approval | None, revision:
     return "in review" if is_touched or approval else "untouched"
 
 
+class FileEdit(StrictModel):
+    """An edit of the content of a changes file. Each kind is a class, which `AnyEdit` names."""
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        """Return the content after the edit. Raises SceneError if it is not allowed."""
+        raise NotImplementedError
+
+    def apply(self, state: "EditedState") -> "EditedState":
+        """Return the state after the edit. Raises as `change`."""
+        return EditedState(self.change(state.file), (*state.done[-MAX_UNDO_STEPS + 1 :], state.file))
+
+
+class DecideEdit(FileEdit):
+    """A decision on changes."""
+
+    type: Literal["decide"]
+    ids: list[str]
+    decision: Decision
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        return _update_changes(file, self.ids, {"decision": self.decision, "reviewed": True})
+
+
+class NoteEdit(FileEdit):
+    """A note on a change."""
+
+    type: Literal["note"]
+    id: str
+    text: NoteText
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        return _update_changes(file, [self.id], {"note": self.text})
+
+
+class AddEdit(FileEdit):
+    """A new correction."""
+
+    type: Literal["add"]
+    correction: CorrectionModel
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        return file.model_copy(update={"corrections": [*file.corrections, self.correction]})
+
+
+class RemoveEdit(FileEdit):
+    """The end of a correction, by its index."""
+
+    type: Literal["remove"]
+    index: int
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        corrections = list(file.corrections)
+        if not 0 <= self.index < len(corrections):
+            raise SceneError(f"The changes file has no correction {self.index + 1}.")
+        del corrections[self.index]
+        return file.model_copy(update={"corrections": corrections})
+
+
+class StepEdit(StrictModel):
+    """The undoing of the last edit, or the making again of the edit that was undone last."""
+
+    type: Literal["undo", "redo"]
+
+    def apply(self, state: "EditedState") -> "EditedState":
+        """Return the state after the step. Raises SceneError if there is no such edit."""
+        if not (steps := state.done if self.type == "undo" else state.undone):
+            raise SceneError(f"There is nothing to {'undo' if self.type == 'undo' else 'make again'}.")
+        if self.type == "undo":
+            return EditedState(steps[-1], steps[:-1], (*state.undone, state.file))
+        return EditedState(steps[-1], (*state.done, state.file), steps[:-1])
+
+
+AnyEdit = DecideEdit | NoteEdit | AddEdit | RemoveEdit | StepEdit
+EDIT_ADAPTER: TypeAdapter[AnyEdit] = TypeAdapter(Annotated[AnyEdit, Field(discriminator="type")])
 MAX_UNDO_STEPS = 1000
+
+
+class EditedState(NamedTuple):
+    """The content of a changes file, its contents before the edits that can be undone, and after those that were undone."""
+
+    file: ChangesFileModel
+    done: tuple[ChangesFileModel, ...] = ()
+    undone: tuple[ChangesFileModel, ...] = ()
+
+
+def parse_edit(action: object) -> AnyEdit:
+    """Return an edit as the page sent it. Raises SceneError."""
+    try:
+        return EDIT_ADAPTER.validate_python(action)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise SceneError(f"The edit is not allowed: {key} {first['msg'].removeprefix('Value error, ')}.") from error
+
+
+def _update_changes(file: ChangesFileModel, ids: Sequence[str], values: dict[str, Any]) -> ChangesFileModel:
+    """Return the content with new values of some changes. Raises SceneError if there are no such changes."""
+    chosen = set(ids)
+    if unknown := chosen - {change.id for change in file.changes}:
+        raise SceneError(f"{file.take}: has no change {format_name_list(sorted(unknown))}.")
+    changes = [change.model_copy(update=values) if change.id in chosen else change for change in file.changes]
+    return file.model_copy(update={"changes": changes})
 
 
 class EditConflictError(MocapfixError):
@@ -186,81 +287,32 @@ class DecisionStore:
     """A changes file that is read once, and written at each edit.
 
     Attributes:
-        file, revision: Its content, and the hash of its bytes, when it was last read or written.
+        state, revision: Its content with the edits, and the hash of its bytes, when it was last read or written.
+        edits: All edits since it was read, undoing among them: applied in turn they lead to the state.
         check_correction: Raises SceneError for a correction that the take does not allow.
     """
 
     def __init__(self, path: Path, check_correction: Callable[[CorrectionModel], object] = lambda _: None) -> None:
         self.path = path
         self._check_correction = check_correction
-        self._undo: list[ChangesFileModel] = []
-        self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
-        self.file, self.revision = self._read()
+        self._read()
 
     @property
-    def undo_count(self) -> int:
-        """How many edits can be undone."""
-        return len(self._undo)
+    def file(self) -> ChangesFileModel:
+        """The content of the file."""
+        return self.state.file
 
-    def refresh(self) -> bool:
-        """Read the file again if it was changed; return whether it was. Raises SceneError if it is invalid now."""
-        if hash_changes(self.path) == self.revision:
-            return False
-        self.file, self.revision = self._read()
-        self._undo.clear()
-        self._lines.clear()
-        return True
+    def refresh(self) -> None:
+        """Read the file again if it was changed. Raises SceneError if it is invalid now."""
+        if hash_changes(self.path) != self.revision:
+            self._read()
 
-    def decide(self, revision: str, ids: Sequence[str], decision: Decision) -> None:
-        """Decide on changes. Raises as `_save`, and SceneError if there is no such change."""
-        chosen = set(ids)
-        if unknown := chosen - {change.id for change in self.file.changes}:
-            raise SceneError(f"{self.path.name}: has no change {format_name_list(sorted(unknown))}.")
-        decided = {"decision": decision, "reviewed": True}
-        changes = [change.model_copy(update=decided) if change.id in chosen else change for change in self.file.changes]
-        self._save(revision, self.file.model_copy(update={"changes": changes}))
-
-    def note(self, revision: str, name: str, text: str) -> None:
-        """Note something on a change. Raises as `decide`, and if the text is too long."""
-        if len(text) > MAX_NOTE_LENGTH:
-            raise SceneError(f"A note can have {MAX_NOTE_LENGTH} characters; this one has {len(text)}.")
-        if name not in {change.id for change in self.file.changes}:
-            raise SceneError(f"{self.path.name}: has no change {name}.")
-        changes = [change.model_copy(update={"note": text}) if change.id == name else change for change in self.file.changes]
-        self._save(revision, self.file.model_copy(update={"changes": changes}))
-
-    def add_correction(self, revision: str, values: object) -> None:
-        """Add a correction. Raises as `_save`, and SceneError if its values are not allowed."""
-        try:
-            correction = CorrectionModel.model_validate(values)
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"])
-            raise SceneError(f"The correction is not allowed: {key} {first['msg'].removeprefix('Value error, ')}.") from error
-        self._check_correction(correction)
-        self._save(revision, self.file.model_copy(update={"corrections": [*self.file.corrections, correction]}))
-
-    def remove_correction(self, revision: str, index: int) -> None:
-        """Remove a correction by its index. Raises as `_save`, and SceneError if there is none."""
-        corrections = list(self.file.corrections)
-        if not 0 <= index < len(corrections):
-            raise SceneError(f"{self.path.name}: has no correction {index + 1}.")
-        del corrections[index]
-        self._save(revision, self.file.model_copy(update={"corrections": corrections}))
-
-    def undo(self, revision: str) -> None:
-        """Undo the last edit. Raises as `_save`, and SceneError if there is none."""
-        if not self._undo:
-            raise SceneError("There is nothing to undo.")
-        last, undo = self._undo[-1], self._undo[:-1]
-        self._save(revision, last)
-        self._undo = undo
-
-    def _save(self, revision: str, file: ChangesFileModel) -> None:
-        """Write the file.
+    def edit(self, revision: str, edit: AnyEdit) -> None:
+        """Make an edit, and write the file.
 
         Raises:
             EditConflictError: If it is not the one that the editor knows.
+            SceneError: If the edit is not allowed.
             WriteError: If it cannot be written.
         """
         if revision != self.revision or hash_changes(self.path) != self.revision:
@@ -269,21 +321,27 @@ class DecisionStore:
                 f"{self.path.name} was changed by another page, program or person; your last edit is not saved. "
                 "The page shows the file as it is now."
             )
+        state = edit.apply(self.state)
+        for each in state.file.corrections:
+            if each not in self.file.corrections:
+                self._check_correction(each)
+        file = state.file
         lines = {id(change): self._lines.get(id(change)) or format_change(change) for change in file.changes}
         data = join_changes_file(file.take, file.frames, list(lines.values()), file.corrections).encode()
         with replace_atomically(self.path) as part:
             part.write_bytes(data)
-        self._lines = lines
-        self._undo = [*self._undo[-MAX_UNDO_STEPS + 1 :], self.file]
-        self.file, self.revision = file, hashlib.sha256(data).hexdigest()
+        self._lines, self.state, self.revision = lines, state, hashlib.sha256(data).hexdigest()
+        self.edits.append(edit)
 
-    def _read(self) -> tuple[ChangesFileModel, str]:
-        """Return the file as it is, and its hash. Raises SceneError, ReadError."""
+    def _read(self) -> None:
+        """Read the file as it is. Raises SceneError, ReadError."""
         revision = hash_changes(self.path)
         while True:
             file, before = read_yaml_model(ChangesFileModel, self.path), revision
             if (revision := hash_changes(self.path)) == before:  # else it was replaced while it was read
-                return file, revision
+                break
+        self.state, self.revision, self.edits = EditedState(file), revision, list[AnyEdit]()
+        self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
 
 
 JOINT_BLOCK_FRAMES = 1000

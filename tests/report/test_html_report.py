@@ -86,6 +86,13 @@ def test_every_change_is_listed_with_the_files_frame_numbers(scene, tmp_path):
     assert "30.0 → 30.0 accept" in text
 
 
+def test_changes_at_one_time_of_neighbouring_markers_have_one_event_number(scene, tmp_path):
+    text = write_page(scene, tmp_path).text.partition("All changes")[2]
+    numbers = {name: int(number) for number, name in re.findall(r"(\d+) ([a-z]+-\S+-\d+) ", text)}
+    assert numbers["gap-M03-151"] != numbers["spike-M05-171"]
+    assert sorted(set(numbers.values())) == list(range(1, max(numbers.values()) + 1))
+
+
 def test_the_page_gives_the_command_that_reverts_a_change(scene, tmp_path):
     text = write_page(scene, tmp_path).text
     assert "mocapfix clean 'walk <1>.c3d' --changes 'walk <1>.changes.yaml' --overwrite" in text

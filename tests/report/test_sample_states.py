@@ -1,14 +1,16 @@
-"""The state of every sample, and a take before and after cleaning."""
+"""The state of every sample, a take before and after cleaning, and the events of its changes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mocapfix.model import windows
-from mocapfix.model.changes import SampleState
+from mocapfix.model.changes import Change, SampleState
 from mocapfix.model.faults import Faults
-from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples, group_changes
 
 
 @pytest.mark.parametrize("block_frames", [7, 1000])
@@ -94,3 +96,42 @@ def test_joined_fragments_are_listed_by_donor(scene):
     (donor,) = scene.comparison.fragments_by_donor
     assert donor == 31
     assert [each.marker for each in scene.comparison.fragments_by_donor[donor]] == [12]
+
+
+LIMB = ("LELB", "LWRA", "LFIN")
+EVENT_LABELS = (*LIMB, "RKNE")
+
+
+def place_markers(distance_m=0.3):
+    """Return the positions (20, 4, 3) of an arm, each marker at this distance from the next, and of a far knee."""
+    places = np.array([[0, 0, 0], [distance_m, 0, 0], [2 * distance_m, 0, 0], [5, 0, 0]], float)
+    return np.tile(places, (20, 1, 1)) + np.random.default_rng(0).normal(0, 1e-3, (20, 4, 3))
+
+
+def make_change(marker, first, last):
+    state = SampleState(0, None)
+    return Change(f"gap-{marker}-{first}", "gap", (marker,), first, last, 1, "", "", state, state, None)
+
+
+def test_lost_arm_is_one_event_and_a_far_marker_another():
+    arm = tuple(make_change(label, 10 + n, 60) for n, label in enumerate(LIMB))
+    knee = make_change("RKNE", 10, 60)
+    assert group_changes([knee, *reversed(arm)], EVENT_LABELS, place_markers()) == [(knee,), arm]
+    assert len(group_changes(arm, EVENT_LABELS, place_markers(0.5))) == 3
+
+
+def test_short_gap_within_a_long_one_of_a_neighbour_is_an_event_of_its_own():
+    events = group_changes([make_change("LELB", 0, 99), make_change("LWRA", 40, 45)], EVENT_LABELS, place_markers())
+    assert [len(each) for each in events] == [1, 1]
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from((*EVENT_LABELS, "*1")), st.integers(0, 60), st.integers(0, 40)), max_size=30), st.randoms()
+)
+def test_each_change_is_in_one_event_whatever_their_order(intervals, random):
+    changes = [make_change(label, first, first + length) for label, first, length in intervals]
+    events = group_changes(changes, EVENT_LABELS, place_markers())
+    assert sorted(map(id, changes)) == sorted(id(change) for each in events for change in each)
+    shuffled = random.sample(changes, len(changes))
+    again = group_changes(shuffled, EVENT_LABELS, place_markers())
+    assert {frozenset(map(id, each)) for each in again} == {frozenset(map(id, each)) for each in events}

@@ -1,4 +1,4 @@
-"""The review page in Chromium: everything by keyboard, and the files that this leaves."""
+"""The review page in Chromium: everything by keyboard and by mouse, and the files that this leaves."""
 
 import re
 import shutil
@@ -14,6 +14,7 @@ import pytest
 import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from mocapfix import pipeline
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import write_changes_file
 from mocapfix.io.gltf import write_gltf
@@ -87,6 +88,32 @@ def press_and_wait(page: Page, key: str) -> None:
     page.wait_for_function("revision => review.getState().take.revision !== revision && !review.app.edits.waiting", arg=revision)
 
 
+def click_and_wait(page: Page, selector: str) -> None:
+    """Click a button that edits, and wait until the edit is saved."""
+    revision = get_take(page)["revision"]
+    page.locator(selector).click()
+    page.wait_for_function("revision => review.getState().take.revision !== revision && !review.app.edits.waiting", arg=revision)
+
+
+def list_events(page: Page) -> list[dict[str, Any]]:
+    return page.evaluate("review.app.events")
+
+
+def list_declined_samples(page: Page) -> list[list[Any]]:
+    """Return marker, frame, state and position of the samples that a decision leaves as measured."""
+    return page.evaluate(
+        """() => { const { samples, take } = review.app, found = [];
+        for (const each of take.changes.filter(each => each.decision !== "accept")) for (const label of each.markers) {
+            const m = take.labels.indexOf(label);
+            for (let t = each.first - take.first_frame; m >= 0 && t <= each.last - take.first_frame; t++) {
+                const state = samples.state[t * take.labels.length + m];
+                found.push([label, t, state, ...samples.getPosition("after", t, m).map(String)]);
+            }
+        }
+        return found.sort(); }"""
+    )
+
+
 def select_change(page: Page, name: str) -> None:
     page.evaluate("name => review.app.select(name)", name)
 
@@ -98,19 +125,20 @@ def read_changes(running: RunningServer) -> dict[str, Any]:
 def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: RunningServer) -> None:
     take = get_take(page)
     expect(page.locator("#take-state")).to_have_text("untouched")
+    events = list_events(page)
     seen: list[str] = []
-    for _ in take["changes"]:  # step through all changes: the least certain first, each in its middle
+    for event in events:  # step through all events: the least certain first, each in the middle of its least certain change
         seen.append(get_selected(page))
-        change = next(each for each in take["changes"] if each["id"] == seen[-1])
+        change = event["changes"][0]
         assert page.evaluate("review.getState().frame") == (change["first"] + change["last"]) // 2 - take["first_frame"]
-        assert page.locator('#changes .row[aria-selected="true"]').get_attribute("data-id") == seen[-1]
+        assert page.locator('#changes .row[aria-selected="true"]').get_attribute("data-id") == seen[-1] == event["id"]
         page.keyboard.press("ArrowDown")
-    assert sorted(seen) == sorted(each["id"] for each in take["changes"])
-    predicted = {each["id"]: each["predicted_mm"] for each in take["changes"]}
-    known = [predicted[name] for name in seen if predicted[name] is not None]
+    assert sorted(each["id"] for event in events for each in event["changes"]) == sorted(each["id"] for each in take["changes"])
+    known = [each["predicted_mm"] for each in events if each["predicted_mm"] is not None]
     assert known == sorted(known, reverse=True)
+    assert max(len(each["changes"]) for each in events) > 1
 
-    one, two, three, four = seen[:4]
+    one, two, three, four = (each["id"] for each in take["changes"][:4])
     for name, key in ((one, "r"), (two, "r"), (three, "k"), (four, "r")):
         select_change(page, name)
         press_and_wait(page, key)
@@ -144,12 +172,16 @@ def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: R
         {"kind": "wrong", "markers": ["LTOE"], "first": first + 10, "last": first + 20},
     ]
 
+    shown = list_declined_samples(page)
+    assert shown
+
     expected = running.folder.parent / "expected"
     shutil.copytree(running.folder, expected)
     page.keyboard.press("c")
     page.wait_for_selector("#difference:not([hidden])")
     wait_until_ready(page)
     expect(page.locator("#difference")).to_contain_text("differ from the cleaning before")
+    assert list_declined_samples(page) == shown  # the page showed them before as they are now
     page.keyboard.press("Escape")
     page.keyboard.press("e")
     page.locator('#dialog-export input[value="blender"]').check()
@@ -170,13 +202,252 @@ def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: R
             assert (running.folder / name).read_bytes() == (expected / name).read_bytes(), name
 
 
+def test_events_are_decided_by_keyboard(page: Page, running: RunningServer) -> None:
+    event = next(each for each in list_events(page) if len(each["changes"]) > 2)
+    ids = {each["id"] for each in event["changes"]}
+    select_change(page, event["id"])
+    rows = page.locator("#changes .row.part")
+    assert rows.count() == 0
+    page.keyboard.press("Enter")
+    assert {row.get_attribute("data-id") for row in rows.all()} == ids
+    press_and_wait(page, "r")
+    assert {each["id"] for each in read_changes(running)["changes"] if each["decision"] == "reject"} == ids
+    assert get_selected(page) not in ids  # it went on to the next event
+    select_change(page, event["id"])
+    page.keyboard.press("ArrowDown")
+    part = get_selected(page)
+    assert part in ids
+    press_and_wait(page, "a")
+    assert {each["id"] for each in read_changes(running)["changes"] if each["decision"] == "reject"} == ids - {part}
+    expect(page.locator(f'#changes .row[data-id="{event["id"]}"]')).to_have_attribute("data-decision", "mixed")
+    select_change(page, event["id"])
+    page.keyboard.press("Enter")
+    assert rows.count() == 0
+
+
+def test_events_are_decided_by_mouse(page: Page, running: RunningServer) -> None:
+    event = next(each for each in list_events(page) if len(each["changes"]) > 2)
+    row = page.locator(f'#changes .row[data-id="{event["id"]}"]')
+    row.locator(".fold").click()
+    expect(row).to_have_attribute("aria-expanded", "true")
+    parts = page.locator("#changes .row.part")
+    assert parts.count() == len(event["changes"])
+    parts.nth(1).click()
+    click_and_wait(page, "#reject")
+    rejected = [each["id"] for each in read_changes(running)["changes"] if each["decision"] == "reject"]
+    assert rejected == [event["changes"][1]["id"]]
+    row.click()
+    click_and_wait(page, "#keep")
+    kept = {each["id"] for each in read_changes(running)["changes"] if each["decision"] == "keep"}
+    assert kept == {each["id"] for each in event["changes"]}
+
+
+@pytest.mark.parametrize("is_by_mouse", [False, True])
+def test_what_lies_above_the_limit_is_never_accepted(page: Page, running: RunningServer, is_by_mouse: bool) -> None:
+    events = list_events(page)
+    worst = sorted((each["predicted_mm"] for each in events if each["isPredicted"]), reverse=True)
+    limit_mm = max(each for each in page.evaluate("import('./assets/events.js').then(each => each.LIMITS_MM)") if each < worst[2])
+    while page.evaluate("review.app.limit.limitMm") != limit_mm:
+        is_above = page.evaluate("review.app.limit.limitMm") > limit_mm
+        if is_by_mouse:
+            page.locator("#limit").press("ArrowLeft" if is_above else "ArrowRight")
+        else:
+            page.keyboard.press("," if is_above else ".")
+    expected = {
+        each["id"] for event in events if event["isPredicted"] and event["predicted_mm"] <= limit_mm for each in event["changes"]
+    }
+    all_ids = {each["id"] for event in events for each in event["changes"]}
+    expect(page.locator("#accept-within")).to_contain_text(f"Accept {len(expected)} changes")
+    expect(page.locator("#limit-text")).to_contain_text(f"({len(all_ids - expected)} changes) to look at")
+    if is_by_mouse:
+        click_and_wait(page, "#accept-within")
+    else:
+        press_and_wait(page, "Shift+A")
+    assert page.locator("dialog[open]").count() == 0
+    assert {each["id"] for each in read_changes(running)["changes"] if each.get("reviewed")} == expected
+    expect(page.locator("#accept-within")).to_be_disabled()
+    page.keyboard.press("Shift+A")
+    assert {each["id"] for each in read_changes(running)["changes"] if each.get("reviewed")} == expected
+
+
+def test_undo_and_redo_by_keyboard_and_by_mouse(page: Page, running: RunningServer) -> None:
+    path = running.folder / "walk.changes.yaml"
+    contents = [path.read_bytes()]
+    expect(page.locator("#undo")).to_be_disabled()
+    for key in ("r", "k", "a"):
+        press_and_wait(page, key)
+        contents.append(path.read_bytes())
+    for act, expected in (
+        (lambda: press_and_wait(page, "Control+z"), contents[2]),
+        (lambda: click_and_wait(page, "#undo"), contents[1]),
+        (lambda: press_and_wait(page, "Control+y"), contents[2]),
+        (lambda: click_and_wait(page, "#redo"), contents[3]),
+        (lambda: press_and_wait(page, "Control+z"), contents[2]),
+        (lambda: press_and_wait(page, "Control+Shift+z"), contents[3]),
+    ):
+        act()
+        assert path.read_bytes() == expected
+    expect(page.locator("#redo")).to_be_disabled()
+
+
+def test_a_rejected_change_shows_its_state_at_once(page: Page) -> None:
+    change = next(each for each in get_take(page)["changes"] if each["kind"] == "gap" and each["samples"] > 5)
+    sample = (
+        "([name, frame]) => { const { samples, take } = review.app, m = take.labels.indexOf(name), t = frame - take.first_frame; "
+    )
+    sample += (
+        "return [samples.state[t * take.labels.length + m], samples.getPosition('after', t, m).map(each => each.toFixed(6))]; }"
+    )
+    place = [change["markers"][0], change["first"] + 1]
+    state, position = page.evaluate(sample, place)
+    assert (state, "NaN" in position) == (1, False)
+    select_change(page, change["id"])
+    press_and_wait(page, "r")
+    assert page.evaluate(sample, place) == [7, ["NaN"] * 3]
+    runs = "name => review.app.lanes.lanes[review.app.take.labels.indexOf(name)].runs.filter(run => run[2] === 7)"
+    first = get_take(page)["first_frame"]
+    assert page.evaluate(runs, place[0]) == [[change["first"] - first, change["last"] - first, 7]]
+    expect(page.locator("#lanes-legend")).to_contain_text("rejected")
+    press_and_wait(page, "Control+z")
+    assert page.evaluate(sample, place) == [state, position]
+
+
+def test_lanes_are_used_by_mouse(page: Page) -> None:
+    take = get_take(page)
+    box = page.locator("#lanes").bounding_box()
+    assert box
+    page.locator("#lanes-order").select_option("body")
+    rows = page.evaluate("review.app.lanes.rows.map(each => each.marker)")
+    assert rows == list(range(len(take["labels"])))
+    page.locator("#lanes-order").select_option("error")
+    worst = page.evaluate("review.app.lanes.rows[0].marker")
+    change = max((each for each in take["changes"] if each["predicted_mm"]), key=lambda each: each["predicted_mm"])
+    assert take["labels"][worst] in change["markers"]
+    select_change(page, list_events(page)[-1]["id"])
+    page.evaluate("review.app.lanes.box.scrollTop = 0")
+    frame = (change["first"] + change["last"]) // 2 - take["first_frame"]
+    x = page.evaluate("frame => review.app.lanes.window.x(frame)", frame)
+    page.mouse.click(box["x"] + x, box["y"] + 6)  # the first lane
+    assert abs(page.evaluate("review.getState().frame") - frame) <= 1
+    assert change["id"] in page.evaluate("review.app.entry.changes.map(each => each.id)")
+    assert page.evaluate("review.app.marker") == worst
+
+    second = page.evaluate("review.app.lanes.rows[1].marker")
+    start, end = page.evaluate("[review.app.lanes.window.x(20), review.app.lanes.window.x(60)]")
+    page.mouse.move(box["x"] + end, box["y"] + 19)
+    page.mouse.down()
+    page.mouse.move(box["x"] + start, box["y"] + 19, steps=4)
+    page.mouse.up()
+    stretch = page.evaluate("review.app.stretch")
+    assert np.abs(np.subtract(stretch, [20, 60])).max() <= 1
+    assert page.evaluate("review.app.marker") == second
+    page.keyboard.press("w")
+    expect(page.locator("#mark-marker")).to_have_value(take["labels"][second])
+    expect(page.locator("#mark-first")).to_have_value(str(stretch[0] + take["first_frame"]))
+    page.keyboard.press("Escape")
+
+    page.mouse.move(box["x"] + start, box["y"] + 19)
+    page.mouse.wheel(0, -100)
+    page.wait_for_function("review.app.lanes.window.last - review.app.lanes.window.first < 0.9 * review.app.lastFrame")
+    assert abs(page.evaluate("review.app.lanes.window.x(20)") - start) < 10  # about the pointer
+    page.mouse.dblclick(box["x"] + start, box["y"] + 19)
+    page.wait_for_function("review.app.lanes.window.isWhole")
+    page.mouse.move(box["x"] + 20, box["y"] + 19)
+    page.mouse.wheel(0, 100)  # over the names the wheel scrolls
+    page.wait_for_function("review.app.lanes.box.scrollTop > 0")
+
+
+def test_zoom_and_curves_by_keyboard_and_by_mouse(page: Page) -> None:
+    change = next(each for each in get_take(page)["changes"] if each["last"] - each["first"] < 40)
+    select_change(page, change["id"])
+    page.keyboard.press("z")
+    first, last = page.evaluate(
+        "[review.app.lanes.window.first, review.app.lanes.window.last].map(each => each + review.app.take.first_frame)"
+    )
+    assert first <= change["first"] <= change["last"] <= last
+    assert last - first < 120
+    page.keyboard.press("z")
+    assert page.evaluate("review.app.lanes.window.isWhole")
+    curves = page.locator("#curves").bounding_box()
+    assert curves
+    length = "review.app.curves.window.last - review.app.curves.window.first"
+    before = page.evaluate(length)
+    page.mouse.move(curves["x"] + 300, curves["y"] + 90)
+    page.mouse.wheel(0, -100)
+    page.wait_for_function(f"before => {length} < 0.9 * before", arg=before)
+    left = page.evaluate("review.app.curves.window.first")
+    page.keyboard.down("Alt")
+    page.mouse.down()
+    page.mouse.move(curves["x"] + 200, curves["y"] + 90, steps=3)
+    page.mouse.up()
+    page.keyboard.up("Alt")
+    assert page.evaluate("review.app.curves.window.first") > left
+    page.keyboard.press("i")
+    expect(page.locator("#curves-quantity")).to_have_value("speed")
+    page.locator("#curves-quantity").select_option("distance")
+    expect(page.locator("#curves-reference")).to_be_visible()
+    count = page.evaluate("review.app.curves.markers.length")
+    page.locator("#lanes").click(position={"x": 400, "y": 45}, modifiers=["Control"])
+    assert page.evaluate("review.app.curves.markers.length") in (count + 1, count - 1)
+
+
+@pytest.mark.parametrize("width", [1100, 1440, 2560])
+def test_marker_names_are_complete_at_every_width(page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 800})
+    page.evaluate("review.app.unfolded = new Set(review.app.events.map(each => each.id)); review.app.renderReview()")
+    is_cut = "each => each.scrollWidth > each.clientWidth + 1"
+    assert page.evaluate(f"[...document.querySelectorAll('#changes :is(.name, .number)')].filter({is_cut}).length") == 0
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate("document.querySelector('#end').getBoundingClientRect().right <= innerWidth")
+
+
+def test_an_animation_opens_no_dialog_that_would_refuse(browser: Browser, folder: Path, problems: list[str]) -> None:
+    animation = folder.parent / "motion"
+    animation.mkdir()
+    shutil.copy(folder / "walk.bvh", animation / "walk.bvh")
+    pipeline.clean(animation / "walk.bvh", prior="none").write(animation / "walk.mocapfix")
+    session = ReviewSession(animation)
+    server = ReviewServer(session)
+    thread = threading.Thread(target=server.serve, daemon=True)
+    thread.start()
+    page = open_page(browser, RunningServer(server.address.rstrip("/"), animation, session, server), problems)
+    for key, button in (("w", "#mark"), ("s", "#swap"), ("u", "#assign"), ("g", "#fill")):
+        page.keyboard.press(key)
+        assert page.locator("dialog[open]").count() == 0
+        expect(page.locator("#status")).to_contain_text("not for animations")
+        expect(page.locator(button)).to_be_disabled()
+    page.context.close()
+    server.stop()
+    thread.join(10.0)
+    assert not problems
+
+
+def test_a_take_is_approved_in_few_actions(page: Page, running: RunningServer) -> None:
+    """A person looks at each event above the limit, and accepts the rest; an action is a key."""
+    events, actions = list_events(page), 0
+    above = [
+        each for each in events if not each["isPredicted"] or each["predicted_mm"] > page.evaluate("review.app.limit.limitMm")
+    ]
+    for event in above:
+        select_change(page, event["id"])
+        press_and_wait(page, "a")
+        actions += 2
+    press_and_wait(page, "Shift+A")
+    page.keyboard.press("p")
+    page.locator("#approve-name").fill("Ann")
+    page.keyboard.press("Enter")
+    expect(page.locator("#take-state")).to_have_text("approved by Ann")
+    assert all(each["reviewed"] for each in read_changes(running)["changes"])
+    assert actions + 6 < len(get_take(page)["changes"])
+
+
 def test_pages_on_one_take_see_each_others_decisions(
     page: Page, browser: Browser, running: RunningServer, problems: list[str]
 ) -> None:
     other = open_page(browser, running, problems)
     name = get_selected(page)
     press_and_wait(page, "r")
-    row = other.locator(f'#changes .row[data-id="{name}"]')
+    row = other.locator(f'#changes .row[data-id="{name}"]').first
     expect(row).to_have_attribute("data-decision", "reject")
     other.context.close()
 
@@ -203,7 +474,8 @@ def test_keys_filters_and_views(page: Page) -> None:
     page.locator("#filter-kind").select_option("")
     page.locator("#filter-marker").fill("lfin")
     labels = {each["markers"][0] for each in changes if any("LFIN" in label for label in each["markers"])}
-    assert set(page.locator("#changes .row span:nth-child(2)").all_inner_texts()) <= labels | {"No change passes the filters."}
+    assert page.locator("#changes .row .name").count() > 0
+    assert {text.split(" +")[0].split(", ")[0] for text in page.locator("#changes .row .name").all_inner_texts()} <= labels
     page.keyboard.press("r")  # a letter of the filter, not a decision
     assert not any(each["is_reviewed"] for each in get_take(page)["changes"])
     page.locator("#filter-marker").fill("")
@@ -213,12 +485,6 @@ def test_keys_filters_and_views(page: Page) -> None:
         page.keyboard.press(key)
     page.wait_for_function("review.getState().frame > 0")  # it plays
     page.keyboard.press("Space")
-    page.keyboard.press("Shift+A")
-    page.keyboard.press("Enter")
-    page.wait_for_function("review.getState().take.changes.some(each => each.is_reviewed)")
-    selected = next(each for each in changes if each["id"] == get_selected(page))
-    take = get_take(page)
-    assert {each["kind"] for each in take["changes"] if each["is_reviewed"]} == {selected["kind"]}
 
 
 def test_take_is_approved_by_keyboard(page: Page, running: RunningServer) -> None:

@@ -3,15 +3,17 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix import pipeline
-from mocapfix.errors import MocapfixError, ReadError, SceneError
+from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import read_changes_file, write_changes_file
 from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, read_yaml_model
@@ -26,6 +28,7 @@ from mocapfix.review.take_files import (
     classify_shown_samples,
     find_cleaned_takes,
     load_take_view,
+    parse_edit,
     replace_unstored_sd,
 )
 from tests.io.test_changes_file import build_change, build_take
@@ -139,12 +142,16 @@ def write_file(folder: Path) -> Path:
     return path
 
 
+def edit(store: DecisionStore, revision: str, **action: object) -> None:
+    store.edit(revision, parse_edit(action))
+
+
 def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path) -> None:
     path = write_file(tmp_path)
     store = DecisionStore(path)
-    store.decide(store.revision, [SPIKE], "reject")
-    store.note(store.revision, GAP, "looks <odd>: ask")
-    store.add_correction(store.revision, WRONG)
+    edit(store, store.revision, type="decide", ids=[SPIKE], decision="reject")
+    edit(store, store.revision, type="note", id=GAP, text="looks <odd>: ask")
+    edit(store, store.revision, type="add", correction=WRONG)
     review = read_changes_file(path, build_take())
     assert [(each.entry.id, each.entry.decision) for each in review.declined] == [(SPIKE, "reject")]
     assert (review.reviewed_ids, review.notes) == ({SPIKE}, {GAP: "looks <odd>: ask"})
@@ -154,64 +161,75 @@ def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path)
 def test_file_is_written_as_a_cleaning_writes_it(tmp_path: Path) -> None:
     path = write_file(tmp_path)
     before, store = path.read_bytes(), DecisionStore(path)
-    store.decide(store.revision, [GAP], "keep")
-    store.add_correction(store.revision, WRONG)
+    edit(store, store.revision, type="decide", ids=[GAP], decision="keep")
+    edit(store, store.revision, type="add", correction=WRONG)
     assert path.read_bytes() != before
-    store.undo(store.revision)
-    store.undo(store.revision)
+    edit(store, store.revision, type="undo")
+    edit(store, store.revision, type="undo")
     assert path.read_bytes() == before
     with pytest.raises(SceneError, match="nothing to undo"):
-        store.undo(store.revision)
+        edit(store, store.revision, type="undo")
 
 
-EDITS = st.lists(
-    st.sampled_from(["reject", "keep", "accept", "note", "add", "remove"]).flatmap(
-        lambda kind: st.tuples(st.just(kind), st.sampled_from([SPIKE, GAP]), st.text(st.characters(codec="utf-8"), max_size=20))
-    ),
-    max_size=8,
-)
-
-
-@settings(deadline=None, max_examples=40)
-@given(edits=EDITS)
-def test_any_edits_can_be_undone_one_by_one(tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[str, str, str]]) -> None:
-    path = write_file(tmp_path_factory.mktemp("edits"))
+@pytest.mark.parametrize("seed", range(3))
+def test_after_a_thousand_edits_file_state_and_list_of_edits_are_equal(tmp_path: Path, seed: int) -> None:
+    """Decisions, notes, corrections, undoing and redoing at random, beside a list of contents with a position in it."""
+    rng, path = np.random.default_rng(seed), write_file(tmp_path)
     store = DecisionStore(path)
-    contents = [store.file]
-    for kind, name, text in edits:
-        match kind:
-            case "note":
-                store.note(store.revision, name, text)
-            case "add":
-                store.add_correction(store.revision, WRONG | {"note": text})
-            case "remove":
-                if not store.file.corrections:
-                    continue
-                store.remove_correction(store.revision, 0)
-            case _:
-                store.decide(store.revision, [name], kind)  # pyright: ignore[reportArgumentType]
-        contents.append(store.file)
-        assert read_yaml_model(ChangesFileModel, path) == store.file
-    for expected in reversed(contents[:-1]):
-        store.undo(store.revision)
-        assert read_yaml_model(ChangesFileModel, path) == expected
+    start, contents, position = store.state, [store.file], 0
+    for n in range(1000):
+        name, corrections = str(rng.choice([SPIKE, GAP])), store.file.corrections
+        ids = [name] if rng.random() < 0.5 else [SPIKE, GAP]
+        actions: list[dict[str, Any]] = [
+            {"type": "decide", "ids": ids, "decision": str(rng.choice(["accept", "reject", "keep"]))},
+            {"type": "note", "id": name, "text": "".join(map(chr, rng.integers(32, 0xD7FF, 8)))},
+            *[{"type": "add", "correction": WRONG | {"note": str(n)}}] * (len(corrections) < 20),
+            *[{"type": "remove", "index": len(corrections) - 1}] * bool(corrections),
+            *[{"type": "undo"}] * (2 * bool(position)),
+            *[{"type": "redo"}] * (2 * (position < len(contents) - 1)),
+        ]
+        action = actions[rng.integers(len(actions))]
+        store.edit(store.revision, parse_edit(action))
+        if action["type"] in ("undo", "redo"):
+            position += 1 if action["type"] == "redo" else -1
+        else:
+            contents[position + 1 :] = [store.file]
+            position += 1
+        assert store.file == contents[position]
+        assert (len(store.state.done), len(store.state.undone)) == (position, len(contents) - 1 - position)
+        if n % 20 == 0:
+            assert read_yaml_model(ChangesFileModel, path) == store.file
+    assert len(store.edits) == 1000
+    assert reduce(lambda state, edit: edit.apply(state), store.edits, start) == store.state
+    while store.state.done:
+        edit(store, store.revision, type="undo")
+    assert read_yaml_model(ChangesFileModel, path) == start.file
+
+
+def test_a_new_edit_ends_redoing(tmp_path: Path) -> None:
+    store = DecisionStore(write_file(tmp_path))
+    edit(store, store.revision, type="decide", ids=[SPIKE, GAP], decision="reject")
+    edit(store, store.revision, type="undo")
+    edit(store, store.revision, type="note", id=GAP, text="ask")
+    with pytest.raises(SceneError, match="nothing to make again"):
+        edit(store, store.revision, type="redo")
 
 
 def test_edit_of_another_program_is_noticed_and_not_overwritten(tmp_path: Path) -> None:
     path = write_file(tmp_path)
     store = DecisionStore(path)
     old = store.revision
-    store.decide(old, [SPIKE], "reject")
+    edit(store, old, type="decide", ids=[SPIKE], decision="reject")
     path.write_text(path.read_text(encoding="utf-8").replace("decision: accept", "decision: keep"), encoding="utf-8")
     written = path.read_bytes()
     with pytest.raises(EditConflictError, match=r"walk\.changes\.yaml was changed by another page, program or person"):
-        store.decide(store.revision, [GAP], "reject")
+        edit(store, store.revision, type="decide", ids=[GAP], decision="reject")
     assert path.read_bytes() == written
     assert [change.decision for change in store.file.changes] == ["reject", "keep"]  # the store has read it
-    assert store.undo_count == 0
-    store.decide(store.revision, [GAP], "reject")
+    assert (store.edits, store.state.done) == ([], ())
+    edit(store, store.revision, type="decide", ids=[GAP], decision="reject")
     with pytest.raises(EditConflictError):
-        store.decide(old, [GAP], "accept")
+        edit(store, old, type="decide", ids=[GAP], decision="accept")
 
 
 def test_file_that_became_invalid_is_named_and_not_overwritten(tmp_path: Path) -> None:
@@ -219,25 +237,28 @@ def test_file_that_became_invalid_is_named_and_not_overwritten(tmp_path: Path) -
     store = DecisionStore(path)
     path.write_text("take: [", encoding="utf-8")
     with pytest.raises(SceneError, match=r"walk\.changes\.yaml"):
-        store.decide(store.revision, [GAP], "reject")
+        edit(store, store.revision, type="decide", ids=[GAP], decision="reject")
     assert path.read_text(encoding="utf-8") == "take: ["
 
 
 @pytest.mark.parametrize(
-    ("edit", "sentence"),
+    ("action", "sentence"),
     [
-        (lambda store: store.decide(store.revision, ["spike-NOSE-1"], "reject"), "has no change spike-NOSE-1"),
-        (lambda store: store.note(store.revision, "spike-NOSE-1", ""), "has no change spike-NOSE-1"),
-        (lambda store: store.note(store.revision, GAP, "x" * 3000), "A note can have 2000 characters"),
-        (lambda store: store.remove_correction(store.revision, 0), "has no correction 1"),
-        (lambda store: store.add_correction(store.revision, WRONG | {"kind": "wrng"}), "The correction is not allowed: kind"),
-        (lambda store: store.add_correction(store.revision, WRONG | {"markers": ["C7", "RBAC"]}), "wrong must name one marker"),
-        (lambda store: store.add_correction(store.revision, "wrong"), "The correction is not allowed"),
+        ({"type": "decide", "ids": ["spike-NOSE-1"], "decision": "reject"}, "has no change spike-NOSE-1"),
+        ({"type": "note", "id": "spike-NOSE-1", "text": ""}, "has no change spike-NOSE-1"),
+        ({"type": "note", "id": GAP, "text": "x" * 3000}, "text String should have at most 2000 characters"),
+        ({"type": "remove", "index": 0}, "has no correction 1"),
+        ({"type": "add", "correction": WRONG | {"kind": "wrng"}}, "The edit is not allowed: add.correction.kind"),
+        ({"type": "add", "correction": WRONG | {"markers": ["C7", "RBAC"]}}, "wrong must name one marker"),
+        ({"type": "add", "correction": "wrong"}, "The edit is not allowed"),
+        ({"type": "undo"}, "nothing to undo"),
+        ({"type": "redo"}, "nothing to make again"),
+        ({"type": "erase"}, "The edit is not allowed"),
     ],
 )
-def test_edit_that_is_not_allowed_changes_nothing(tmp_path: Path, edit, sentence: str) -> None:
+def test_edit_that_is_not_allowed_changes_nothing(tmp_path: Path, action: dict[str, object], sentence: str) -> None:
     path = write_file(tmp_path)
     before, store = path.read_bytes(), DecisionStore(path)
-    with pytest.raises(MocapfixError, match=sentence):
-        edit(store)
-    assert (path.read_bytes(), store.undo_count) == (before, 0)
+    with pytest.raises(SceneError, match=sentence):
+        store.edit(store.revision, parse_edit(action))
+    assert (path.read_bytes(), store.edits) == (before, [])

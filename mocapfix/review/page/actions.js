@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import * as dialogs from "./dialogs.js";
+import { AddEdit, RemoveEdit } from "./edits.js";
 
 // Methods of the application.
 export const correctionActions = {
@@ -17,32 +18,33 @@ export const correctionActions = {
   async add(question) {
     const correction = await question;
     if (!correction) return;
-    if (await this.edits.send({ type: "add", correction: { note: "", ...correction } })) this.setStretch(null);
+    if (await this.edits.send(new AddEdit(correction))) this.setStretch(null);
   },
 
-  mark(kind) { return this.add(dialogs.askMark(this.take.labels, this.getMarkerLabel(), this.getInterval(), kind)); },
-  swap() { return this.add(dialogs.askSwap(this.take.labels, [this.getMarkerLabel(), this.change?.markers[1]].filter(Boolean), this.getInterval())); },
-  requestFill() { return this.add(dialogs.askFill(this.take.labels, this.getMarkerLabel(), this.getInterval())); },
+  mark(kind) { return this.allows("mark") && this.add(dialogs.askMark(this.take.labels, this.getMarkerLabel(), this.getInterval(), kind)); },
+  swap() { return this.allows("swap") && this.add(dialogs.askSwap(this.take.labels, [this.getMarkerLabel(), this.change?.markers[1]].filter(Boolean), this.getInterval())); },
+  requestFill() { return this.allows("fill") && this.add(dialogs.askFill(this.take.labels, this.getMarkerLabel(), this.getInterval())); },
 
   assign() {
-    if (!this.take.unlabelled.length) return this.showStatus("The take has no unlabelled trajectory.", true);
+    if (!this.allows("assign")) return false;
     const named = this.change?.markers.find((label) => this.take.unlabelled.includes(label));
     return this.add(dialogs.askAssign(this.take.labels, this.take.unlabelled, this.getMarkerLabel(), named, this.getInterval()));
   },
 
   removeCorrection(index = this.correctionIndex) {
-    if (index !== null) this.edits.send({ type: "remove", index });
+    if (index !== null) this.edits.send(new RemoveEdit(index));
   },
 };
 
 export const outputActions = {
   async clean(formats = [], rigs = []) {
-    if (!this.take.can_clean) return this.showStatus(this.take.cannot_clean_reason, true);
+    if (!this.allows("clean")) return;
     await this.edits.last;
     await this.report(async () => this.showRun(await api.startCleaning(this.take.id, formats, rigs)));
   },
 
   async export() {
+    if (!this.allows("export")) return;
     const chosen = await dialogs.askExport(this.take.export);
     if (chosen && (chosen.formats.length || chosen.rigs.length)) {
       this.exported = [...chosen.formats, ...chosen.rigs];
@@ -51,6 +53,7 @@ export const outputActions = {
   },
 
   async approve() {
+    if (!this.allows("approve")) return;
     if (this.take.approval?.is_current) {
       const { name, date } = this.take.approval;
       if (!(await dialogs.confirmAction("Withdraw the approval", `${name} approved this take on ${date}. Withdraw the approval?`))) return;

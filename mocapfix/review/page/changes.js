@@ -1,39 +1,22 @@
-// The list of changes: its order, its filters and its rows. Few rows exist at a time, however many changes there are.
+// The list of events and their changes: its rows, few of which exist at a time, however many there are.
 
 const ROW_HEIGHT = 25;
 const SPARE_ROWS = 12;
-const WORDS = { accept: "accept", reject: "reject", keep: "keep" };
-
-const compareText = (a, b) => a.localeCompare(b, "en", { numeric: true });
-const byError = (a, b) => (b.predicted_mm ?? -1) - (a.predicted_mm ?? -1) || a.first - b.first;
-const ORDERS = {
-  error: byError,
-  first: (a, b) => a.first - b.first || compareText(a.markers[0], b.markers[0]),
-  kind: (a, b) => compareText(a.kind, b.kind) || byError(a, b),
-  marker: (a, b) => compareText(a.markers[0], b.markers[0]) || a.first - b.first,
-};
-
-// Returns the changes that pass the filters, in order.
-export function listChanges(changes, { kind, marker, decision, order }) {
-  const wanted = marker.trim().toLowerCase();
-  return changes
-    .filter((each) => !kind || each.kind === kind)
-    .filter((each) => !wanted || each.markers.some((label) => label.toLowerCase().includes(wanted)))
-    .filter((each) => !decision || (decision === "open" ? !each.is_reviewed : each.is_reviewed && each.decision === decision))
-    .sort(ORDERS[order] ?? byError);
-}
 
 export class ChangeList {
-  constructor(element, { onSelect }) {
-    Object.assign(this, { element, onSelect, rows: [], selectedId: null, rate: 1, prefix: "" });
+  constructor(element, { onSelect, onFold }) {
+    Object.assign(this, { element, onSelect, onFold, rows: [], selectedId: null, rate: 1, prefix: "" });
     this.space = document.createElement("div");
     this.space.style.position = "relative";
     element.append(this.space);
     element.addEventListener("scroll", () => this.render());
     element.addEventListener("click", (event) => {
       const row = event.target.closest(".row");
-      if (row) onSelect(row.dataset.id);
+      if (!row) return;
+      if (event.target.matches(".fold")) onFold(row.dataset.id);
+      else onSelect(row.dataset.id);
     });
+    element.addEventListener("dblclick", (event) => onFold(event.target.closest(".row")?.dataset.id));
     new ResizeObserver(() => this.render()).observe(element);
   }
 
@@ -62,11 +45,11 @@ export class ChangeList {
     return this.rows[next]?.id ?? null;
   }
 
-  // Returns the id of the next change after the selected one that is not reviewed, null if there is none.
+  // Returns the id of the next row after the selected one, but not within it, that is not reviewed; null if there is none.
   findNextOpen() {
     const index = this.rows.findIndex((each) => each.id === this.selectedId);
     const ordered = [...this.rows.slice(index + 1), ...this.rows.slice(0, Math.max(index, 0))];
-    return ordered.find((each) => !each.is_reviewed)?.id ?? null;
+    return ordered.find((each) => !each.is_reviewed && each.parent !== this.selectedId)?.id ?? null;
   }
 
   render() {
@@ -78,22 +61,26 @@ export class ChangeList {
     if (!rows.length) space.replaceChildren(buildCell("No change passes the filters.", "empty"));
   }
 
-  buildRow(change, index) {
+  buildRow(entry, index) {
     const row = document.createElement("div");
-    row.className = "row";
+    row.className = entry.parent ? "row part" : "row";
     row.setAttribute("role", "option");
-    row.setAttribute("aria-selected", String(change.id === this.selectedId));
-    Object.assign(row.dataset, { id: change.id, decision: change.decision, reviewed: String(change.is_reviewed) });
+    row.setAttribute("aria-selected", String(entry.id === this.selectedId));
+    if (entry.isOpen !== undefined) row.setAttribute("aria-expanded", String(entry.isOpen));
+    Object.assign(row.dataset, { id: entry.id, decision: entry.decision, reviewed: String(entry.is_reviewed), count: entry.changes.length });
     Object.assign(row.style, { position: "absolute", top: `${index * ROW_HEIGHT}px`, left: 0, right: 0 });
-    const seconds = (change.last - change.first + 1) / this.rate;
-    const frames = change.first === change.last ? `${change.first}` : `${change.first}–${change.last}`;
-    row.title = `${change.kind}, ${change.markers.join(", ")}, ${frames}, ${seconds.toFixed(2)} s`;
+    const seconds = (entry.last - entry.first + 1) / this.rate;
+    const frames = entry.first === entry.last ? `${entry.first}` : `${entry.first}–${entry.last}`;
+    row.title = `${entry.kind}, ${entry.markers.join(", ")}, ${frames}, ${seconds.toFixed(2)} s`;
+    const [label, ...others] = entry.markers.map((each) => this.shorten(each)), fold = buildCell({ true: "▾", false: "▸" }[entry.isOpen] ?? "", "fold");
+    const marks = (entry.note ? "✎ " : "") + (entry.is_correction ? "★ " : "");
     row.append(
-      buildCell(change.kind),
-      buildCell((change.note ? "✎ " : "") + (change.is_correction ? "★ " : "") + change.markers.map((label) => this.shorten(label)).join(", ")),
+      fold,
+      buildCell(`${marks}${label}${others.length > 1 ? ` +${others.length}` : others.map((each) => `, ${each}`)}`, "name"),
+      buildCell(entry.kind, "kind"),
       buildCell(frames, "number"),
-      buildCell(change.predicted_mm === null ? "" : `${change.predicted_mm.toFixed(change.predicted_mm < 100 ? 1 : 0)} mm`, "number"),
-      buildCell(WORDS[change.decision] ?? change.decision, "decision"),
+      buildCell(entry.predicted_mm === null ? "" : `${entry.predicted_mm.toFixed(entry.predicted_mm < 100 ? 1 : 0)} mm`, "number"),
+      buildCell(entry.decision, "decision"),
     );
     return row;
   }

@@ -8,10 +8,11 @@ const DIRECTIONS = { front: [0, 0.1, 1], side: [1, 0.1, 0], top: [0, 1, 0.001] }
 export function connectControls(app) {
   const actions = {
     accept: () => app.decide("accept"), reject: () => app.decide("reject"), keep: () => app.decide("keep"), note: () => app.note(),
-    undo: () => app.undo(), export: () => app.export(), approve: () => app.approve(), theme: () => app.switchTheme(), help: () => app.showHelp(),
+    undo: () => app.undo(), redo: () => app.redo(), export: () => app.export(), approve: () => app.approve(), theme: () => app.switchTheme(), help: () => app.showHelp(),
     end: () => app.end(), mark: () => app.mark("wrong"), swap: () => app.swap(), assign: () => app.assign(), fill: () => app.requestFill(),
     "takes-button": () => app.toggleTakes(), "previous-change": () => app.selectInTime(-1), "next-change": () => app.selectInTime(1),
     clean: () => (app.take.run.state === "running" ? app.report(() => api.cancelCleaning(app.take.id)) : app.clean()),
+    "lanes-zoom": () => app.toggleZoom(),
     "hint-close": () => { find("hint").hidden = true; },
   };
   for (const [id, action] of Object.entries(actions)) {
@@ -38,9 +39,7 @@ export function connectControls(app) {
   });
   stage.addEventListener("dblclick", () => {
     if (!app.hovered || app.hovered.layer === "unlabelled") return;
-    app.marker = app.hovered.index;
-    app.curves.showMarker(app.marker, app.stretch ?? [app.playback.frame, app.playback.frame]);
-    app.showFrame(app.playback.frame);
+    app.pickLane(app.hovered.index, null, false);
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => app.applyTheme(localStorage.getItem("theme")));
 }

@@ -1,58 +1,78 @@
-// The x, y and z curves of a marker before and after cleaning, with the uncertainty of what was estimated.
+// Curves of markers over time, before and after cleaning, with the uncertainty of what was estimated.
 
 import { STATE } from "./samples.js";
+import { TimeWindow } from "./window.js";
 
-const AXES = ["x", "y", "z"];
 const CONTEXT_S = 1;
-const MAX_POINTS = 2000;
-const LEFT = 52, RIGHT = 8, TOP = 18, GAP = 6, BOTTOM = 14;
+const LEFT = 92, RIGHT = 14, TOP = 20, GAP = 6, BOTTOM = 14;
 const BAND_SDS = 2;
+const OTHER_COLOURS = ["#0072b2", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
+export const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
+
+// What can be shown: its rows, unit, and the value of a marker in a row and frame of a layer, NaN where it has none.
+const axis = (n) => ({ samples }, layer, m, t) => samples[layer][(t * samples.counts[layer] + m) * 3 + n] * 1000;
+const between = (samples, layer, one, t, other, s) => Math.hypot(...[0, 1, 2].map((n) => samples[layer][(t * samples.counts[layer] + one) * 3 + n]
+  - samples[layer][(s * samples.counts[layer] + other) * 3 + n]));
+const QUANTITIES = {
+  position: { unit: "mm", rows: [["x", axis(0)], ["y up", axis(1)], ["z", axis(2)]], hasBand: true },
+  speed: { unit: "m/s", rows: [["speed", ({ samples, take }, layer, m, t) => (t ? between(samples, layer, m, t, m, t - 1) * take.rate : NaN)]] },
+  distance: { unit: "mm", rows: [["distance", ({ samples, reference }, layer, m, t) => between(samples, layer, m, t, reference, t) * 1000]] },
+};
 
 export class CurveView {
-  constructor(canvas, title, cursor, { onScrub, onStretch }) {
-    Object.assign(this, { canvas, title, cursor, onScrub, onStretch, marker: null, interval: null, stretch: null, frame: 0 });
-    this.drag = null;
+  constructor(canvas, { onScrub, onStretch }) {
+    const find = (id) => document.getElementById(id);
+    Object.assign(this, {
+      canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"),
+      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null,
+    });
+    this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw() });
     canvas.addEventListener("pointerdown", (event) => this.startDrag(event));
     canvas.addEventListener("pointermove", (event) => this.continueDrag(event));
     canvas.addEventListener("pointerup", () => { this.drag = null; });
+    for (const select of [this.quantity, this.other]) select.addEventListener("change", () => this.draw());
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
   setTake(take, samples) {
-    Object.assign(this, { take, samples, marker: null, interval: null, stretch: null });
+    Object.assign(this, { take, samples, markers: [], interval: null, stretch: null });
+    this.other.replaceChildren(...take.labels.map((label, m) => new Option(label, m)));
+    this.window.setCount(take.frame_count);
   }
 
-  // Shows a marker around an interval of frame indices.
-  showMarker(marker, interval) {
-    this.marker = marker;
-    this.interval = interval;
-    this.chooseWindow();
+  get marker() { return this.markers[0] ?? null; }
+  get reference() { return Number(this.other.value); }
+
+  // Shows markers around an interval of frame indices, the first of them with its state before and its uncertainty.
+  showMarkers(markers, interval) {
+    const context = Math.round(CONTEXT_S * this.take.rate);
+    Object.assign(this, { markers: markers.slice(0, MAX_CURVE_MARKERS), interval });
+    if (interval) this.window.show(interval[0] - context, interval[1] + context);
+    else this.draw();
+  }
+
+  // Shows a marker beside those that are shown, or no longer.
+  toggleMarker(marker) {
+    this.markers = this.markers.includes(marker) ? this.markers.filter((each) => each !== marker) : [...this.markers, marker].slice(-MAX_CURVE_MARKERS);
     this.draw();
   }
 
-  chooseWindow() {
-    const context = Math.round(CONTEXT_S * this.take.rate), last = this.take.frame_count - 1;
-    const [from, to] = this.interval ?? [this.frame, this.frame];
-    this.first = Math.max(0, from - context);
-    this.last = Math.min(last, Math.max(to + context, this.first + 10));
+  // Shows the next quantity.
+  changeQuantity() {
+    this.quantity.selectedIndex = (this.quantity.selectedIndex + 1) % this.quantity.options.length;
+    this.draw();
   }
 
   setFrame(frame) {
     this.frame = frame;
     if (this.marker === null) return;
-    if (frame < this.first || frame > this.last) {
-      const half = Math.round((this.last - this.first) / 2);
-      this.first = Math.max(0, frame - half);
-      this.last = Math.min(this.take.frame_count - 1, this.first + 2 * half);
-      this.draw();
-    }
+    this.window.reveal(frame);
     this.placeCursor();
   }
 
   placeCursor() {
     this.cursor.hidden = this.marker === null;
-    const share = (this.frame - this.first) / Math.max(1, this.last - this.first);
-    this.cursor.style.transform = `translateX(${LEFT + share * (this.canvas.clientWidth - LEFT - RIGHT) - 1}px)`;
+    this.cursor.style.transform = `translateX(${this.window.x(this.frame) - 1}px)`;
   }
 
   setStretch(stretch) {
@@ -60,115 +80,146 @@ export class CurveView {
     this.draw();
   }
 
-  frameAt(event) {
-    const box = this.canvas.getBoundingClientRect();
-    const share = (event.clientX - box.left - LEFT) / Math.max(1, box.width - LEFT - RIGHT);
-    const frame = Math.round(this.first + share * (this.last - this.first));
-    return Math.min(Math.max(frame, 0), this.take.frame_count - 1);
-  }
-
   startDrag(event) {
-    if (this.marker === null) return;
+    if (this.marker === null || event.button || event.altKey) return;
     this.canvas.setPointerCapture(event.pointerId);
-    this.drag = { isStretch: event.shiftKey, from: this.frameAt(event) };
+    this.drag = { isStretch: event.shiftKey, from: this.window.frameAt(event.clientX) };
     if (!event.shiftKey) this.onScrub(this.drag.from);
   }
 
   continueDrag(event) {
     if (!this.drag) return;
-    const frame = this.frameAt(event);
+    const frame = this.window.frameAt(event.clientX);
     if (this.drag.isStretch) this.onStretch([Math.min(this.drag.from, frame), Math.max(this.drag.from, frame)]);
     else this.onScrub(frame);
   }
 
   draw() {
     const { canvas } = this, context = canvas.getContext("2d"), ratio = Math.min(window.devicePixelRatio, 2);
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    canvas.width = width * ratio;
-    canvas.height = height * ratio;
+    const width = canvas.clientWidth, height = canvas.clientHeight, quantity = QUANTITIES[this.quantity.value];
+    Object.assign(canvas, { width: width * ratio, height: height * ratio });
     context.scale(ratio, ratio);
-    context.clearRect(0, 0, width, height);
+    this.other.hidden = this.quantity.value !== "distance";
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
-    if (this.marker === null || !this.samples) {
-      this.title.textContent = "";
-      return;
-    }
-    const label = this.marker < this.take.labels.length ? this.take.labels[this.marker] : "";
-    this.title.textContent = `${label}: x, y (up), z in mm; red before, green after, band of two standard deviations. Shift-drag or [ ] selects a stretch.`;
-    const plot = { x: (t) => LEFT + ((t - this.first) / Math.max(1, this.last - this.first)) * (width - LEFT - RIGHT) };
-    const rowHeight = (height - TOP - BOTTOM - 2 * GAP) / 3;
-    this.shade(context, plot, this.interval, colour("--selected"), height);
-    this.shade(context, plot, this.stretch, "rgba(224, 160, 48, 0.35)", height);
-    context.font = "10px system-ui, sans-serif";
-    AXES.forEach((axis, n) => this.drawAxis(context, { ...plot, axis: n, name: axis, top: TOP + n * (rowHeight + GAP), height: rowHeight }, colour));
+    this.title.replaceChildren();
+    if (this.marker === null || !this.samples) return;
+    this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--green"))), quantity.unit);
+    const rowHeight = (height - TOP - BOTTOM - GAP * (quantity.rows.length - 1)) / quantity.rows.length;
+    this.shade(context, this.interval, colour("--selected"), height);
+    this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", height);
+    context.font = "11px system-ui, sans-serif";
+    quantity.rows.forEach(([name, evaluate], n) => {
+      this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand ?? false, value: (...args) => evaluate(this, ...args) }, colour);
+    });
     context.fillStyle = colour("--muted");
-    context.fillText(String(this.take.first_frame + this.first), LEFT, height - 3);
-    const lastText = String(this.take.first_frame + this.last);
-    context.fillText(lastText, width - RIGHT - context.measureText(lastText).width, height - 3);
+    const [from, to] = [this.window.first, this.window.last].map((each) => String(Math.round(this.take.first_frame + each)));
+    context.fillText(from, LEFT, height - 3);
+    context.fillText(to, LEFT + this.window.width - context.measureText(to).width, height - 3);
     this.placeCursor();
   }
 
-  shade(context, plot, interval, fill, height) {
-    if (!interval || interval[1] < this.first || interval[0] > this.last) return;
-    const from = plot.x(Math.max(interval[0], this.first)), to = plot.x(Math.min(interval[1], this.last));
+  shade(context, interval, fill, height) {
+    if (!interval) return;
+    const from = Math.max(this.window.x(interval[0]), LEFT), to = Math.min(this.window.x(interval[1]), LEFT + this.window.width);
     context.fillStyle = fill;
-    context.fillRect(from - 1, TOP, Math.max(2, to - from + 2), height - TOP - BOTTOM);
+    if (to >= from) context.fillRect(from - 1, TOP, Math.max(2, to - from + 2), height - TOP - BOTTOM);
   }
 
-  drawAxis(context, plot, colour) {
-    const step = Math.max(1, Math.ceil((this.last - this.first) / MAX_POINTS)), { samples, marker } = this;
-    const at = (name, t) => samples[name][(t * samples.counts.after + marker) * 3 + plot.axis] * 1000;
+  drawRow(context, row, colour) {
+    const first = Math.max(0, Math.floor(this.window.first)), last = Math.min(this.take.frame_count - 1, Math.ceil(this.window.last));
+    const { samples, marker } = this, width = samples.counts.after, lines = this.markers.map((m) => this.readLine(row, "after", m, first, last));
+    const before = this.readLine(row, "before", marker, first, last), after = lines[0];
+    const half = (t) => (row.hasBand && !Number.isNaN(samples.sd[t * width + marker]) ? BAND_SDS * samples.sd[t * width + marker] * 1000 : 0);
     let low = Infinity, high = -Infinity;
-    const band = (t) => { const sd = samples.sd[t * samples.counts.after + marker]; return Number.isNaN(sd) ? 0 : BAND_SDS * sd * 1000; };
-    for (let t = this.first; t <= this.last; t += step) {
-      for (const value of [at("before", t), at("after", t) - band(t), at("after", t) + band(t)]) if (!Number.isNaN(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    }
+    for (const line of [before, ...lines]) for (const value of line) if (!Number.isNaN(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    for (let t = first; t <= last; t++) if (half(t) && !Number.isNaN(after[t - first])) [low, high] = [Math.min(low, after[t - first] - half(t)), Math.max(high, after[t - first] + half(t))];
     if (low > high) [low, high] = [0, 1];
-    const margin = Math.max(1, 0.06 * (high - low));
+    const margin = Math.max(row.hasBand ? 1 : 0.001, 0.06 * (high - low));
     [low, high] = [low - margin, high + margin];
-    const y = (value) => plot.top + (1 - (value - low) / (high - low)) * plot.height;
+    const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
     context.strokeStyle = colour("--line");
-    context.strokeRect(LEFT, plot.top, plot.x(this.last) - LEFT, plot.height);
+    context.lineWidth = 1;
+    context.strokeRect(LEFT, row.top, this.window.width, row.height);
     context.fillStyle = colour("--muted");
-    context.fillText(plot.name, 4, plot.top + plot.height / 2 + 3);
+    context.fillText(row.name, 6, row.top + row.height / 2 + 3);
     context.textAlign = "right";
-    context.fillText(high.toFixed(0), LEFT - 3, plot.top + 8);
-    context.fillText(low.toFixed(0), LEFT - 3, plot.top + plot.height);
+    context.fillText(high.toFixed(digits), LEFT - 4, row.top + 9);
+    context.fillText(low.toFixed(digits), LEFT - 4, row.top + row.height);
     context.textAlign = "left";
     context.save();
     context.beginPath();
-    context.rect(LEFT, plot.top, plot.x(this.last) - LEFT, plot.height);
+    context.rect(LEFT, row.top, this.window.width, row.height);
     context.clip();
-    context.globalAlpha = 0.25;
-    context.fillStyle = colour("--green");
-    for (let t = this.first; t <= this.last; t += step) {
-      const half = band(t), value = at("after", t);
-      if (!half || Number.isNaN(value)) continue;
-      const top = y(value + half), width = Math.max(1.5, plot.x(t + step) - plot.x(t));
-      context.fillRect(plot.x(t) - width / 2, top, width, Math.max(1, y(value - half) - top));
-    }
-    context.globalAlpha = 1;
-    this.drawPath(context, plot, step, (t) => y(at("before", t)), () => colour("--muted"), 1, colour("--red"));
-    this.drawPath(context, plot, step, (t) => y(at("after", t)), () => colour("--green"), 1.3, colour("--green"));
+    const state = (t) => samples.state[t * width + marker], isEstimated = (t) => half(t) > 0;
+    context.fillStyle = `color-mix(in srgb, ${colour("--red")} 22%, transparent)`;
+    this.fillRuns(context, first, last, (t) => state(t) === STATE.rejected, row);
+    context.fillStyle = `color-mix(in srgb, ${colour("--green")} 25%, transparent)`;
+    this.fillBand(context, first, last, isEstimated, (t) => [y(after[t - first] - half(t)), y(after[t - first] + half(t))]);
+    const isChanged = (t) => state(t) !== STATE.measured;
+    lines.slice(1).forEach((line, n) => this.strokeLine(context, line, first, y, () => true, OTHER_COLOURS[n], 1));
+    this.strokeLine(context, before, first, y, (t) => !isChanged(t), colour("--muted"), 1.2);
+    this.strokeLine(context, before, first, y, isChanged, colour("--red"), 1.2);
+    this.strokeLine(context, after, first, y, (t) => state(t) !== STATE.rejected, colour("--green"), 1.4);
     context.restore();
   }
 
-  // Draws a curve; where the sample was changed it has the colour `changed`.
-  drawPath(context, plot, step, y, plain, lineWidth, changed) {
-    const { samples, marker } = this;
+  readLine(row, layer, marker, first, last) {
+    const line = new Float64Array(last - first + 1);
+    for (let t = first; t <= last; t++) line[t - first] = row.value(layer, marker, t);
+    return line;
+  }
+
+  // Draws the samples of a line that are chosen; where many fall on one pixel, their lowest and highest.
+  strokeLine(context, line, first, y, isChosen, style, lineWidth) {
+    context.strokeStyle = style;
     context.lineWidth = lineWidth;
-    for (const isChanged of [false, true]) {
-      context.strokeStyle = isChanged ? changed : plain();
+    context.beginPath();
+    let isOpen = false, column = -1, low = 0, high = 0;
+    const close = () => { if (isOpen && high > low) { context.lineTo(column, y(low)); context.lineTo(column, y(high)); } };
+    line.forEach((value, n) => {
+      if (Number.isNaN(value) || !isChosen(n + first)) { close(); isOpen = false; return; }
+      const x = this.window.x(n + first), place = Math.round(2 * x) / 2;
+      if (isOpen && place === column) { [low, high] = [Math.min(low, value), Math.max(high, value)]; return; }
+      close();
+      if (isOpen) context.lineTo(x, y(value));
+      else { context.moveTo(x - 0.7, y(value)); context.lineTo(x, y(value)); }
+      [isOpen, column, low, high] = [true, place, value, value];
+    });
+    close();
+    context.stroke();
+  }
+
+  // Fills the area between two limits over the runs of chosen frames; each run reaches the frames beside it.
+  fillBand(context, first, last, isChosen, limits) {
+    for (const [from, to] of findRuns(first, last, isChosen)) {
+      const frames = Array.from({ length: to - from + 1 }, (_, n) => from + n);
       context.beginPath();
-      let isOpen = false;
-      for (let t = this.first; t <= this.last; t += step) {
-        const value = y(t), state = samples.state[t * samples.counts.after + marker];
-        if (Number.isNaN(value) || (state !== STATE.measured) !== isChanged) { isOpen = false; continue; }
-        if (isOpen) context.lineTo(plot.x(t), value);
-        else { context.moveTo(plot.x(t) - 0.7, value); context.lineTo(plot.x(t), value); }
-        isOpen = true;
-      }
-      context.stroke();
+      for (const t of frames) context.lineTo(this.window.x(t), limits(t)[0]);
+      for (const t of frames.reverse()) context.lineTo(this.window.x(t), limits(t)[1]);
+      context.fill();
     }
   }
+
+  fillRuns(context, first, last, isChosen, row) {
+    for (const [from, to] of findRuns(first, last, isChosen)) {
+      context.fillRect(this.window.x(from - 0.5), row.top, Math.max(1.5, this.window.x(to + 0.5) - this.window.x(from - 0.5)), row.height);
+    }
+  }
+}
+
+function findRuns(first, last, isChosen) {
+  const runs = [];
+  for (let t = first; t <= last; t++) {
+    if (!isChosen(t)) continue;
+    if (runs.length && runs.at(-1)[1] === t - 1) runs.at(-1)[1] = t;
+    else runs.push([t, t]);
+  }
+  return runs;
+}
+
+function buildName(label, colour) {
+  const name = document.createElement("b");
+  name.textContent = label;
+  name.style.color = colour;
+  return name;
 }

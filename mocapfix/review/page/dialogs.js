@@ -3,11 +3,14 @@
 const find = (id) => document.getElementById(id);
 
 const KEYS = [
-  ["A · R · K", "accept · reject · keep as measured, and go on to the next change that is not reviewed"],
-  ["Shift-A", "accept all of this kind"], ["M", "note in words"], ["Ctrl-Z", "undo the last edit"],
-  ["↑ ↓", "previous and next change in the list"], ["Page up, Page down", "previous and next change in time"],
+  ["A · R · K", "accept · reject · keep as measured the event or change, and go on to the next that is not reviewed"],
+  ["Shift-A", "accept all that is predicted within the limit"], [", and .", "a lower, a higher limit"],
+  ["Enter", "fold or unfold an event"], ["M", "note in words"], ["Ctrl-Z · Ctrl-Y", "undo the last edit · make it again"],
+  ["↑ ↓", "previous and next row in the list"], ["Page up, Page down", "previous and next event in time"],
+  ["Z", "the lanes around what is selected, or of the whole take; the wheel zooms, with Shift it moves, Alt-drag moves"],
+  ["I", "curves of position, speed, distance; Ctrl-click on a lane adds its marker"],
   ["← →", "one frame; with Shift ten"], ["Home, End", "first and last frame"], ["Space", "play or pause"], ["+ −", "faster, slower"],
-  ["[ and ]", "start and end of a stretch at this frame; or Shift-drag over the curves; Escape ends it"],
+  ["[ and ]", "start and end of a stretch at this frame; or drag over the lanes, Shift-drag over the curves; Escape ends it"],
   ["W · X", "mark the stretch as wrong · as missing"], ["S", "swap two labels"], ["U", "assign an unlabelled trajectory"],
   ["G", "how a gap is filled"], ["Delete", "remove the selected correction"],
   ["C", "clean again with the decisions"], ["E", "export further files"], ["P", "approve, or withdraw the approval"],

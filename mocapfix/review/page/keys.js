@@ -7,7 +7,8 @@ const isTyping = (target) => target.matches("input:not([type=checkbox]):not([typ
 export function followKeys(app) {
   const { playback, scene } = app;
   const actions = {
-    a: () => app.decide("accept"), r: () => app.decide("reject"), k: () => app.decide("keep"), A: () => app.acceptKind(),
+    a: () => app.decide("accept"), r: () => app.decide("reject"), k: () => app.decide("keep"), A: () => app.limit.accept(),
+    ",": () => app.limit.change(-1), ".": () => app.limit.change(1), Enter: () => app.toggleFold(), z: () => app.toggleZoom(), i: () => app.curves.changeQuantity(),
     m: () => app.note(), w: () => app.mark("wrong"), x: () => app.mark("missing"), s: () => app.swap(), u: () => app.assign(),
     g: () => app.requestFill(), Delete: () => app.removeCorrection(), c: () => app.clean(), e: () => app.export(), p: () => app.approve(),
     t: () => app.toggleTakes(), n: () => app.openNextTake(), d: () => app.switchTheme(), q: () => app.end(),
@@ -26,11 +27,16 @@ export function followKeys(app) {
   document.addEventListener("keydown", (event) => {
     if (isDialogOpen() || (isTyping(event.target) && event.key !== "Escape")) return;
     if (event.ctrlKey || event.metaKey) {
-      if (event.key.toLowerCase() === "z" && !event.shiftKey) { event.preventDefault(); app.undo(); }
+      const key = event.key.toLowerCase(), isRedo = key === "y" || (key === "z" && event.shiftKey);
+      if (!app.take || (key !== "z" && !isRedo)) return;
+      event.preventDefault();
+      if (isRedo) app.redo();
+      else app.undo();
       return;
     }
     if (event.altKey) return;
     if ((event.key === " " || event.key === "Enter") && event.target.matches("button")) return;
+    if (event.target.id === "limit" && event.key.startsWith("Arrow")) return;
     const key = event.key.length === 1 && event.key !== "A" ? event.key.toLowerCase() : event.key;
     if (!(key in actions) || !app.isReady) return;
     event.preventDefault();

@@ -3,13 +3,16 @@
 import * as api from "./api.js";
 import { correctionActions, outputActions } from "./actions.js";
 import { CharacterView } from "./character.js";
-import { ChangeList, listChanges, renderCorrections } from "./changes.js";
+import { ChangeList, renderCorrections } from "./changes.js";
 import { connectControls } from "./controls.js";
 import { CurveView } from "./curves.js";
 import * as dialogs from "./dialogs.js";
-import { EditQueue } from "./editing.js";
+import { DecideEdit, EditQueue, NoteEdit, RedoEdit, UndoEdit } from "./edits.js";
+import { listEvents, listRows } from "./events.js";
 import { followKeys } from "./keys.js";
 import { labelPlacement } from "./labels.js";
+import { LaneView } from "./lanes.js";
+import { LimitBar } from "./limit.js";
 import { renderDetail, renderDifference, renderTakes } from "./panels.js";
 import { Playback } from "./playback.js";
 import { Samples } from "./samples.js";
@@ -19,13 +22,20 @@ const find = (id) => document.getElementById(id);
 
 class App {
   constructor() {
-    Object.assign(this, { take: null, samples: null, session: null, selectedId: null, correctionIndex: null, marker: null, stretch: null, isReady: false });
+    Object.assign(this, {
+      take: null, samples: null, session: null, events: [], unfolded: new Set(), selectedId: null, correctionIndex: null, marker: null, stretch: null,
+      isReady: false,
+    });
     this.playback = new Playback({ onFrame: (frame) => this.showFrame(frame) });
     this.scene = new SceneView(find("scene"));
-    this.curves = new CurveView(find("curves"), find("curves-title"), find("curves-cursor"), {
+    this.curves = new CurveView(find("curves"), {
       onScrub: (frame) => this.playback.moveTo(frame), onStretch: (stretch) => this.setStretch(stretch),
     });
-    this.list = new ChangeList(find("changes"), { onSelect: (id) => this.select(id) });
+    this.lanes = new LaneView({
+      onPick: (marker, frame, isAdded) => this.pickLane(marker, frame, isAdded), onStretch: (stretch, marker) => this.setStretch(stretch, marker),
+    });
+    this.list = new ChangeList(find("changes"), { onSelect: (id) => this.select(id), onFold: (id) => this.toggleFold(id) });
+    this.limit = new LimitBar({ getEvents: () => this.events, onAccept: (changes) => this.edits.send(new DecideEdit(changes, "accept")) });
     this.edits = new EditQueue({
       getTake: () => this.take, applyReview: (take, review) => this.applyReview(take, review), showStatus: (...args) => this.showStatus(...args),
     });
@@ -51,7 +61,7 @@ class App {
     } catch (error) {
       this.cover(error.message);
     }
-    this.events = api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
+    this.stream = api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
   }
 
   async openTake(id, frame = null) {
@@ -71,16 +81,18 @@ class App {
     document.title = `${take.name} – mocapfix review`;
     this.scene.setTake(take, this.samples);
     this.curves.setTake(take, this.samples);
+    this.lanes.setTake(take, this.samples);
+    this.marker = null;
     this.playback.setTake(take);
     this.renderKinds();
     this.renderReview();
     this.offerCharacters(take);
-    const kept = isSame && take.changes.some((each) => each.id === this.selectedId) ? this.selectedId : this.list.rows[0]?.id ?? null;
-    const change = take.changes.find((each) => each.id === kept);
-    const target = frame ?? (change ? this.middleOf(change) : 0);
+    const kept = isSame && this.list.rows.some((each) => each.id === this.selectedId) ? this.selectedId : this.list.rows[0]?.id ?? null;
+    const entry = this.list.rows.find((each) => each.id === kept);
+    const target = frame ?? (entry ? this.middleOf(entry.changes[0]) : 0);
     const load = this.samples.load(target, () => this.drawBlock(take, kept, target));
     this.isComplete = false;
-    load.then(() => { this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
+    load.then(() => { this.lanes.update(); this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
     renderDifference(find("difference"), take.difference, (id) => this.select(id));
   }
@@ -111,6 +123,7 @@ class App {
       return;
     }
     this.isReady = true;
+    this.lanes.update();
     this.playback.moveTo(frame);
     this.scene.frameMarkers(null, [0.6, 0.35, 1]);
     if (selectedId) this.select(selectedId);
@@ -119,7 +132,10 @@ class App {
   }
 
   get lastFrame() { return this.take.frame_count - 1; }
-  get change() { return this.take?.changes.find((each) => each.id === this.selectedId) ?? null; }
+  // What the selected row stands for: an event or a change; null without one.
+  get entry() { return this.list.rows.find((each) => each.id === this.selectedId) ?? null; }
+  // The selected change; of an event the one that is predicted worst.
+  get change() { return this.entry?.changes[0] ?? null; }
   toIndex(frame) { return frame - this.take.first_frame; }
   middleOf(change) { return this.toIndex(Math.floor((change.first + change.last) / 2)); }
 
@@ -129,28 +145,45 @@ class App {
   showFrame(frame) {
     if (!this.samples) return;
     if (this.playback.isPlaying && this.scene.frame !== undefined) this.scene.follow(this.scene.frame, frame);
-    const markers = this.marker === null ? [] : [this.marker, ...this.findMarkers(this.change?.markers ?? [])];
+    const markers = this.marker === null ? [] : [this.marker, ...this.findMarkers(this.entry?.markers ?? [])];
     this.scene.showFrame(frame, markers);
     this.curves.setFrame(frame);
+    this.lanes.setFrame(frame);
   }
 
-  select(id, { keepsFrame = false } = {}) {
+  select(id, { keepsFrame = false, marker = null } = {}) {
     this.selectedId = id;
     this.correctionIndex = null;
-    const change = this.change;
+    if (id && !this.entry) this.unfoldEventOf(id);
+    const { entry } = this;
     this.list.selectedId = id;
     this.list.showSelected();
-    renderDetail(find("change-detail"), change);
+    this.renderDetail();
     this.renderCorrections();
-    if (!change) return;
-    const markers = this.findMarkers(change.markers);
-    this.marker = markers[0] ?? null;
-    this.curves.frame = this.middleOf(change);
-    if (this.marker !== null) this.curves.showMarker(this.marker, [this.toIndex(change.first), this.toIndex(change.last)]);
-    if (!keepsFrame) {
-      this.playback.moveTo(this.middleOf(change));
-      if (markers.length) this.scene.frameMarkers(markers, null, 0.5);
-    }
+    if (!entry) return;
+    const markers = this.findMarkers([...this.change.markers, ...entry.markers]), interval = [this.toIndex(this.change.first), this.toIndex(this.change.last)];
+    const ordered = [...new Set([marker ?? markers[0] ?? null, ...markers])].filter((each) => each !== null);
+    this.marker = ordered[0] ?? null;
+    this.lanes.select(ordered, entry.changes);
+    this.curves.showMarkers(entry.changes.length > 1 ? ordered.slice(0, 1) : ordered, interval);
+    if (keepsFrame) return this.showFrame(this.playback.frame);
+    this.playback.moveTo(this.middleOf(this.change));
+    this.scene.frameMarkers(null);
+  }
+
+  // Unfolds the event of a change that has no row yet.
+  unfoldEventOf(id) {
+    const event = this.events.find((each) => each.changes.some((change) => change.id === id));
+    if (event) this.unfolded.add(event.id);
+    this.renderReview();
+  }
+
+  toggleFold(id = this.selectedId) {
+    const row = this.list.rows.find((each) => each.id === id), event = row?.parent ?? (row?.changes.length > 1 ? id : null);
+    if (!event) return;
+    if (!this.unfolded.delete(event)) this.unfolded.add(event);
+    this.renderReview();
+    this.select(event, { keepsFrame: true });
   }
 
   selectNeighbour(steps) {
@@ -160,40 +193,63 @@ class App {
 
   selectInTime(direction) {
     const now = this.playback.frame + this.take.first_frame;
-    const ordered = [...this.list.rows].sort((a, b) => direction * (a.first - b.first));
+    const ordered = [...this.events].sort((a, b) => direction * (a.first - b.first));
     const next = ordered.find((each) => direction * (Math.floor((each.first + each.last) / 2) - now) > 0);
     if (next) this.select(next.id);
   }
 
-  async decide(decision) {
-    const { change } = this;
-    if (!change) return;
-    const next = this.list.findNextOpen();
-    if ((await this.edits.send({ type: "decide", ids: [change.id], decision })) && next && this.selectedId === change.id) this.select(next);
+  // Shows the marker of a lane at a frame, and selects what was changed there; adds it to the curves, if asked.
+  pickLane(marker, frame, isAdded) {
+    if (isAdded) return this.curves.toggleMarker(marker);
+    if (frame !== null) this.playback.moveTo(frame);
+    const number = this.playback.frame + this.take.first_frame, label = this.take.labels[marker];
+    const event = this.events.find((each) => each.changes.some((change) => change.markers.includes(label) && change.first <= number && number <= change.last));
+    if (event) return this.select(event.id, { keepsFrame: true, marker });
+    this.showMarker(marker);
   }
 
-  async acceptKind() {
-    const { change } = this;
-    if (!change) return;
-    const ids = this.take.changes.filter((each) => each.kind === change.kind && !each.is_reviewed).map((each) => each.id);
-    const text = `${ids.length} changes of the kind "${change.kind}" are not reviewed. Accept them?`;
-    if (ids.length && (await dialogs.confirmAction(`Accept all of the kind "${change.kind}"`, text))) {
-      await this.edits.send({ type: "decide", ids, decision: "accept" });
-    }
+  // Shows a marker without a change.
+  showMarker(marker, interval = null) {
+    this.marker = marker;
+    this.selectedId = null;
+    this.list.selectedId = null;
+    this.list.render();
+    this.renderDetail();
+    this.lanes.select([marker]);
+    this.curves.showMarkers([marker], interval);
+    this.showFrame(this.playback.frame);
+  }
+
+  renderDetail() { renderDetail(find("change-detail"), this.entry, this.take); }
+
+  async decide(decision) {
+    const { entry } = this;
+    if (!entry) return;
+    const next = this.list.findNextOpen();
+    if ((await this.edits.send(new DecideEdit(entry.changes, decision))) && next && this.selectedId === entry.id) this.select(next);
   }
 
   async note() {
     const { change } = this;
-    if (!change) return;
+    if (!change || this.isRunning) return;
     const text = await dialogs.askNote(change.id, change.note);
-    if (text !== null) await this.edits.send({ type: "note", id: change.id, text });
+    if (text !== null) await this.edits.send(new NoteEdit(change, text));
   }
 
-  undo() { return this.edits.send({ type: "undo" }); }
+  undo() { if (this.take.undo_count) this.edits.send(new UndoEdit()); }
+  redo() { if (this.take.redo_count) this.edits.send(new RedoEdit()); }
 
-  setStretch(stretch) {
+  // Selects a stretch of frames, and the marker of its lane.
+  setStretch(stretch, marker = null) {
     this.stretch = stretch;
+    if (marker !== null && marker !== this.marker) this.showMarker(marker);
     this.curves.setStretch(stretch);
+    this.lanes.setStretch(stretch);
+  }
+
+  toggleZoom() {
+    const { frame } = this.playback, entry = this.entry ?? { first: frame + this.take.first_frame, last: frame + this.take.first_frame };
+    this.lanes.toggleZoom(this.stretch ?? [this.toIndex(entry.first), this.toIndex(entry.last)]);
   }
 
   setStretchEnd(end) {
@@ -208,7 +264,7 @@ class App {
     await this.report(() => this.openTake(next.id));
   }
 
-  frameSelected() { this.scene.frameMarkers(this.change ? this.findMarkers(this.change.markers) : this.marker === null ? null : [this.marker]); }
+  frameSelected() { this.scene.frameMarkers(this.entry ? this.findMarkers(this.entry.markers) : this.marker === null ? null : [this.marker]); }
   showHelp() { dialogs.showHelp(); }
 
   toggleTakes() {
@@ -241,7 +297,7 @@ class App {
     this.scene.setTheme(this.isDark);
     if (this.samples && this.isReady) this.showFrame(this.playback.frame);
     this.curves.draw();
-    this.playback.drawMarks();
+    this.lanes.draw();
   }
 
   applyReview(take, review) {
@@ -250,6 +306,10 @@ class App {
     if (byId.size) take.changes = take.changes.map((each) => byId.get(each.id) ?? each);
     if (take !== this.take) return;
     this.renderReview();
+    this.samples.showDecisions();
+    if (this.isReady) this.showFrame(this.playback.frame);
+    this.curves.draw();
+    this.lanes.update();
     const entry = this.session?.takes.find((each) => each.id === take.id);
     if (entry) Object.assign(entry, { state: take.state, reviewed_count: take.changes.filter((each) => each.is_reviewed).length });
     this.renderTakes();
@@ -258,17 +318,46 @@ class App {
   renderReview() {
     const { take } = this;
     const filters = { kind: find("filter-kind").value, marker: find("filter-marker").value, decision: find("filter-decision").value, order: find("sort").value };
-    const rows = listChanges(take.changes, filters), reviewed = take.changes.filter((each) => each.is_reviewed).length;
+    this.events = listEvents(take, filters);
+    const reviewed = take.changes.filter((each) => each.is_reviewed).length;
     find("takes-button").hidden = !this.session?.is_batch;
-    this.list.setRows(rows, this.selectedId, take);
+    this.list.setRows(listRows(this.events, this.unfolded), this.selectedId, take);
+    this.limit.render();
     find("count").textContent = `${reviewed} of ${take.changes.length} reviewed`;
+    find("count").title = `${take.changes.length} changes in ${take.events.length} events`;
     find("take-state").textContent = take.state === "approved" ? `approved by ${take.approval.name}` : take.state;
     find("take-state").dataset.state = take.state;
     find("approve").textContent = take.state === "approved" ? "Withdraw" : "Approve";
-    find("undo").disabled = !take.undo_count;
-    renderDetail(find("change-detail"), this.change);
+    this.renderDetail();
     this.renderCorrections();
-    this.playback.drawMarks();
+    this.renderAvailability();
+  }
+
+  get isRunning() { return this.take.run.state === "running"; }
+
+  // Disables what is refused now, with the reason; so no dialog opens to refuse.
+  renderAvailability() {
+    const { take } = this, running = this.isRunning ? "The take is being cleaned; edit it when that has ended." : "";
+    const correcting = running || (take.can_correct ? "" : "Corrections are for takes of markers, not for animations.");
+    const obstacles = {
+      accept: running, reject: running, keep: running, note: running, approve: running, mark: correcting, swap: correcting, fill: correcting,
+      assign: correcting || (take.unlabelled.length ? "" : "The take has no unlabelled trajectory."),
+      undo: running || (take.undo_count ? "" : "There is nothing to undo."), redo: running || (take.redo_count ? "" : "There is nothing to make again."),
+      export: running || take.cannot_clean_reason, clean: this.isRunning ? "" : take.cannot_clean_reason,
+    };
+    for (const [id, obstacle] of Object.entries(obstacles)) {
+      const button = find(id);
+      button.dataset.title ??= button.title;
+      button.disabled = Boolean(obstacle);
+      button.title = obstacle || button.dataset.title;
+    }
+    if (this.isRunning) find("accept-within").disabled = true;
+  }
+
+  // Returns whether an action can be carried out, and shows why if it cannot. The actions are named as their buttons.
+  allows(id) {
+    if (find(id).disabled) this.showStatus(find(id).title, true);
+    return !find(id).disabled;
   }
 
   renderCorrections() {
@@ -282,8 +371,7 @@ class App {
     this.renderCorrections();
     const correction = this.take.corrections[index], [marker] = this.findMarkers(correction.markers);
     if (marker !== undefined) {
-      this.marker = marker;
-      this.curves.showMarker(marker, [this.toIndex(correction.first), this.toIndex(correction.last)]);
+      this.showMarker(marker, [this.toIndex(correction.first), this.toIndex(correction.last)]);
       this.playback.moveTo(this.middleOf(correction));
     }
   }
@@ -314,7 +402,8 @@ class App {
     const wasRunning = this.take.run.state === "running" || run.state === "running" || this.wasRunning;
     this.take.run = run;
     const isRunning = run.state === "running";
-    for (const id of ["accept", "reject", "keep", "note", "mark", "swap", "assign", "fill", "approve", "export"]) find(id).disabled = isRunning;
+    this.limit.render();
+    this.renderAvailability();
     find("clean").textContent = isRunning ? "Stop" : "Clean again";
     if (isRunning) this.showStatus(`Cleaning again: ${run.stage} …`);
     if (run.state === "failed" && wasRunning) this.showStatus(run.message, true);
@@ -341,7 +430,7 @@ class App {
 
   cover(text) {
     this.hasEnded = true;
-    this.events?.close();
+    this.stream?.close();
     find("cover").textContent = text;
     find("cover").hidden = false;
   }

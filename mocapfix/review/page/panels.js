@@ -7,13 +7,13 @@ function build(tag, text = "", className = "") {
   return element;
 }
 
-// Shows why a change was made, and how.
-export function renderDetail(element, change) {
-  if (!change) {
+// Shows why the change of a row was made, and how; of an event the change that is predicted worst.
+export function renderDetail(element, entry, take) {
+  if (!entry) {
     element.replaceChildren(build("span", "Select a change to see why it was made.", "empty"));
     return;
   }
-  const { before, after } = change;
+  const [change] = entry.changes, { before, after } = change;
   const method = change.method.charAt(0).toUpperCase() + change.method.slice(1);
   const parts = [build("b", `${change.kind}: ${change.markers.join(", ")}. `), build("span", `${change.why} ${method}.`)];
   const facts = [`${change.samples} samples`];
@@ -22,6 +22,11 @@ export function renderDetail(element, change) {
   if (change.predicted_mm !== null) facts.push(`predicted error ${change.predicted_mm} mm`);
   parts.push(build("div", facts.join(" · ")));
   if (change.note) parts.push(build("div", change.note, "note"));
+  if (entry.changes.length > 1) {
+    const seconds = ((entry.last - entry.first + 1) / take.rate).toFixed(2);
+    const what = `${entry.changes.length} changes of ${entry.markers.join(", ")} in frames ${entry.first} to ${entry.last} (${seconds} s). The least certain: `;
+    parts.unshift(build("div", what));
+  }
   element.replaceChildren(...parts);
 }
 

@@ -1,6 +1,5 @@
-// Playing a take: the current frame, its speed, and the slider with the changes marked on it.
+// Playing a take: the current frame, its speed, and the slider.
 
-const COLOURS = { open: "--amber", accept: "--green", reject: "--red", keep: "--violet" };
 const find = (id) => document.getElementById(id);
 
 export class Playback {
@@ -10,14 +9,12 @@ export class Playback {
     find("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); });
     find("scrub").addEventListener("input", (event) => this.moveTo(Number(event.target.value)));
     find("frame").addEventListener("change", (event) => this.moveTo(Number(event.target.value) - this.take.first_frame));
-    new ResizeObserver(() => this.drawMarks()).observe(find("scrub-box"));
   }
 
   setTake(take) {
     this.take = take;
     find("scrub").max = take.frame_count - 1;
     Object.assign(find("frame"), { min: take.first_frame, max: take.first_frame + take.frame_count - 1 });
-    this.drawMarks();
   }
 
   moveTo(frame) {
@@ -70,17 +67,4 @@ export class Playback {
 
   // Pictures in the last second while playing.
   get frameRate() { return this.frameTimes.length; }
-
-  drawMarks() {
-    const canvas = find("scrub-marks"), width = canvas.clientWidth, height = canvas.clientHeight;
-    canvas.width = width;
-    canvas.height = height;
-    if (!this.take) return;
-    const context = canvas.getContext("2d"), style = getComputedStyle(document.documentElement), inset = 8;
-    for (const change of this.take.changes) {
-      context.fillStyle = style.getPropertyValue(COLOURS[change.is_reviewed ? change.decision : "open"]);
-      const at = (frame) => inset + ((frame - this.take.first_frame) / Math.max(1, this.take.frame_count - 1)) * (width - 2 * inset);
-      context.fillRect(at(change.first), 1, Math.max(2, at(change.last) - at(change.first)), height - 2);
-    }
-  }
 }

@@ -1,13 +1,16 @@
 // The samples of a take, loaded in blocks: positions before and after cleaning, joints, uncertainty and state.
+// What follows from the decisions is shown at once: `after`, `sd` and `state` are as they will be once the take is cleaned again.
 
 import { fetchSamples } from "./api.js";
 
 const BLOCK_FRAMES = 600;
+const SHIFT_KINDS = ["moved", "drift"];  // no sample differs
 
-export const STATE = { measured: 0, filled: 1, replaced: 2, relabelled: 3, reassigned: 4, suspect: 5, empty: 6 };
+export const STATE = { measured: 0, filled: 1, replaced: 2, relabelled: 3, reassigned: 4, suspect: 5, empty: 6, rejected: 7 };
 
 export class Samples {
   constructor(take) {
+    this.take = take;
     this.id = take.id;
     this.frameCount = take.frame_count;
     this.counts = { before: take.labels.length, after: take.labels.length, unlabelled: take.unlabelled.length, joints: take.joints.length };
@@ -16,6 +19,8 @@ export class Samples {
     }
     this.sd = new Float32Array(this.frameCount * this.counts.after).fill(NaN);
     this.state = new Uint8Array(this.frameCount * this.counts.after).fill(STATE.empty);
+    this.cleaned = new Map();  // of samples that a decision hides, by their index: [x, y, z, sd, state] as they were cleaned
+    this.columns = new Map(take.labels.map((label, m) => [label, m]));
     this.isCancelled = false;
   }
 
@@ -43,6 +48,39 @@ export class Samples {
     const width = this.counts.after;
     this.sd.set(new Float32Array(data, offset, count * width), first * width);
     this.state.set(new Uint8Array(data, offset + count * width * 4, count * width), first * width);
+    for (const index of this.cleaned.keys()) {
+      if (index >= first * width && index < (first + count) * width) this.cleaned.delete(index);
+    }
+    this.showDecisions([first, first + count - 1]);
+  }
+
+  // Shows what follows from the decisions, in some frames or in all: rejected and kept samples are as they were measured.
+  showDecisions([from, to] = [0, this.frameCount - 1]) {
+    const width = this.counts.after;
+    for (const [index, [x, y, z, sd, state]] of this.cleaned) {
+      if (index < from * width || index >= (to + 1) * width) continue;
+      this.after.set([x, y, z], index * 3);
+      [this.sd[index], this.state[index]] = [sd, state];
+      this.cleaned.delete(index);
+    }
+    for (const change of this.take.changes) {
+      if (change.decision === "accept" || SHIFT_KINDS.includes(change.kind)) continue;
+      const first = Math.max(change.first - this.take.first_frame, from), last = Math.min(change.last - this.take.first_frame, to);
+      for (const m of change.markers.map((label) => this.columns.get(label)).filter((each) => each !== undefined)) {
+        for (let t = first; t <= last; t++) this.showDeclined(t * width + m, change);
+      }
+    }
+  }
+
+  showDeclined(index, change) {
+    const { before, after, sd, state } = this, isGap = change.before.missing > change.last - change.first;
+    const wasMissing = Number.isNaN(before[index * 3]);
+    if (!isGap && wasMissing && state[index] !== STATE.relabelled) return;  // this sample belongs to a gap
+    if (!this.cleaned.has(index)) this.cleaned.set(index, [...after.subarray(index * 3, index * 3 + 3), sd[index], state[index]]);
+    after.set(isGap ? [NaN, NaN, NaN] : before.subarray(index * 3, index * 3 + 3), index * 3);
+    sd[index] = NaN;
+    if (change.decision === "reject") state[index] = STATE.rejected;
+    else state[index] = isGap || wasMissing ? STATE.empty : STATE.measured;
   }
 
   // Position of a trajectory in a layer as [x, y, z], NaN where missing.

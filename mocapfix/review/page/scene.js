@@ -109,7 +109,7 @@ export class SceneView {
 
   chooseInputColour(frame, m) {
     const state = this.samples.state[frame * this.samples.counts.after + m];
-    if (state === STATE.replaced || state === STATE.suspect || state === STATE.empty) return COLOURS.faulty;
+    if ([STATE.replaced, STATE.suspect, STATE.empty, STATE.rejected].includes(state)) return COLOURS.faulty;
     if (state === STATE.measured) return this.shown.after ? HIDDEN : COLOURS.before;
     return COLOURS.relabelled;
   }
@@ -117,6 +117,7 @@ export class SceneView {
   chooseOutputColour(frame, m) {
     const state = this.samples.state[frame * this.samples.counts.after + m];
     if (state === STATE.filled || state === STATE.replaced) return COLOURS.estimated;
+    if (state === STATE.rejected) return COLOURS.faulty;
     return state === STATE.relabelled ? COLOURS.relabelled : this.theme.after;
   }
 
