@@ -11,8 +11,10 @@ export const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
 
 // What can be shown: its rows, unit, and the value of a marker in a row and frame of a layer, NaN where it has none.
 const axis = (n) => ({ samples }, layer, m, t) => samples[layer][(t * samples.counts[layer] + m) * 3 + n] * 1000;
-const between = (samples, layer, one, t, other, s) => Math.hypot(...[0, 1, 2].map((n) => samples[layer][(t * samples.counts[layer] + one) * 3 + n]
-  - samples[layer][(s * samples.counts[layer] + other) * 3 + n]));
+const between = (samples, layer, one, t, other, s) => {
+  const values = samples[layer], a = (t * samples.counts[layer] + one) * 3, b = (s * samples.counts[layer] + other) * 3;
+  return Math.hypot(values[a] - values[b], values[a + 1] - values[b + 1], values[a + 2] - values[b + 2]);
+};
 const QUANTITIES = {
   position: { unit: "mm", rows: [["x", axis(0)], ["y up", axis(1)], ["z", axis(2)]], hasBand: true },
   speed: { unit: "m/s", rows: [["speed", ({ samples, take }, layer, m, t) => (t ? between(samples, layer, m, t, m, t - 1) * take.rate : NaN)]] },
@@ -95,7 +97,7 @@ export class CurveView {
   }
 
   draw() {
-    const { canvas } = this, context = canvas.getContext("2d"), ratio = Math.min(window.devicePixelRatio, 2);
+    const { canvas } = this, context = canvas.getContext("2d", { willReadFrequently: true }), ratio = Math.min(window.devicePixelRatio, 2);
     const width = canvas.clientWidth, height = canvas.clientHeight, quantity = QUANTITIES[this.quantity.value];
     Object.assign(canvas, { width: width * ratio, height: height * ratio });
     context.scale(ratio, ratio);
@@ -126,14 +128,13 @@ export class CurveView {
   }
 
   drawRow(context, row, colour) {
-    const first = Math.max(0, Math.floor(this.window.first)), last = Math.min(this.take.frame_count - 1, Math.ceil(this.window.last));
-    const { samples, marker } = this, width = samples.counts.after, lines = this.markers.map((m) => this.readLine(row, "after", m, first, last));
-    const before = this.readLine(row, "before", marker, first, last), after = lines[0];
-    const half = (t) => (row.hasBand && !Number.isNaN(samples.sd[t * width + marker]) ? BAND_SDS * samples.sd[t * width + marker] * 1000 : 0);
-    let low = Infinity, high = -Infinity;
-    for (const line of [before, ...lines]) for (const value of line) if (!Number.isNaN(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    for (let t = first; t <= last; t++) if (half(t) && !Number.isNaN(after[t - first])) [low, high] = [Math.min(low, after[t - first] - half(t)), Math.max(high, after[t - first] + half(t))];
-    if (low > high) [low, high] = [0, 1];
+    const { marker, window: { first, last } } = this, scale = this.divideFrames(first, last), state = this.readStates(scale);
+    const isAny = () => true, isChanged = (t) => state[t - scale.from] !== STATE.measured, isShown = (t) => state[t - scale.from] !== STATE.rejected;
+    const values = this.markers.map((m) => this.readValues(row, "after", m, scale)), before = this.readValues(row, "before", marker, scale);
+    const others = values.slice(1).map((each) => reduce(each, scale, isAny)), after = reduce(values[0], scale, isShown);
+    const plain = reduce(before, scale, (t) => !isChanged(t)), changed = reduce(before, scale, isChanged);
+    const band = row.hasBand ? this.readBand(values[0], scale) : null;
+    let [low, high] = findRange([plain, changed, after, ...others, ...(band ? [band] : [])]);
     const margin = Math.max(row.hasBand ? 1 : 0.001, 0.06 * (high - low));
     [low, high] = [low - margin, high + margin];
     const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
@@ -150,71 +151,103 @@ export class CurveView {
     context.beginPath();
     context.rect(LEFT, row.top, this.window.width, row.height);
     context.clip();
-    const state = (t) => samples.state[t * width + marker], isEstimated = (t) => half(t) > 0;
     context.fillStyle = `color-mix(in srgb, ${colour("--red")} 22%, transparent)`;
-    this.fillRuns(context, first, last, (t) => state(t) === STATE.rejected, row);
+    this.fillRuns(context, scale, state, row);
     context.fillStyle = `color-mix(in srgb, ${colour("--green")} 25%, transparent)`;
-    this.fillBand(context, first, last, isEstimated, (t) => [y(after[t - first] - half(t)), y(after[t - first] + half(t))]);
-    const isChanged = (t) => state(t) !== STATE.measured;
-    lines.slice(1).forEach((line, n) => this.strokeLine(context, line, first, y, () => true, OTHER_COLOURS[n], 1));
-    this.strokeLine(context, before, first, y, (t) => !isChanged(t), colour("--muted"), 1.2);
-    this.strokeLine(context, before, first, y, isChanged, colour("--red"), 1.2);
-    this.strokeLine(context, after, first, y, (t) => state(t) !== STATE.rejected, colour("--green"), 1.4);
+    if (band) this.fillBand(context, band, y);
+    others.forEach((line, n) => this.strokeLine(context, line, y, OTHER_COLOURS[n], 1));
+    this.strokeLine(context, plain, y, colour("--muted"), 1.2);
+    this.strokeLine(context, changed, y, colour("--red"), 1.2);
+    this.strokeLine(context, after, y, colour("--green"), 1.4);
     context.restore();
   }
 
-  readLine(row, layer, marker, first, last) {
-    const line = new Float64Array(last - first + 1);
-    for (let t = first; t <= last; t++) line[t - first] = row.value(layer, marker, t);
-    return line;
+  // Returns the frames that are drawn, and how many of them are drawn at one place.
+  divideFrames(first, last) {
+    const step = Math.max(1, Math.floor((last - first) / this.window.width)), from = Math.max(0, Math.floor(Math.floor(first) / step) * step);
+    const to = Math.min(this.take.frame_count - 1, Math.ceil(last));
+    return { step, from, to, count: Math.floor((to - from) / step) + 1 };
   }
 
-  // Draws the samples of a line that are chosen; where many fall on one pixel, their lowest and highest.
-  strokeLine(context, line, first, y, isChosen, style, lineWidth) {
+  readStates({ from, to }) {
+    const { state, counts } = this.samples, states = new Uint8Array(to - from + 1);
+    for (let t = from, at = from * counts.after + this.marker; t <= to; t++, at += counts.after) states[t - from] = state[at];
+    return states;
+  }
+
+  readValues(row, layer, marker, { from, to }) {
+    const values = new Float64Array(to - from + 1);
+    for (let t = from; t <= to; t++) values[t - from] = row.value(layer, marker, t);
+    return values;
+  }
+
+  // Returns the limits of the uncertainty of a line.
+  readBand(values, scale) {
+    const { sd, counts } = this.samples, half = new Float64Array(values.length);
+    for (let n = 0; n < half.length; n++) half[n] = BAND_SDS * 1000 * sd[(n + scale.from) * counts.after + this.marker];
+    const low = reduce(values.map((value, n) => value - half[n]), scale, () => true), high = reduce(values.map((value, n) => value + half[n]), scale, () => true);
+    return { ...low, high: high.high };
+  }
+
+  strokeLine(context, { from, step, low, high }, y, style, lineWidth) {
     context.strokeStyle = style;
     context.lineWidth = lineWidth;
     context.beginPath();
-    let isOpen = false, column = -1, low = 0, high = 0;
-    const close = () => { if (isOpen && high > low) { context.lineTo(column, y(low)); context.lineTo(column, y(high)); } };
-    line.forEach((value, n) => {
-      if (Number.isNaN(value) || !isChosen(n + first)) { close(); isOpen = false; return; }
-      const x = this.window.x(n + first), place = Math.round(2 * x) / 2;
-      if (isOpen && place === column) { [low, high] = [Math.min(low, value), Math.max(high, value)]; return; }
-      close();
-      if (isOpen) context.lineTo(x, y(value));
-      else { context.moveTo(x - 0.7, y(value)); context.lineTo(x, y(value)); }
-      [isOpen, column, low, high] = [true, place, value, value];
-    });
-    close();
+    let isOpen = false;
+    for (let n = 0; n < low.length; n++) {
+      if (Number.isNaN(low[n])) { isOpen = false; continue; }
+      const x = this.window.x(from + (n + 0.5) * step - 0.5);
+      if (!isOpen) context.moveTo(x - 0.7, y(low[n]));
+      context.lineTo(x, y(low[n]));
+      if (high[n] > low[n]) context.lineTo(x, y(high[n]));
+      isOpen = true;
+    }
     context.stroke();
   }
 
-  // Fills the area between two limits over the runs of chosen frames; each run reaches the frames beside it.
-  fillBand(context, first, last, isChosen, limits) {
-    for (const [from, to] of findRuns(first, last, isChosen)) {
-      const frames = Array.from({ length: to - from + 1 }, (_, n) => from + n);
+  fillBand(context, { from, step, low, high }, y) {
+    const x = (n) => this.window.x(from + (n + 0.5) * step - 0.5);
+    for (let n = 0; n < low.length; n++) {
+      if (Number.isNaN(low[n])) continue;
+      const start = n;
       context.beginPath();
-      for (const t of frames) context.lineTo(this.window.x(t), limits(t)[0]);
-      for (const t of frames.reverse()) context.lineTo(this.window.x(t), limits(t)[1]);
+      for (; n < low.length && !Number.isNaN(low[n]); n++) context.lineTo(x(n), y(low[n]));
+      for (let back = n - 1; back >= start; back--) context.lineTo(x(back), y(high[back]));
       context.fill();
     }
   }
 
-  fillRuns(context, first, last, isChosen, row) {
-    for (const [from, to] of findRuns(first, last, isChosen)) {
-      context.fillRect(this.window.x(from - 0.5), row.top, Math.max(1.5, this.window.x(to + 0.5) - this.window.x(from - 0.5)), row.height);
+  // Marks the frames in which the marker is rejected.
+  fillRuns(context, { from }, state, row) {
+    for (let n = 0; n < state.length; n++) {
+      if (state[n] !== STATE.rejected) continue;
+      const left = this.window.x(from + n - 0.5);
+      while (state[n + 1] === STATE.rejected) n++;
+      context.fillRect(left, row.top, Math.max(1.5, this.window.x(from + n + 0.5) - left), row.height);
     }
   }
 }
 
-function findRuns(first, last, isChosen) {
-  const runs = [];
-  for (let t = first; t <= last; t++) {
-    if (!isChosen(t)) continue;
-    if (runs.length && runs.at(-1)[1] === t - 1) runs.at(-1)[1] = t;
-    else runs.push([t, t]);
+// Returns the lowest and highest of the chosen values at each place, NaN where there are none.
+function reduce(values, { step, from, count }, isChosen) {
+  const low = new Float64Array(count).fill(NaN), high = new Float64Array(count).fill(NaN);
+  for (let n = 0; n < values.length; n++) {
+    const value = values[n];
+    if (Number.isNaN(value) || !isChosen(n + from)) continue;
+    const place = step === 1 ? n : Math.floor(n / step);
+    if (!(low[place] <= value)) low[place] = value;
+    if (!(high[place] >= value)) high[place] = value;
   }
-  return runs;
+  return { step, from, low, high };
+}
+
+function findRange(lines) {
+  let low = Infinity, high = -Infinity;
+  for (const line of lines) {
+    for (const value of line.low) if (value < low) low = value;
+    for (const value of line.high) if (value > high) high = value;
+  }
+  return low > high ? [0, 1] : [low, high];
 }
 
 function buildName(label, colour) {
