@@ -20,6 +20,7 @@ from mocapfix.fill.gap_estimates import (
     NeighbourActivity,
     build_expected_correlation,
     combine_gap_estimates,
+    compare_with_spread,
     estimate_missing_samples,
     fill_short_gaps,
     measure_speed_limit,
@@ -359,6 +360,23 @@ def test_estimate_with_small_hidden_errors_is_used():
     assert np.abs(position).max() < 0.02
     assert (method == FillMethod.CLUSTER).all()
     assert 0.0007 < sd.mean() < 0.003
+
+
+@pytest.mark.parametrize("spread_m", [0.03, 0.06, 0.12])
+def test_a_limb_is_as_uncertain_as_expected_and_as_its_estimates_disagree(spread_m):
+    window = build_window()
+    estimates = [build_estimate(window, 0.06, expected_sd=0.06, offset=offset) for offset in (spread_m, -spread_m)]
+    fill = np.zeros((window.length, 3)), np.full(window.length, 0.06), np.zeros(window.length, np.int8)
+    mean_m = np.sqrt(0.06 * spread_m)
+    np.testing.assert_allclose(0.06 * compare_with_spread(estimates, fill), mean_m * (mean_m / 0.06) ** 0.3)
+
+
+def test_the_spread_of_a_limb_is_that_of_its_precise_estimates():
+    window = build_window()
+    precise = [build_estimate(window, 0.01, offset=offset) for offset in (0.01, -0.01)]
+    vague = build_estimate(window, 1.0, expected_sd=1.0, offset=0.3)
+    fill = np.zeros((window.length, 3)), np.full(window.length, 0.01), np.zeros(window.length, np.int8)
+    assert compare_with_spread([*precise, vague], fill) < 1.6 * compare_with_spread(precise, fill)
 
 
 def test_without_hidden_stretches_the_expected_error_counts():

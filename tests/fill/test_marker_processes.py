@@ -90,6 +90,17 @@ def test_lost_limb_is_filled_and_continuous_at_the_edges():
         assert deviation[300, m] < 0.5 * deviation[350, m]
 
 
+def test_a_limb_at_rest_in_a_short_take_may_move_while_it_is_lost():
+    sd = {}
+    for frames in (300, 3000):
+        truth = np.tile(walking(1), (frames, 1, 1)) + np.random.default_rng(0).normal(scale=0.001, size=(frames, 14, 3))
+        truth[100:250] = walking(150)
+        damaged = truth.copy()
+        damaged[100:250, 9:13] = np.nan
+        sd[frames] = given_nothing_else(damaged)[1][100:250, 9:13].mean()
+    assert sd[300] > 3 * sd[3000]
+
+
 def test_rarely_visible_marker_is_not_filled_and_harmless():
     truth = walking()
     damaged = truth.copy()
