@@ -391,6 +391,36 @@ def test_zoom_and_curves_by_keyboard_and_by_mouse(page: Page) -> None:
     assert page.evaluate("review.app.curves.markers.length") in (count + 1, count - 1)
 
 
+def test_commands_are_found_by_a_word(page: Page, running: RunningServer) -> None:
+    page.keyboard.press("Control+k")
+    page.keyboard.type("redo undone")
+    assert page.locator("#palette-list li").count() == 0
+    page.locator("#palette-text").fill("not made")
+    expect(page.locator("#palette-list li")).to_have_count(1)
+    press_and_wait(page, "Enter")
+    assert "reject" in {each["decision"] for each in read_changes(running)["changes"]}
+    page.locator("#palette-button").click()
+    page.locator("#palette-text").fill("undo")
+    page.locator("#palette-list li").filter(has_text="undo the last edit").click()
+    page.wait_for_function("review.app.take.redo_count === 1")
+    assert {each["decision"] for each in read_changes(running)["changes"]} == {"accept"}
+    page.keyboard.press("Control+k")
+    page.locator("#palette-text").fill("undo the last")
+    refused = page.locator("#palette-list li")
+    expect(refused).to_have_attribute("aria-disabled", "true")
+    expect(refused).to_contain_text("There is nothing to undo.")
+    page.keyboard.press("Escape")
+    assert page.locator("dialog[open]").count() == 0
+
+
+def test_every_control_has_a_name(page: Page) -> None:
+    unnamed = page.evaluate(
+        """[...document.querySelectorAll("button, select, input, canvas, textarea")].filter(each =>
+        !(each.title || each.ariaLabel || each.labels?.length || /[a-z]/i.test(each.textContent))).map(each => each.outerHTML)"""
+    )
+    assert unnamed == []
+
+
 @pytest.mark.parametrize("width", [1100, 1440, 2560])
 def test_marker_names_are_complete_at_every_width(page: Page, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 800})

@@ -4,12 +4,12 @@ import * as api from "./api.js";
 import { correctionActions, outputActions } from "./actions.js";
 import { CharacterView } from "./character.js";
 import { ChangeList, renderCorrections } from "./changes.js";
+import { connectCommands } from "./commands.js";
 import { connectControls } from "./controls.js";
 import { CurveView } from "./curves.js";
 import * as dialogs from "./dialogs.js";
 import { DecideEdit, EditQueue, NoteEdit, RedoEdit, UndoEdit } from "./edits.js";
 import { listEvents, listRows } from "./events.js";
-import { followKeys } from "./keys.js";
 import { labelPlacement } from "./labels.js";
 import { LaneView } from "./lanes.js";
 import { LimitBar } from "./limit.js";
@@ -43,7 +43,7 @@ class App {
     dialogs.prepareDialogs();
     this.applyTheme(localStorage.getItem("theme"));
     connectControls(this);
-    followKeys(this);
+    connectCommands(this);
     const animate = (time) => {
       this.playback.advance(time);
       this.scene.renderIfNeeded();
@@ -265,7 +265,6 @@ class App {
   }
 
   frameSelected() { this.scene.frameMarkers(this.entry ? this.findMarkers(this.entry.markers) : this.marker === null ? null : [this.marker]); }
-  showHelp() { dialogs.showHelp(); }
 
   toggleTakes() {
     find("takes").hidden = !find("takes").hidden;

@@ -5,7 +5,6 @@ const find = (id) => document.getElementById(id);
 export class Playback {
   constructor({ onFrame }) {
     Object.assign(this, { onFrame, frame: 0, isPlaying: false, speed: 1, take: null, frameTimes: [] });
-    find("play").addEventListener("click", () => this.toggle());
     find("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); });
     find("scrub").addEventListener("input", (event) => this.moveTo(Number(event.target.value)));
     find("frame").addEventListener("change", (event) => this.moveTo(Number(event.target.value) - this.take.first_frame));
