@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.fill.gap_windows import (
     CLUSTER_SATURATION_S,
     MIN_FILL_SD_M,
+    MIN_REPORTED_SD_M,
     FillMethod,
     Gap,
     GapEstimate,
@@ -64,7 +65,7 @@ def fill_with_splines(
                 filled[first[:, None] + inside, m] = found
                 for of_method, error in zip((line_sd, sd), errors, strict=True):
                     of_method[first[:, None] + inside, m] = np.sqrt((error**2).mean((0, 2)))
-    return filled, np.maximum(sd, MIN_FILL_SD_M), line_sd
+    return filled, np.maximum(sd, MIN_REPORTED_SD_M), line_sd
 
 
 def group_gap_patterns(

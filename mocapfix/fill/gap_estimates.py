@@ -25,6 +25,7 @@ from mocapfix.fill.body_fill import BodyPlacement, estimate_preview
 from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
 from mocapfix.fill.gap_windows import (
     MIN_FILL_SD_M,
+    MIN_REPORTED_SD_M,
     Estimator,
     FillMethod,
     Gap,
@@ -133,7 +134,8 @@ def fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: 
         requested = [each for each in requests if each.column == m]
         for first, last in find_runs(np.isnan(markers[:, m, 0])) if requested or not is_unsettled[:, m].all() else []:
             gap, middle = (slice(first, last + 1), m), ((first + last) // 2, m)
-            is_moving = line_sd[middle] >= MIN_LINE_SD_RATIO * sd[middle] or last - first < MIN_RESTING_GAP_S * rate
+            spline_sd = max(sd[middle], MIN_FILL_SD_M)
+            is_moving = line_sd[middle] >= MIN_LINE_SD_RATIO * spline_sd or last - first < MIN_RESTING_GAP_S * rate
             is_requested = any(first <= each.last and last >= each.first for each in requested)
             is_unsettled[gap] = is_unsettled[gap].any() or not is_moving or is_requested
     position[is_unsettled], sd[is_unsettled] = np.nan, np.nan
@@ -426,7 +428,7 @@ def combine_gap_estimates(
     methods, independent = np.array([int(e.method) for e in estimates]), worth * window.count_independent_stretches()
     weighting = similarity, independent, shown, correlation, MIN_WEIGHED_SD_M, window.points, methods
     combine_estimates(position, error, expected_sd, *weighting, out)
-    np.maximum(out[1], MIN_FILL_SD_M, out=out[1])
+    np.maximum(out[1], MIN_REPORTED_SD_M, out=out[1])
     return out
 
 

@@ -19,7 +19,8 @@ from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import compute_lengths, transform_to_body_axes
 from mocapfix.stats.sequences import group_gaps, sample_evenly
 
-MIN_FILL_SD_M = 0.0003  # smallest standard deviation per axis of a fill, and of an estimate of one
+MIN_FILL_SD_M = 0.0003  # smallest standard deviation per axis with which an estimate is weighed
+MIN_REPORTED_SD_M = 0.0001  # smallest standard deviation per axis of a fill: files round samples to a tenth of a millimetre
 MIN_VISIBLE_SHARE = 0.05  # share of the frames in which a marker must be visible to be lost at the beginning or the end
 MIN_KEPT_FRAME_SHARE = 0.7  # share of these frames that a group of markers must keep when a marker is added to it
 CLUSTER_SATURATION_S = 0.4  # time scale in which the error of an interpolation in moving axes stops growing

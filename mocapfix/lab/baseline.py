@@ -22,7 +22,7 @@ from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.compared_solvers import TASK_TAKE_NAMES, measure_in_fresh_process
 from mocapfix.lab.fault_detection import measure_mixed_faults
 from mocapfix.lab.stress import measure_stress
-from mocapfix.lab.uncertainty import gather_fill_errors, gather_joint_errors, summarise_error_groups
+from mocapfix.lab.uncertainty import ONE_SIGMA_SHARE, gather_fill_errors, gather_joint_errors, summarise_error_groups
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.synthetic import compose_take, compute_fill_errors
 
@@ -121,8 +121,7 @@ PART_TOLERANCE = (
     1.0  # times the solver alone, of a part of a clean; those below ten differed by 0.5 between runs on a busy machine
 )
 MEMORY_TOLERANCE_PERCENT = 15.0
-ONE_SIGMA_SHARE = 0.6827  # of a normal distribution within one standard deviation
-TWO_SIGMA_SHARE = 0.9545
+TWO_SIGMA_SHARE = 0.9545  # of a normal distribution within two standard deviations
 REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; the median of all counts
 
 TIME_NAME = ": time relative to the solver"

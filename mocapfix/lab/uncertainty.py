@@ -31,6 +31,7 @@ from mocapfix.synthetic import (
     write_synthetic_take,
 )
 
+ONE_SIGMA_SHARE = 0.6827  # of a normal distribution within one standard deviation
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
 MAX_SHORT_FILL_S = 0.2
 MIN_LONG_FILL_S = 1.0
@@ -66,9 +67,7 @@ def measure_uncertainty(
     Raises:
         ReadError: If there is no such motion.
     """
-    joints: list[ErrorGroups] = []
-    joint_groups: list[ErrorGroups] = []
-    fills: list[ErrorGroups] = []
+    joints, joint_groups, fills = list[ErrorGroups](), list[ErrorGroups](), list[ErrorGroups]()
     for name, truth in iterate_damaged_takes(list(seeds), motion_folder):
         report_progress(name)
         options = CleanOptions().change(subject=calibrate_from_other_take(truth)) if is_subject_known else CleanOptions()
@@ -76,8 +75,8 @@ def measure_uncertainty(
         joints.append(gather_joint_errors(truth, result))
         joint_groups.append(gather_errors_by_joint(truth, result))
         fills.append(gather_fill_errors(truth, result))
-    by_joint = {"by_joint": summarise_error_groups(joint_groups)["by"]}
-    return {"joints": summarise_error_groups(joints) | by_joint, "filled_markers": summarise_error_groups(fills)}
+    of_joints, of_fills, by_joint = map(summarise_error_groups, (joints, fills, joint_groups))
+    return {"joints": of_joints | {"by_joint": by_joint["by"]}, "filled_markers": of_fills}
 
 
 def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Iterator[tuple[str, SyntheticTake]]:
@@ -110,19 +109,15 @@ def calibrate_from_other_take(truth: SyntheticTake) -> Subject:
 
 def gather_errors_by_joint(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
     """Return the errors of all joints, left and right together."""
-    if result.joint_position_world is None or result.motion is None:
-        raise ValueError("a composed take has a known marker set, so it is solved")
-    error_m, sd_m = result.joint_position_world - truth.joint_positions, result.motion.joint_sd
+    error_m, sd_m = _compute_joint_errors(truth, result)
     names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in truth.subject.skeleton.names]
-    groups = {name: np.array([each == name for each in names]) for name in dict.fromkeys(names)}
+    groups = {name: [each == name for each in names] for name in names}
     return {name: PredictedErrors(error_m[:, group].reshape(-1, 3), sd_m[:, group].ravel()) for name, group in groups.items()}
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
     """Return the errors of all joints, grouped by how many of their informative markers were missing."""
-    if result.joint_position_world is None or result.motion is None:
-        raise ValueError("a composed take has a known marker set, so it is solved")
-    error_m, sd_m = result.joint_position_world - truth.joint_positions, result.motion.joint_sd
+    error_m, sd_m = _compute_joint_errors(truth, result)
     is_informative = find_informative_markers(truth.subject)
     missing_share = truth.missing_mask.astype(int) @ is_informative.T / is_informative.sum(1)
     groups = {
@@ -139,8 +134,7 @@ def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGro
     for m in range(truth.missing_mask.shape[1]):
         for first, last in find_runs(truth.missing_mask[:, m]):
             duration_s[first : last + 1, m] = (last - first + 1) / truth.rate
-    is_arm = duration_s >= MIN_ARM_LOSS_S
-    is_arm &= (is_arm.sum(1) >= MIN_LOST_ARM_MARKERS)[:, None]
+    is_arm = (is_lost := duration_s >= MIN_ARM_LOSS_S) & (is_lost.sum(1) >= MIN_LOST_ARM_MARKERS)[:, None]
     is_short, is_long = duration_s < MAX_SHORT_FILL_S, duration_s >= MIN_LONG_FILL_S
     groups = {
         "spikes and other faulty samples": ~truth.missing_mask,
@@ -149,24 +143,27 @@ def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGro
         f"gaps over {MIN_LONG_FILL_S:g} s": is_long & ~is_arm,
         "a whole arm lost": is_arm,
     }
-    sd_m = result.take.sample_sd
-    if sd_m is None:
-        raise ValueError("the pipeline predicts the standard deviations of the samples that it fills")
-    error_m, is_estimated = result.take.markers - truth.marker_positions, ~np.isnan(sd_m)
+    error_m, is_estimated = result.take.markers - truth.marker_positions, ~np.isnan(sd_m := result.take.estimated_sd)
     return {name: PredictedErrors(error_m[group & is_estimated], sd_m[group & is_estimated]) for name, group in groups.items()}
 
 
 def summarise_error_groups(takes: list[ErrorGroups]) -> dict[str, Any]:
-    """Return the row of all samples of several takes, and as `by` the rows of the groups that have samples."""
+    """Return the row of all samples of several takes, and as `by` the rows of the groups that have samples, the worst first.
+
+    `share_error` is the standard error of the share within one standard deviation; takes are the samples, since the errors of
+    calibration are the same in all frames of a take.
+    """
     groups = {name: _concatenate_errors([take[name] for take in takes]) for name in takes[0]}
     rows = {name: summarise_errors(group) for name, group in groups.items() if len(group.predicted_sd_m)}
-    return summarise_errors(_concatenate_errors(list(groups.values()))) | {"by": rows}
+    for name, row in rows.items():
+        shares = [summarise_errors(take[name])["within_1_sigma"] for take in takes if len(take[name].predicted_sd_m)]
+        row["share_error"] = float(np.std(shares, ddof=1) / len(shares) ** 0.5) if len(shares) > 1 else np.nan
+    by = dict(sorted(rows.items(), key=lambda each: -abs(each[1]["within_1_sigma"] - ONE_SIGMA_SHARE)))
+    return summarise_errors(_concatenate_errors(list(groups.values()))) | {"by": by}
 
 
 def summarise_errors(samples: PredictedErrors) -> dict[str, float]:
-    """Return the number of samples, the root mean squares of errors and standard deviations per axis in mm, and the fractions of
-    errors within one and two standard deviations.
-    """
+    """Return the count, the root mean squares of errors and deviations per axis in mm, and the shares within one and two."""
     ratio = np.abs(samples.error_m) / samples.predicted_sd_m[:, None]
     return {
         "samples": len(samples.predicted_sd_m),
@@ -178,6 +175,10 @@ def summarise_errors(samples: PredictedErrors) -> dict[str, float]:
 
 
 def _concatenate_errors(parts: list[PredictedErrors]) -> PredictedErrors:
-    return PredictedErrors(
-        np.concatenate([part.error_m for part in parts]), np.concatenate([part.predicted_sd_m for part in parts])
-    )
+    return PredictedErrors(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _compute_joint_errors(truth: SyntheticTake, result: CleaningResult) -> tuple[np.ndarray, np.ndarray]:
+    if result.joint_position_world is None or result.motion is None:
+        raise ValueError("a composed take has a known marker set, so it is solved")
+    return result.joint_position_world - truth.joint_positions, result.motion.joint_sd

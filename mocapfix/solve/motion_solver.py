@@ -8,7 +8,7 @@ of the body they cost nothing that a marker shows, so the other joints keep thei
 weights its terms for robustness; the error of its result is computed from the same curvature with the actual uncertainty of each:
 
 - markers: estimated from their distances to the solved body (`estimate_marker_sd`), corrected for what the poses absorbed;
-- the pose prior: applied in every frame (joint limits stay as in the solve; inside them they have no effect);
+- the pose prior: applied in every frame, for joints more firmly about locked axes (joint limits stay as in the solve);
 - joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
 - joints that are not solved, as in the fingers: the variation of people's poses;
 - the calibration error, which no frame shows: taken from the subject.
@@ -53,6 +53,9 @@ from mocapfix.stats.sequences import interpolate_rows
 MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
 MAX_ABSORBED_SHARE = 0.9  # share of its squared error that the pose absorbs above which a marker does not enter the estimate
 MIN_TRACKING_SD_RAD = 0.01  # smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result
+LOCKED_INFORMATION_RATIO = 4.0
+"""Information about locked axes in the uncertainty of joints, over that in the solve, which yields to markers. With 1, hands of
+CMU's training subjects, whose skeletons lock such axes, were predicted to vary twice as much as they do."""
 GAP_VARIANCE_INFLATION = 3.0
 """Variance with which the solve tracks a joint's trajectory across a gap, over the mean squared error of the result, measured on
 CMU's training subjects: the solve must not trust a trajectory too much."""
@@ -98,11 +101,16 @@ def compute_pose_sd(
         tracking: The trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty.
         robust_scale_m: The last robust scale of the solve.
     """
-    actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
-    uncertainty = actual.compute_uncertainty(pose, robust_scale_m, tracking)
+    firm = replace(prior, information=prior.information + (LOCKED_INFORMATION_RATIO - 1) * prior.locked_information)
+    of_markers, of_joints = (
+        replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(each)).compute_uncertainty(
+            pose, robust_scale_m, tracking
+        )
+        for each in (prior, firm)
+    )
     constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, load_cmu31_body().free_joints)
-    joint_sd = np.where(subject.solved_joints, np.sqrt(uncertainty.joint_sd**2 + constant_variance), np.nan)
-    return np.hypot(uncertainty.marker_sd, subject.marker_sd), joint_sd
+    joint_sd = np.where(subject.solved_joints, np.sqrt(of_joints.joint_sd**2 + constant_variance), np.nan)
+    return np.hypot(of_markers.marker_sd, subject.marker_sd), joint_sd
 
 
 def estimate_actual_marker_sd(

@@ -107,6 +107,14 @@ def test_swing_is_filled_within_its_sd(first, seconds):
     assert np.isnan(filled[last + 1 :, 0]).all()
 
 
+def test_deviation_of_quiet_samples_is_that_of_their_noise():
+    truth = build_swing(noise=0.00015)
+    filled, deviation, _ = fill_with_splines(remove_samples(truth, 200, 204), SPLINE_RATE, 0.5)
+    assert (deviation[200:205, 0] > 0.0001).all()
+    assert (deviation[200:205, 0] < 0.00028).all()
+    assert (np.abs(filled - truth)[200:205, 0] < 5 * deviation[200:205, :1]).all()
+
+
 def test_sd_grows_with_gap_duration():
     sds = [
         fill_with_splines(remove_samples(build_swing(), 200, 200 + n), SPLINE_RATE, 0.5)[1][200 + n // 2, 0]

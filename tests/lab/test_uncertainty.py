@@ -51,6 +51,17 @@ def test_groups_of_takes_are_combined():
     assert summary["within_1_sigma"] == pytest.approx(share)
 
 
+def test_worst_groups_are_first_with_the_standard_error_over_takes():
+    takes = [
+        {"good": draw_errors(4000, seed=n), "bad": draw_errors(4000, times, seed=n)} for n, times in enumerate((0.5, 0.5, 2.0))
+    ]
+    rows = summarise_error_groups(takes)["by"]
+    assert list(rows) == ["bad", "good"]
+    assert rows["good"]["share_error"] < 0.01
+    assert rows["bad"]["share_error"] == pytest.approx((0.954 - 0.383) / 3, abs=0.01)  # of two equal shares and a third
+    assert np.isnan(summarise_error_groups(takes[:1])["by"]["bad"]["share_error"])
+
+
 @pytest.fixture(scope="module")
 def truth():
     return compose_take(seed=3, seconds=4.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, mean_pose
+from mocapfix.solve import kinematics, mean_pose, motion_solver
 from mocapfix.solve.motion_solver import (
     MIN_ESTIMATED_MARKER_SD_M,
     compute_pose_sd,
@@ -101,6 +101,16 @@ def test_smaller_marker_errors_give_more_certain_joints(scene):
     _, full_error = predict_sd(scene)
     knee = NAMES.index("LeftLeg")
     assert np.median(half_error[:, knee] / full_error[:, knee]) == pytest.approx(0.5, abs=0.1)
+
+
+def test_firm_locked_axes_make_hands_more_certain_but_no_marker(scene, monkeypatch):
+    firm_markers, firm_joints = predict_sd(scene)
+    monkeypatch.setattr(motion_solver, "LOCKED_INFORMATION_RATIO", 1.0)
+    markers, joints = predict_sd(scene)
+    np.testing.assert_array_equal(firm_markers, markers)
+    assert (firm_joints <= joints * (1 + 1e-9)).all()
+    assert (firm_joints[:, NAMES.index("RightFingerBase")] < 0.8 * joints[:, NAMES.index("RightFingerBase")]).all()
+    np.testing.assert_allclose(firm_joints[:, NAMES.index("Head")], joints[:, NAMES.index("Head")], rtol=0.01)  # nothing locked
 
 
 def test_calibration_error_is_added(scene):
