@@ -306,7 +306,8 @@ def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_Esti
         each.estimates.extend(added)
         fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity, each.gap.window.length / take.rate)
         if added and len(each.gap.lost_markers) >= MIN_LIMB_MARKERS:
-            fill = fill[0], np.maximum(fill[1] * compare_with_spread(each.estimates, fill), MIN_FILL_SD_M), fill[2]
+            sd = np.minimum(fill[1] * compare_with_spread(each.estimates, fill), np.maximum(fill[1], MAX_LIMB_SD_M))
+            fill = fill[0], np.maximum(sd, MIN_FILL_SD_M), fill[2]
         estimation.use_fills([(each.gap.marker, each.gap.window.first, fill)])
     return list(chain(*estimated))
 
@@ -432,6 +433,7 @@ def combine_gap_estimates(
     return out
 
 
+MAX_LIMB_SD_M = 0.24  # standard deviation per axis to which a spread can raise that of a limb: of where it can be at all
 USUAL_LIMB_SD_M = 0.06  # standard deviation per axis of a limb's fill at which it is the mean that `compare_with_spread` takes
 LIMB_SD_GROWTH = 0.3
 """Power of this mean, relative to USUAL_LIMB_SD_M, by which the deviation is too near to it. Both were measured on composed takes
