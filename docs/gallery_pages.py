@@ -64,7 +64,6 @@ def make_review_page(studio: Studio) -> str:
             for name in ("review-page", "review-page-after"):
                 page.evaluate("name => review.app.select(name)", REVIEWED_CHANGE)
                 page.evaluate("review.app.scene.frameMarkers(null, [0.7, 0.2, 1])")
-                page.evaluate("review.app.scene.camera.position.lerp(review.app.scene.controls.target, 0.12)")
                 page.wait_for_timeout(1000)
                 save_page(name, page)
                 if name == "review-page":

@@ -26,6 +26,7 @@ from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import group_changes
 from mocapfix.review import take_files
+from mocapfix.stats.sequences import find_runs
 
 MAX_MESSAGE_LENGTH = 1000
 END_LIMIT_S = 5.0
@@ -317,7 +318,8 @@ def compare_cleanings(
             known = known[np.isfinite(known)]
             if differs[:, m].any():
                 largest = round(float(known.max()), 1) if len(known) else None
-                markers.append({"label": one.labels[m], "samples": int(differs[:, m].sum()), "largest_mm": largest})
+                runs = find_runs(differs[:, m])
+                markers.append({"label": one.labels[m], "samples": int(differs[:, m].sum()), "largest_mm": largest, "runs": runs})
     return {
         "samples": total,
         "markers": markers,

@@ -181,6 +181,9 @@ def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: R
     page.wait_for_selector("#difference:not([hidden])")
     wait_until_ready(page)
     expect(page.locator("#difference")).to_contain_text("differ from the cleaning before")
+    runs = {each["label"]: each["runs"] for each in get_take(page)["difference"]["markers"]}
+    assert {first for first, _ in runs["LTOE"]} & set(range(10, 21))  # where it was marked as wrong
+    expect(page.locator("#lanes-legend")).to_contain_text("differs from before")
     assert list_declined_samples(page) == shown  # the page showed them before as they are now
     page.keyboard.press("Escape")
     page.keyboard.press("e")

@@ -19,6 +19,7 @@ const OUTCOMES = {
   [STATE.suspect]: { name: "faulty", colour: "#e69f00" }, [STATE.empty]: { name: "empty", colour: null },
   [STATE.rejected]: { name: "rejected", colour: "#d55e00" }, [STATE.measured]: { name: "measured", colour: "measured" },
 };
+const REPLACED_LINE = "#d55e00", DIFFERS = "#e6007a";
 const FILLED = 16, REPLACED = 32;  // codes of estimated samples: plus the number of the method
 const ORDERS = {
   missing: (a, b) => b.missing - a.missing, gap: (a, b) => b.longestGap - a.longestGap,
@@ -68,9 +69,18 @@ export class LaneView {
       for (const label of change.markers) worst.set(label, Math.max(worst.get(label) ?? 0, change.predicted_mm ?? 0));
     }
     this.lanes = take.labels.map((label, marker) => ({ marker, worstMm: worst.get(label) ?? 0, ...this.measureLane(marker, samples) }));
-    const codes = new Set(this.lanes.flatMap((lane) => lane.runs.map((run) => run[2])));
-    this.legend.replaceChildren(...[...codes].sort((a, b) => a - b).map((code) => buildKey(code)));
+    this.renderLegend(new Set(this.lanes.flatMap((lane) => lane.runs.map((run) => run[2]))));
     this.sort();
+  }
+
+  // Names the colours that there are: a method of estimating once, whether samples were filled or replaced by it.
+  renderLegend(codes) {
+    const all = [...codes], methods = new Set(all.filter((code) => code >= FILLED).map((code) => FILLED + (code % FILLED)));
+    const keys = [...all.filter((code) => code < FILLED), ...methods].sort((a, b) => a - b).map((code) => describeCode(code));
+    if (all.some((code) => code >= REPLACED)) keys.push({ name: "replaced: line below", colour: "replaced" });
+    if (this.take.difference?.samples) keys.push({ name: "differs from before", colour: "differs" });
+    this.legend.replaceChildren(...keys.map(buildKey));
+    this.legend.title = keys.map((each) => each.name).join(", ");
   }
 
   // Returns the runs [first, last, code] of a marker, how many samples are missing in the input, and how long the longest gap is.
@@ -172,6 +182,7 @@ export class LaneView {
     context.clearRect(0, 0, width, height);
     context.font = "11px system-ui, sans-serif";
     const bottom = height - AXIS_PX, measured = colour("--lane"), selected = new Set(this.markers);
+    const differing = new Map(this.take.difference?.markers.map((each) => [each.label, each.runs]));
     context.save();
     context.beginPath();
     context.rect(0, 0, width, bottom);
@@ -190,26 +201,30 @@ export class LaneView {
     this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", bottom);
     context.strokeStyle = colour("--accent");
     for (const change of this.changes) this.outline(context, change);
+    this.rows.forEach((lane, n) => {
+      const runs = differing.get(this.take.labels[lane.marker]) ?? [];
+      for (const [from, to] of runs) this.fillRun(context, from, to, n * ROW_PX - box.scrollTop, 2, DIFFERS);
+    });
     context.restore();
     this.drawAxis(context, colour("--muted"), height, width);
     this.placeCursor();
   }
 
   drawRuns(context, runs, top, measured) {
-    const { first, last } = this.window;
+    for (const [from, to, code] of runs) if (code === STATE.measured) this.fillRun(context, from, to, top + 5, 3, measured);
     for (const [from, to, code] of runs) {
-      if (to < first || from > last) continue;
-      const { colour } = describeCode(code), left = Math.max(this.window.x(from - 0.5), LEFT);
-      const right = Math.min(this.window.x(to + 0.5), LEFT + this.window.width);
-      if (!colour) continue;
-      const isPlain = colour === "measured", size = Math.max(right - left, isPlain ? 0 : MIN_RUN_PX);
-      context.fillStyle = isPlain ? measured : colour;
-      context.fillRect(left, isPlain ? top + 5 : top + 2, size, isPlain ? 3 : ROW_PX - 4);
-      if (code >= REPLACED || code === STATE.rejected) {  // a line at the bottom tells replaced from filled, a cross-line rejected
-        context.fillStyle = code === STATE.rejected ? "#fff" : "#d55e00";
-        context.fillRect(left, code === STATE.rejected ? top + 6 : top + ROW_PX - 4, size, code === STATE.rejected ? 1 : 2);
-      }
+      const { colour } = describeCode(code);
+      if (colour && code !== STATE.measured) this.fillRun(context, from, to, top + 2, ROW_PX - 4, colour);
+      if (code >= REPLACED) this.fillRun(context, from, to, top + ROW_PX - 4, 2, REPLACED_LINE);
+      if (code === STATE.rejected) this.fillRun(context, from, to, top + 6, 1, "#fff");
     }
+  }
+
+  fillRun(context, from, to, top, height, colour) {
+    if (to < this.window.first || from > this.window.last) return;
+    const left = Math.max(this.window.x(from - 0.5), LEFT), right = Math.min(this.window.x(to + 0.5), LEFT + this.window.width);
+    context.fillStyle = colour;
+    context.fillRect(left, top, Math.max(right - left, MIN_RUN_PX), height);
   }
 
   shade(context, interval, fill, height) {
@@ -247,11 +262,10 @@ function describeCode(code) {
   return OUTCOMES[code];
 }
 
-function buildKey(code) {
-  const { name, colour } = describeCode(code), key = document.createElement("span"), dot = document.createElement("i");
-  dot.className = colour === "measured" ? "key measured" : colour ? "key" : "key empty";
-  if (colour && colour !== "measured") dot.style.background = colour;
-  if (code >= REPLACED) dot.style.boxShadow = "inset 0 -2px #d55e00";
+function buildKey({ name, colour }) {
+  const key = document.createElement("span"), dot = document.createElement("i");
+  dot.className = { measured: "key measured", replaced: "key replaced", differs: "key differs" }[colour] ?? (colour ? "key" : "key empty");
+  if (dot.className === "key") dot.style.background = colour;
   key.append(dot, name);
   return key;
 }
