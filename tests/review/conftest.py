@@ -2,7 +2,8 @@
 
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,9 +45,9 @@ def folder(cleaned_take: Path, tmp_path: Path) -> Path:
     return tmp_path / "session" / f"{STEM}.mocapfix"
 
 
-@pytest.fixture
-def running(folder: Path) -> Iterator[RunningServer]:
-    """A server that reviews the outputs."""
+@contextmanager
+def serve(folder: Path) -> Generator[RunningServer]:
+    """Review the takes of a folder."""
     session = ReviewSession(folder)
     server = ReviewServer(session)
     thread = threading.Thread(target=server.serve, daemon=True)
@@ -55,3 +56,10 @@ def running(folder: Path) -> Iterator[RunningServer]:
     server.stop()
     thread.join(10.0)
     assert not thread.is_alive()
+
+
+@pytest.fixture
+def running(folder: Path) -> Iterator[RunningServer]:
+    """A server that reviews the outputs."""
+    with serve(folder) as server:
+        yield server

@@ -4,7 +4,6 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,16 @@ import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from mocapfix import pipeline
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import write_changes_file
 from mocapfix.io.gltf import write_gltf
 from mocapfix.model.animation import Animation
-from mocapfix.review.review_session import ReviewSession
-from mocapfix.review.server import ReviewServer
+from mocapfix.model.take import Take
+from mocapfix.synthetic import compose_take
 from tests.io.read_back import motion_of
 from tests.io.test_changes_file import build_change
-from tests.review.conftest import RunningServer
+from tests.review.conftest import RunningServer, serve
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 SOFTWARE_RENDERING = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -315,6 +315,36 @@ def test_a_rejected_change_shows_its_state_at_once(page: Page) -> None:
     assert page.evaluate(sample, place) == [state, position]
 
 
+def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_them(
+    browser: Browser, tmp_path: Path, problems: list[str]
+) -> None:
+    truth = compose_take(seed=3, seconds=6.0, rate=60.0)
+    markers, labels = truth.damaged_positions.copy(), list(truth.labels)
+    for pair, frames in ((("LKNE", "RKNE"), slice(100, 180)), (("LWRA", "LWRB"), slice(250, 290))):
+        one, other = map(labels.index, pair)
+        markers[frames, [one, other]] = markers[frames, [other, one]]
+    loose, toe = np.full((len(markers), 1, 3), np.nan), labels.index("LTOE")
+    loose[200:260, 0], markers[200:260, toe] = markers[200:260, toe], np.nan
+    write_c3d(tmp_path / "walk.c3d", Take(markers, tuple(labels), 60.0, 1, unlabelled=Take(loose, ("*1",), 60.0, 1)))
+    pipeline.clean(tmp_path / "walk.c3d", prior="none").write(tmp_path / "walk.mocapfix")
+    with serve(tmp_path / "walk.mocapfix") as running:
+        page = open_page(browser, running, problems)
+        assert {each["kind"] for each in get_take(page)["changes"]} >= {"gap", "spike", "swap", "fragment"}
+        page.wait_for_function("review.getState().isComplete")
+        revision = get_take(page)["revision"]
+        reject = "review.app.edits.send(new DecideEdit(review.app.take.changes, 'reject'))"
+        page.evaluate(f"import('./assets/edits.js').then(({{ DecideEdit }}) => {reject})")
+        page.wait_for_function("revision => review.getState().take.revision !== revision", arg=revision)
+        shown = "[review.app.samples.after, review.app.samples.state].map(each => Array.from(each, String).join())"
+        before = page.evaluate(shown)
+        page.keyboard.press("c")
+        expect(page.locator("#status")).to_have_text("Cleaned again.")
+        page.wait_for_function("review.getState().isComplete")
+        assert page.evaluate(shown) == before
+        page.context.close()
+    assert not problems
+
+
 def test_lanes_are_used_by_mouse(page: Page) -> None:
     take = get_take(page)
     box = page.locator("#lanes").bounding_box()
@@ -439,19 +469,14 @@ def test_an_animation_opens_no_dialog_that_would_refuse(browser: Browser, folder
     animation.mkdir()
     shutil.copy(folder / "walk.bvh", animation / "walk.bvh")
     pipeline.clean(animation / "walk.bvh", prior="none").write(animation / "walk.mocapfix")
-    session = ReviewSession(animation)
-    server = ReviewServer(session)
-    thread = threading.Thread(target=server.serve, daemon=True)
-    thread.start()
-    page = open_page(browser, RunningServer(server.address.rstrip("/"), animation, session, server), problems)
-    for key, button in (("w", "#mark"), ("s", "#swap"), ("u", "#assign"), ("g", "#fill")):
-        page.keyboard.press(key)
-        assert page.locator("dialog[open]").count() == 0
-        expect(page.locator("#status")).to_contain_text("not for animations")
-        expect(page.locator(button)).to_be_disabled()
-    page.context.close()
-    server.stop()
-    thread.join(10.0)
+    with serve(animation) as running:
+        page = open_page(browser, running, problems)
+        for key, button in (("w", "#mark"), ("s", "#swap"), ("u", "#assign"), ("g", "#fill")):
+            page.keyboard.press(key)
+            assert page.locator("dialog[open]").count() == 0
+            expect(page.locator("#status")).to_contain_text("not for animations")
+            expect(page.locator(button)).to_be_disabled()
+        page.context.close()
     assert not problems
 
 
@@ -533,28 +558,22 @@ def test_take_is_approved_by_keyboard(page: Page, running: RunningServer) -> Non
 def test_takes_of_a_session_are_opened_in_turn(browser: Browser, folder: Path, problems: list[str]) -> None:
     shutil.copytree(folder, folder.parent / "second" / "run")
     shutil.copytree(folder, folder.parent / "third")
-    session = ReviewSession(folder.parent)
-    assert session.ids == ["second/run/walk", "third/walk", "walk.mocapfix/walk"]
-    session.approve("third/walk", "Ann")
-    server = ReviewServer(session)
-    thread = threading.Thread(target=server.serve, daemon=True)
-    thread.start()
-    page = open_page(browser, RunningServer(server.address.rstrip("/"), folder, session, server), problems)
-    assert get_take(page)["id"] == "second/run/walk"
-    page.keyboard.press("t")
-    expect(page.locator('#takes .row[data-id="third/walk"]')).to_contain_text("approved")
-    page.keyboard.press("Escape")
-    page.keyboard.press("n")
-    page.wait_for_function("review.getState().take.id === 'walk.mocapfix/walk'")
-    wait_until_ready(page)
-    page.keyboard.press("t")
-    page.locator('#takes .row[data-id="third/walk"]').click()
-    expect(page.locator("#take-state")).to_have_text("approved by Ann")
-    wait_until_ready(page)
-    page.context.close()
-    server.stop()
-    thread.join(10.0)
-    assert not thread.is_alive()
+    with serve(folder.parent) as running:
+        assert running.session.ids == ["second/run/walk", "third/walk", "walk.mocapfix/walk"]
+        running.session.approve("third/walk", "Ann")
+        page = open_page(browser, running, problems)
+        assert get_take(page)["id"] == "second/run/walk"
+        page.keyboard.press("t")
+        expect(page.locator('#takes .row[data-id="third/walk"]')).to_contain_text("approved")
+        page.keyboard.press("Escape")
+        page.keyboard.press("n")
+        page.wait_for_function("review.getState().take.id === 'walk.mocapfix/walk'")
+        wait_until_ready(page)
+        page.keyboard.press("t")
+        page.locator('#takes .row[data-id="third/walk"]').click()
+        expect(page.locator("#take-state")).to_have_text("approved by Ann")
+        wait_until_ready(page)
+        page.context.close()
     assert not problems
 
 

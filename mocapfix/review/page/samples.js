@@ -79,7 +79,7 @@ export class Samples {
     if (!this.cleaned.has(index)) this.cleaned.set(index, [...after.subarray(index * 3, index * 3 + 3), sd[index], state[index]]);
     after.set(isGap ? [NaN, NaN, NaN] : before.subarray(index * 3, index * 3 + 3), index * 3);
     sd[index] = NaN;
-    if (change.decision === "reject") state[index] = STATE.rejected;
+    if (change.decision === "reject" && (isGap || !wasMissing)) state[index] = STATE.rejected;
     else state[index] = isGap || wasMissing ? STATE.empty : STATE.measured;
   }
 
