@@ -14,6 +14,9 @@ import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from mocapfix import pipeline
+from mocapfix.animations.lock_feet import LOCK_METHOD
+from mocapfix.animations.repair_methods import REPAIR_DESCRIPTIONS
+from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import write_changes_file
@@ -345,6 +348,13 @@ def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_the
     assert not problems
 
 
+def test_lanes_name_every_method_of_estimating() -> None:
+    text = (Path(pipeline.__file__).parent / "review" / "page" / "lanes.js").read_text(encoding="utf-8")
+    words = re.findall(r'word: "([^"]+)"', text)
+    descriptions = [*(method.description for method in FillMethod), *filter(None, REPAIR_DESCRIPTIONS.values()), LOCK_METHOD]
+    assert [text for text in descriptions if not any(word in text for word in words)] == []
+
+
 def test_lanes_are_used_by_mouse(page: Page) -> None:
     take = get_take(page)
     box = page.locator("#lanes").bounding_box()
@@ -419,6 +429,11 @@ def test_zoom_and_curves_by_keyboard_and_by_mouse(page: Page) -> None:
     expect(page.locator("#curves-quantity")).to_have_value("speed")
     page.locator("#curves-quantity").select_option("distance")
     expect(page.locator("#curves-reference")).to_be_visible()
+    assert page.evaluate("review.app.curves.reference !== review.app.curves.marker")
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -100)
+    page.keyboard.up("Control")
+    page.wait_for_function("review.app.curves.magnification > 1")
     count = page.evaluate("review.app.curves.markers.length")
     page.locator("#lanes").click(position={"x": 400, "y": 45}, modifiers=["Control"])
     assert page.evaluate("review.app.curves.markers.length") in (count + 1, count - 1)
@@ -558,16 +573,18 @@ def test_take_is_approved_by_keyboard(page: Page, running: RunningServer) -> Non
 def test_takes_of_a_session_are_opened_in_turn(browser: Browser, folder: Path, problems: list[str]) -> None:
     shutil.copytree(folder, folder.parent / "second" / "run")
     shutil.copytree(folder, folder.parent / "third")
+    worst = folder / "walk.changes.yaml"
+    worst.write_text(re.sub(r"predicted_mm: [\d.]+", "predicted_mm: 999.0", worst.read_text(encoding="utf-8"), count=1), "utf-8")
     with serve(folder.parent) as running:
         assert running.session.ids == ["second/run/walk", "third/walk", "walk.mocapfix/walk"]
         running.session.approve("third/walk", "Ann")
         page = open_page(browser, running, problems)
-        assert get_take(page)["id"] == "second/run/walk"
+        assert get_take(page)["id"] == "walk.mocapfix/walk"
         page.keyboard.press("t")
         expect(page.locator('#takes .row[data-id="third/walk"]')).to_contain_text("approved")
         page.keyboard.press("Escape")
         page.keyboard.press("n")
-        page.wait_for_function("review.getState().take.id === 'walk.mocapfix/walk'")
+        page.wait_for_function("review.getState().take.id === 'second/run/walk'")
         wait_until_ready(page)
         page.keyboard.press("t")
         page.locator('#takes .row[data-id="third/walk"]').click()

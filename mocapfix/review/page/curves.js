@@ -6,6 +6,7 @@ import { TimeWindow } from "./window.js";
 const CONTEXT_S = 1;
 const LEFT = 92, RIGHT = 14, TOP = 20, GAP = 6, BOTTOM = 14;
 const BAND_SDS = 2;
+const SCALE_FACTOR = 1.25;  // of the values, for each step of the wheel
 const OTHER_COLOURS = ["#0072b2", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
 export const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
 
@@ -26,9 +27,10 @@ export class CurveView {
     const find = (id) => document.getElementById(id);
     Object.assign(this, {
       canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"),
-      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null,
+      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1,
     });
-    this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw() });
+    this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => !event.ctrlKey });
+    canvas.addEventListener("wheel", (event) => this.scale(event), { passive: false });
     canvas.addEventListener("pointerdown", (event) => this.startDrag(event));
     canvas.addEventListener("pointermove", (event) => this.continueDrag(event));
     canvas.addEventListener("pointerup", () => { this.drag = null; });
@@ -48,9 +50,18 @@ export class CurveView {
   // Shows markers around an interval of frame indices, the first of them with its state before and its uncertainty.
   showMarkers(markers, interval) {
     const context = Math.round(CONTEXT_S * this.take.rate);
-    Object.assign(this, { markers: markers.slice(0, MAX_CURVE_MARKERS), interval });
+    Object.assign(this, { markers: markers.slice(0, MAX_CURVE_MARKERS), interval, magnification: 1 });
+    if (markers.length) this.other.value = this.findNearest(markers[0]);
     if (interval) this.window.show(interval[0] - context, interval[1] + context);
     else this.draw();
+  }
+
+  // Enlarges the values with the wheel and Ctrl, up to those of the whole curve.
+  scale(event) {
+    if (!event.ctrlKey) return;
+    event.preventDefault();
+    this.magnification = Math.max(1, this.magnification * (event.deltaY > 0 ? 1 / SCALE_FACTOR : SCALE_FACTOR));
+    this.draw();
   }
 
   // Shows a marker beside those that are shown, or no longer.
@@ -136,7 +147,7 @@ export class CurveView {
     const band = row.hasBand ? this.readBand(values[0], scale) : null;
     let [low, high] = findRange([plain, changed, after, ...others, ...(band ? [band] : [])]);
     const margin = Math.max(row.hasBand ? 1 : 0.001, 0.06 * (high - low));
-    [low, high] = [low - margin, high + margin];
+    [low, high] = this.magnify(low - margin, high + margin, after);
     const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
     context.strokeStyle = colour("--line");
     context.lineWidth = 1;
@@ -160,6 +171,20 @@ export class CurveView {
     this.strokeLine(context, changed, y, colour("--red"), 1.2);
     this.strokeLine(context, after, y, colour("--green"), 1.4);
     context.restore();
+  }
+
+  // Returns the limits of the values, about the curve at the frame that is shown where they are enlarged.
+  magnify(low, high, { from, step, low: values }) {
+    const here = values[Math.floor((this.frame - from) / step)], half = (high - low) / 2 / this.magnification;
+    const middle = this.magnification > 1 && Number.isFinite(here) ? here : (low + high) / 2;
+    return [middle - half, middle + half];
+  }
+
+  // Returns the marker that is nearest to another in the frame that is shown, to which the distance is told at first.
+  findNearest(marker) {
+    const distances = this.take.labels.map((_, m) => (m === marker ? NaN : between(this.samples, "after", marker, this.frame, m, this.frame)));
+    const known = distances.filter((each) => !Number.isNaN(each));
+    return known.length ? distances.indexOf(Math.min(...known)) : 0;
   }
 
   // Returns the frames that are drawn, and how many of them are drawn at one place.

@@ -11,8 +11,9 @@ const NAME = new RegExp("^.*:");
 const METHODS = [
   { word: "spline", name: "spline", colour: "#56b4e9" }, { word: "line between", name: "straight line", colour: "#8c96a0" },
   { word: "rigid group", name: "rigid group", colour: "#f0e442" }, { word: "move with it", name: "markers near it", colour: "#009e73" },
-  { word: "body state", name: "all markers", colour: "#3fc7a6" }, { word: "solved body", name: "body", colour: "#0072b2" },
-  { word: "", name: "otherwise", colour: "#6f9bc4" },
+  { word: "body state", name: "similar frames", colour: "#3fc7a6" }, { word: "solved body", name: "body", colour: "#0072b2" },
+  { word: "own motion", name: "its own motion", colour: "#56b4e9" }, { word: "interpolation", name: "interpolation", colour: "#8c96a0" },
+  { word: "place at which the foot", name: "held foot", colour: "#b07aa1" }, { word: "", name: "otherwise", colour: "#6f9bc4" },
 ];
 const OUTCOMES = {
   [STATE.relabelled]: { name: "relabelled", colour: "#cc79a7" }, [STATE.reassigned]: { name: "moved to another label", colour: "#cc79a7" },
@@ -68,7 +69,7 @@ export class LaneView {
     for (const change of take.changes) {
       for (const label of change.markers) worst.set(label, Math.max(worst.get(label) ?? 0, change.predicted_mm ?? 0));
     }
-    this.lanes = take.labels.map((label, marker) => ({ marker, worstMm: worst.get(label) ?? 0, ...this.measureLane(marker, samples) }));
+    this.lanes = take.labels.map((label, marker) => ({ marker, worstMm: worst.get(label) ?? -1, ...this.measureLane(marker, samples) }));
     this.renderLegend(new Set(this.lanes.flatMap((lane) => lane.runs.map((run) => run[2]))));
     this.sort();
   }

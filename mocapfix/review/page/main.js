@@ -13,7 +13,7 @@ import { listEvents, listRows } from "./events.js";
 import { labelPlacement } from "./labels.js";
 import { LaneView } from "./lanes.js";
 import { LimitBar } from "./limit.js";
-import { renderDetail, renderDifference, renderTakes } from "./panels.js";
+import { orderTakes, renderDetail, renderDifference, renderTakes } from "./panels.js";
 import { Playback } from "./playback.js";
 import { Samples } from "./samples.js";
 import { SceneView } from "./scene.js";
@@ -54,7 +54,7 @@ class App {
 
   async start() {
     try {
-      this.session = await api.fetchSession();
+      await this.fetchSession();
       const asked = decodeURIComponent(location.hash.slice(1)), { takes } = this.session;
       const first = takes.find((each) => each.id === asked) ?? takes.find((each) => each.state !== "approved" && !each.error) ?? takes[0];
       await this.openTake(first.id);
@@ -62,6 +62,11 @@ class App {
       this.cover(error.message);
     }
     this.stream = api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
+  }
+
+  async fetchSession() {
+    const session = await api.fetchSession();
+    this.session = { ...session, takes: orderTakes(session.takes) };
   }
 
   async openTake(id, frame = null) {
@@ -386,7 +391,7 @@ class App {
 
   receive(event) {
     if (event.type === "closing") this.cover("The review has ended. You can close this page.");
-    if (event.type === "session") this.report(async () => { this.session = await api.fetchSession(); this.renderTakes(); });
+    if (event.type === "session") this.report(async () => { await this.fetchSession(); this.renderTakes(); });
     if (event.take !== this.take?.id) return;
     if (event.type === "edited" && !this.edits.waiting && event.revision !== this.take.revision) this.report(() => this.refreshReview());
     if (event.type === "run") this.showRun(event.run);

@@ -54,6 +54,12 @@ export function renderDifference(element, difference, select) {
   element.replaceChildren(build("h3", "What differs from before"), build("div", count), table, changes, close);
 }
 
+// Returns the takes of a session, those that need a look first: the worst prediction, then takes with errors, then approved ones.
+export function orderTakes(takes) {
+  const rank = (take) => (take.state === "approved" ? 2 : take.error ? 1 : 0);
+  return [...takes].sort((a, b) => rank(a) - rank(b) || (b.worst_mm ?? -1) - (a.worst_mm ?? -1));
+}
+
 // Shows the takes of a session with their states.
 export function renderTakes(element, takes, openId, open) {
   if (element.hidden) return;
