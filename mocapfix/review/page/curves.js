@@ -35,7 +35,6 @@ export class CurveView {
     canvas.addEventListener("pointermove", (event) => this.continueDrag(event));
     canvas.addEventListener("pointerup", () => { this.drag = null; });
     for (const select of [this.quantity, this.other]) select.addEventListener("change", () => this.draw());
-    new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
   setTake(take, samples) {

@@ -35,7 +35,7 @@ export class LaneView {
       order: find("lanes-order"), onPick, onStretch, rows: [], markers: [], changes: [], stretch: null, frame: 0, drag: null,
     });
     this.window = new TimeWindow(this.canvas, {
-      left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => event.offsetX > LEFT,
+      left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => event.offsetX > LEFT, box: this.box,
     });
     this.canvas.addEventListener("pointerdown", (event) => this.startDrag(event));
     this.canvas.addEventListener("pointermove", (event) => this.followPointer(event));
@@ -43,7 +43,6 @@ export class LaneView {
     this.canvas.addEventListener("dblclick", () => this.window.show(0, this.window.count - 1));
     this.box.addEventListener("scroll", () => this.draw());
     this.order.addEventListener("change", () => this.sort());
-    new ResizeObserver(() => this.draw()).observe(this.box);
   }
 
   setTake(take, samples) {

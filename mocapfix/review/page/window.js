@@ -5,9 +5,13 @@ const WHEEL_FACTOR = 1.25;
 const PAN_SHARE = 0.1;
 
 export class TimeWindow {
-  // `onChange` is called after every change of the frames.
-  constructor(element, { left, right, onChange, accepts = () => true }) {
-    Object.assign(this, { element, left, right, onChange, first: 0, last: 1, count: 2, pan: null });
+  // `onChange` is called after every change of the frames and of the size of the view, which is that of `box`.
+  constructor(element, { left, right, onChange, accepts = () => true, box = element }) {
+    Object.assign(this, { element, left, right, onChange, first: 0, last: 1, count: 2, pan: null, width: 1 });
+    new ResizeObserver(() => {
+      this.width = Math.max(1, box.clientWidth - left - right);  // reading it for each picture would lay out the page
+      onChange();
+    }).observe(box);
     element.addEventListener("wheel", (event) => {
       if (!accepts(event)) return;
       event.preventDefault();
@@ -29,7 +33,6 @@ export class TimeWindow {
     for (const name of ["pointerup", "pointercancel"]) element.addEventListener(name, () => { this.pan = null; });
   }
 
-  get width() { return Math.max(1, this.element.clientWidth - this.left - this.right); }
   get isWhole() { return this.first <= 0 && this.last >= this.count - 1; }
 
   setCount(count) {
