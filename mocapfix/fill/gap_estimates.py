@@ -433,11 +433,11 @@ def combine_gap_estimates(
     return out
 
 
-MAX_LIMB_SD_M = 0.24  # standard deviation per axis to which a spread can raise that of a limb: of where it can be at all
+MAX_LIMB_SD_M = 0.24  # to which a spread can raise the deviation per axis of a limb: with more, fast limbs were left empty
 USUAL_LIMB_SD_M = 0.06  # standard deviation per axis of a limb's fill at which it is the mean that `compare_with_spread` takes
 LIMB_SD_GROWTH = 0.3
-"""Power of this mean, relative to USUAL_LIMB_SD_M, by which the deviation is too near to it. Both were measured on composed takes
-of 3 to 30 s of training people, in gaps of 0.5 to 2 s."""
+"""Power of this mean, relative to USUAL_LIMB_SD_M, by which the deviation is too near to it. It and USUAL_LIMB_SD_M were measured
+on composed takes of 3 to 30 s of training people, in gaps of 0.5 to 2 s."""
 
 
 def compare_with_spread(estimates: Sequence[GapEstimate], fill: Fill) -> float:
@@ -447,8 +447,8 @@ def compare_with_spread(estimates: Sequence[GapEstimate], fill: Fill) -> float:
     its estimates disagree, its errors are large (Birge 1932, "The calculation of errors by the method of least squares"). The
     deviation is the geometric mean of the expected one and the weighted spread about the fill.
     """
-    estimates = [each for each in estimates if not np.isnan(each.expected_sd).all()]
-    if not estimates:
+    estimates = [e for e in estimates if 0 < np.nansum(e.expected_sd) < np.inf and np.isfinite(e.position + fill[0]).any()]
+    if len(estimates) < 2:  # one alone cannot disagree
         return 1.0
     squares, variances = np.array([[np.nanmean((e.position - fill[0]) ** 2), np.nanmean(e.expected_sd**2)] for e in estimates]).T
     shown = [e.error[~np.isnan(e.error)] for e in estimates]

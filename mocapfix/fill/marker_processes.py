@@ -37,8 +37,8 @@ MARKER_FILL_KERNEL = StateCovariance(
 )
 """Covariance of marker positions between frames."""
 MIN_LIMB_MARKERS = 3  # markers lost together from which the activity of others says little about them
-LIMB_POWER_M2 = 0.15**2  # power of a limb's markers, per axis, that is expected without looking at the take
-LIMB_POWER_STRETCHES = 0.5  # as long as the gap, that this power is worth: a short take shows little of how a limb can move
+LIMB_POWER_M2 = 0.15**2  # power per axis of a limb's markers in composed takes of 3 to 30 s of training people
+LIMB_POWER_STRETCHES = 0.5  # number of stretches of the gap's length that it counts as: short takes show little of a limb
 PROCESS_SAMPLE_NOISE_M = 0.001  # noise of a sample
 
 
@@ -183,7 +183,7 @@ class MarkerProcesses:
         )
         power = np.fmax(process.measure_gap_errors(len(frames) / self.rate)[0], process.signal_power).reshape(-1, 3).mean(1)
         if len(lost_markers) >= MIN_LIMB_MARKERS:
-            share = LIMB_POWER_STRETCHES / (LIMB_POWER_STRETCHES + np.count_nonzero(is_usable) / len(frames))
+            share = LIMB_POWER_STRETCHES / (LIMB_POWER_STRETCHES + np.count_nonzero(is_usable) / w.length)
             power = power ** (1 - share) * LIMB_POWER_M2**share
         novelty = compute_variation_growth(is_usable, w.length / self.rate, self.rate)
         sd = np.sqrt(relative_variance[:, None] * power + PROCESS_SAMPLE_NOISE_M**2) * novelty

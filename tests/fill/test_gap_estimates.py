@@ -371,6 +371,14 @@ def test_a_limb_is_as_uncertain_as_expected_and_as_its_estimates_disagree(spread
     np.testing.assert_allclose(0.06 * compare_with_spread(estimates, fill), mean_m * (mean_m / 0.06) ** 0.3)
 
 
+@pytest.mark.parametrize("other_sd", [np.nan, np.inf])
+def test_one_estimate_of_a_limb_alone_does_not_make_it_certain(other_sd):
+    window = build_window()
+    one, other = build_estimate(window, 0.06, expected_sd=0.06), build_estimate(window, 0.06, expected_sd=other_sd, offset=0.1)
+    fill = one.position, np.full(window.length, 0.06), np.zeros(window.length, np.int8)
+    assert compare_with_spread([one], fill) == compare_with_spread([one, other], fill) == 1
+
+
 def test_the_spread_of_a_limb_is_that_of_its_precise_estimates():
     window = build_window()
     precise = [build_estimate(window, 0.01, offset=offset) for offset in (0.01, -0.01)]
