@@ -244,14 +244,36 @@ def test_events_are_decided_by_mouse(page: Page, running: RunningServer) -> None
     assert rejected == [event["changes"][1]["id"]]
     row.click()
     click_and_wait(page, "#keep")
+    ids = {each["id"] for each in event["changes"]}
     kept = {each["id"] for each in read_changes(running)["changes"] if each["decision"] == "keep"}
-    assert kept == {each["id"] for each in event["changes"]}
+    assert kept == ids - set(rejected)  # a change that is reviewed keeps its decision
+    row.click()
+    click_and_wait(page, "#keep")
+    assert {each["id"] for each in read_changes(running)["changes"] if each["decision"] == "keep"} == ids
+
+
+def test_the_decision_on_a_change_outlasts_that_on_the_rest_of_its_event(page: Page, running: RunningServer) -> None:
+    event = next(each for each in list_events(page) if len(each["changes"]) > 2)
+    *others, last = (each["id"] for each in event["changes"])
+    select_change(page, last)
+    for other in page.evaluate("review.app.events.flatMap(each => each.changes.map(change => change.id))"):
+        if other not in (*others, last):
+            select_change(page, other)
+            press_and_wait(page, "k")
+    select_change(page, last)
+    press_and_wait(page, "r")
+    assert get_selected(page) == event["id"]  # what is left
+    press_and_wait(page, "a")
+    changes = {each["id"]: each for each in read_changes(running)["changes"]}
+    assert {each: changes[each]["decision"] for each in others} == dict.fromkeys(others, "accept")
+    assert all(changes[each]["reviewed"] for each in others)
+    assert changes[last]["decision"] == "reject"
 
 
 @pytest.mark.parametrize("is_by_mouse", [False, True])
 def test_what_lies_above_the_limit_is_never_accepted(page: Page, running: RunningServer, is_by_mouse: bool) -> None:
     events = list_events(page)
-    worst = sorted((each["predicted_mm"] for each in events if each["isPredicted"]), reverse=True)
+    worst = sorted((each["limit_mm"] for each in events if each["limit_mm"] < np.inf), reverse=True)
     limit_mm = max(each for each in page.evaluate("import('./assets/events.js').then(each => each.LIMITS_MM)") if each < worst[2])
     while page.evaluate("review.app.limit.limitMm") != limit_mm:
         is_above = page.evaluate("review.app.limit.limitMm") > limit_mm
@@ -259,9 +281,7 @@ def test_what_lies_above_the_limit_is_never_accepted(page: Page, running: Runnin
             page.locator("#limit").press("ArrowLeft" if is_above else "ArrowRight")
         else:
             page.keyboard.press("," if is_above else ".")
-    expected = {
-        each["id"] for event in events if event["isPredicted"] and event["predicted_mm"] <= limit_mm for each in event["changes"]
-    }
+    expected = {each["id"] for event in events if event["limit_mm"] <= limit_mm for each in event["changes"]}
     all_ids = {each["id"] for event in events for each in event["changes"]}
     expect(page.locator("#accept-within")).to_contain_text(f"Accept {len(expected)} changes")
     expect(page.locator("#limit-text")).to_contain_text(f"({len(all_ids - expected)} changes) to look at")
@@ -269,11 +289,40 @@ def test_what_lies_above_the_limit_is_never_accepted(page: Page, running: Runnin
         click_and_wait(page, "#accept-within")
     else:
         press_and_wait(page, "Shift+A")
+    assert get_take(page)["undo_count"] == 1  # one edit
     assert page.locator("dialog[open]").count() == 0
     assert {each["id"] for each in read_changes(running)["changes"] if each.get("reviewed")} == expected
     expect(page.locator("#accept-within")).to_be_disabled()
     page.keyboard.press("Shift+A")
     assert {each["id"] for each in read_changes(running)["changes"] if each.get("reviewed")} == expected
+
+
+def test_a_filter_hides_nothing_from_the_limit_of_an_event(page: Page) -> None:
+    events = [each for each in list_events(page) if len(each["changes"]) > 1 and each["limit_mm"] < np.inf]
+    event = max(events, key=lambda each: each["limit_mm"] - each["changes"][-1]["predicted_mm"])
+    best, limits = event["changes"][-1], page.evaluate("import('./assets/events.js').then(each => each.LIMITS_MM)")
+    limit_mm = next(each for each in limits if best["predicted_mm"] <= each)
+    assert limit_mm < event["limit_mm"]
+    while page.evaluate("review.app.limit.limitMm") != limit_mm:
+        page.keyboard.press("," if page.evaluate("review.app.limit.limitMm") > limit_mm else ".")
+    expect(page.locator("#limit-text")).not_to_contain_text("of those listed")
+    page.locator("#filter-marker").fill(best["markers"][0])
+    listed = next(each for each in list_events(page) if best["id"] in [change["id"] for change in each["changes"]])
+    assert listed["limit_mm"] == event["limit_mm"]
+    within = "import('./assets/events.js').then(each => each.divideByLimit(review.app.events, review.app.limit.limitMm).within)"
+    assert listed["id"] not in [each["id"] for each in page.evaluate(within)]
+    expect(page.locator("#limit-text")).to_contain_text("of those listed to look at")
+
+
+def test_keys_act_after_a_click(page: Page) -> None:
+    click_and_wait(page, "#accept")
+    revision = get_take(page)["revision"]
+    page.keyboard.press(" ")
+    page.wait_for_function("review.app.playback.isPlaying")
+    assert get_take(page)["revision"] == revision
+    page.locator("#sort").select_option("kind")
+    press_and_wait(page, "r")
+    assert page.locator("#sort").input_value() == "kind"
 
 
 def test_undo_and_redo_by_keyboard_and_by_mouse(page: Page, running: RunningServer) -> None:

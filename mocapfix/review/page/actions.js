@@ -32,7 +32,7 @@ export const correctionActions = {
   },
 
   removeCorrection(index = this.correctionIndex) {
-    if (index !== null) this.edits.send(new RemoveEdit(index));
+    if (index !== null && this.allows("mark")) this.edits.send(new RemoveEdit(index));
   },
 };
 

@@ -16,7 +16,10 @@ export class ChangeList {
       if (event.target.matches(".fold")) onFold(row.dataset.id);
       else onSelect(row.dataset.id);
     });
-    element.addEventListener("dblclick", (event) => onFold(event.target.closest(".row")?.dataset.id));
+    element.addEventListener("dblclick", (event) => {
+      const row = event.target.closest(".row");
+      if (row && !event.target.matches(".fold")) onFold(row.dataset.id);
+    });
     new ResizeObserver(() => this.render()).observe(element);
   }
 

@@ -80,8 +80,12 @@ export function connectCommands(app) {
   const commands = listCommands(app), byKey = new Map(commands.flatMap((each) => each.keys.map((key) => [key, each])));
   const needsNoTake = ["help", "end", "palette-button", "theme"];
   for (const { button, run } of commands) {
-    if (button) find(button).addEventListener("click", () => { if (app.take || needsNoTake.includes(button)) run(); });
+    if (button) find(button).addEventListener("click", (event) => {
+      if (event.detail) event.currentTarget.blur();  // after a click with the pointer, Space plays
+      if (app.take || needsNoTake.includes(button)) run();
+    });
   }
+  document.addEventListener("change", ({ target }) => { if (target.matches("select") && !isDialogOpen()) target.blur(); });
   document.addEventListener("keydown", (event) => {
     if (isDialogOpen() || event.altKey) return;
     const key = nameKey(event), command = byKey.get(key);

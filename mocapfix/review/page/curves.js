@@ -8,7 +8,7 @@ const LEFT = 92, RIGHT = 14, TOP = 20, GAP = 6, BOTTOM = 14;
 const BAND_SDS = 2;
 const SCALE_FACTOR = 1.25;  // of the values, for each step of the wheel
 const OTHER_COLOURS = ["#0072b2", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
-export const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
+const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
 
 // What can be shown: its rows, unit, and the value of a marker in a row and frame of a layer, NaN where it has none.
 const axis = (n) => ({ samples }, layer, m, t) => samples[layer][(t * samples.counts[layer] + m) * 3 + n] * 1000;

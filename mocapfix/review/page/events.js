@@ -21,13 +21,14 @@ export function summarise(id, changes) {
   return {
     id, changes, kind: unite(changes.map((each) => each.kind)).join(", "), markers: unite(changes.flatMap((each) => each.markers)),
     first: Math.min(...changes.map((each) => each.first)), last: Math.max(...changes.map((each) => each.last)),
-    predicted_mm: predicted.length ? Math.max(...predicted) : null, isPredicted: predicted.length === changes.length,
+    predicted_mm: predicted.length ? Math.max(...predicted) : null,
     decision: decisions.length === 1 ? decisions[0] : "mixed", is_reviewed: changes.every((each) => each.is_reviewed),
     note: changes.some((each) => each.note), is_correction: changes.some((each) => each.is_correction),
   };
 }
 
-// Returns the events of which changes pass the filters, in order. An event of one change has the id of this change.
+// Returns the events of which changes pass the filters, in order. An event of one change has the id of this change. `limit_mm` is
+// the largest predicted error of all its changes, of those too that do not pass; infinite if one has no prediction.
 export function listEvents(take, { kind, marker, decision, order }) {
   const wanted = marker.trim().toLowerCase();
   const passes = (each) => (!kind || each.kind === kind)
@@ -35,9 +36,13 @@ export function listEvents(take, { kind, marker, decision, order }) {
     && (!decision || (decision === "open" ? !each.is_reviewed : each.is_reviewed && each.decision === decision));
   const byId = new Map(take.changes.map((each) => [each.id, each]));
   return take.events
-    .map((ids) => ids.map((id) => byId.get(id)).filter((each) => each && passes(each)).sort(byError))
-    .filter((changes) => changes.length)
-    .map((changes) => summarise(changes.length === 1 ? changes[0].id : `event ${unite(changes.map((each) => each.id)).sort()[0]}`, changes))
+    .map((ids) => ids.map((id) => byId.get(id)).filter(Boolean))
+    .map((all) => ({ changes: all.filter(passes).sort(byError), limit_mm: Math.max(...all.map((each) => each.predicted_mm ?? Infinity)) }))
+    .filter(({ changes }) => changes.length)
+    .map(({ changes, limit_mm }) => {
+      const id = changes.length === 1 ? changes[0].id : `event ${unite(changes.map((each) => each.id)).sort()[0]}`;
+      return { ...summarise(id, changes), limit_mm };
+    })
     .sort(ORDERS[order] ?? byError);
 }
 
@@ -54,6 +59,6 @@ export function listRows(events, unfolded) {
 // Divides the events that are not reviewed by a limit of the predicted error: an event is within it if all its changes are.
 export function divideByLimit(events, limitMm) {
   const open = events.filter((each) => !each.is_reviewed);
-  const isWithin = (each) => each.isPredicted && each.predicted_mm <= limitMm;
+  const isWithin = (each) => each.limit_mm <= limitMm;
   return { within: open.filter(isWithin), above: open.filter((each) => !isWithin(each)) };
 }

@@ -35,7 +35,10 @@ class App {
       onPick: (marker, frame, isAdded) => this.pickLane(marker, frame, isAdded), onStretch: (stretch, marker) => this.setStretch(stretch, marker),
     });
     this.list = new ChangeList(find("changes"), { onSelect: (id) => this.select(id), onFold: (id) => this.toggleFold(id) });
-    this.limit = new LimitBar({ getEvents: () => this.events, onAccept: (changes) => this.edits.send(new DecideEdit(changes, "accept")) });
+    this.limit = new LimitBar({
+      getEvents: () => this.events, getTake: () => this.take,
+      onAccept: (changes) => this.allows("accept") && this.edits.send(new DecideEdit(changes, "accept")),
+    });
     this.edits = new EditQueue({
       getTake: () => this.take, applyReview: (take, review) => this.applyReview(take, review), showStatus: (...args) => this.showStatus(...args),
     });
@@ -99,7 +102,7 @@ class App {
     this.isComplete = false;
     load.then(() => { this.lanes.update(); this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
-    renderDifference(find("difference"), take.difference, (id) => this.select(id));
+    renderDifference(find("difference"), take.difference);
   }
 
   // Lists the written characters, and shows the first.
@@ -227,22 +230,23 @@ class App {
 
   renderDetail() { renderDetail(find("change-detail"), this.entry, this.take); }
 
+  // Decides on the changes of the selected row that are not reviewed; on all of them if all are.
   async decide(decision) {
     const { entry } = this;
-    if (!entry) return;
-    const next = this.list.findNextOpen();
-    if ((await this.edits.send(new DecideEdit(entry.changes, decision))) && next && this.selectedId === entry.id) this.select(next);
+    if (!entry || !this.allows(decision)) return;
+    const next = this.list.findNextOpen(), open = entry.changes.filter((each) => !each.is_reviewed);
+    if ((await this.edits.send(new DecideEdit(open.length ? open : entry.changes, decision))) && next && this.selectedId === entry.id) this.select(next);
   }
 
   async note() {
     const { change } = this;
-    if (!change || this.isRunning) return;
+    if (!change || !this.allows("note")) return;
     const text = await dialogs.askNote(change.id, change.note);
     if (text !== null) await this.edits.send(new NoteEdit(change, text));
   }
 
-  undo() { if (this.take.undo_count) this.edits.send(new UndoEdit()); }
-  redo() { if (this.take.redo_count) this.edits.send(new RedoEdit()); }
+  undo() { if (this.allows("undo")) this.edits.send(new UndoEdit()); }
+  redo() { if (this.allows("redo")) this.edits.send(new RedoEdit()); }
 
   // Selects a stretch of frames, and the marker of its lane.
   setStretch(stretch, marker = null) {

@@ -31,7 +31,7 @@ export function renderDetail(element, entry, take) {
 }
 
 // Shows what differs from the cleaning before; nothing without one.
-export function renderDifference(element, difference, select) {
+export function renderDifference(element, difference) {
   element.hidden = !difference;
   if (!difference) return;
   const close = build("button", "Close");
