@@ -325,6 +325,32 @@ def test_keys_act_after_a_click(page: Page) -> None:
     assert page.locator("#sort").input_value() == "kind"
 
 
+def test_a_correction_has_the_frames_of_the_marker_that_was_clicked(page: Page) -> None:
+    take = get_take(page)
+    event = next(each for each in list_events(page) if len({(part["first"], *part["markers"]) for part in each["changes"]}) > 1)
+    other = next(each for each in event["changes"][1:] if each["markers"] != event["changes"][0]["markers"])
+    label = other["markers"][0]
+    place = [event["id"], take["labels"].index(label)]
+    page.evaluate("([name, marker]) => review.app.select(name, { keepsFrame: true, marker })", place)
+    expect(page.locator("#change-detail")).to_contain_text(other["markers"][0])
+    page.keyboard.press("w")
+    expect(page.locator("#mark-marker")).to_have_value(label)
+    own = next(each for each in event["changes"] if label in each["markers"])
+    expect(page.locator("#mark-first")).to_have_value(str(own["first"]))
+    expect(page.locator("#mark-last")).to_have_value(str(own["last"]))
+    page.keyboard.press("Escape")
+    select_change(page, event["id"])  # no marker was clicked: the least certain change
+    assert page.evaluate("review.app.change.id") == event["changes"][0]["id"]
+    one, two = 3, 4
+    pair = [take["labels"][one], take["labels"][two]]
+    page.evaluate(
+        "pair => { review.app.change.markers = pair; review.app.marker = review.app.take.labels.indexOf(pair[1]); }", pair
+    )
+    page.keyboard.press("s")
+    expect(page.locator("#swap-one")).to_have_value(pair[1])
+    expect(page.locator("#swap-other")).to_have_value(pair[0])
+
+
 def test_undo_and_redo_by_keyboard_and_by_mouse(page: Page, running: RunningServer) -> None:
     path = running.folder / "walk.changes.yaml"
     contents = [path.read_bytes()]

@@ -22,7 +22,12 @@ export const correctionActions = {
   },
 
   mark(kind) { return this.allows("mark") && this.add(dialogs.askMark(this.take.labels, this.getMarkerLabel(), this.getInterval(), kind)); },
-  swap() { return this.allows("swap") && this.add(dialogs.askSwap(this.take.labels, [this.getMarkerLabel(), this.change?.markers[1]].filter(Boolean), this.getInterval())); },
+  swap() {
+    if (!this.allows("swap")) return false;
+    const marker = this.getMarkerLabel(), other = this.change?.markers.find((label) => label !== marker && this.take.labels.includes(label));
+    return this.add(dialogs.askSwap(this.take.labels, [marker, other], this.getInterval()));
+  },
+
   requestFill() { return this.allows("fill") && this.add(dialogs.askFill(this.take.labels, this.getMarkerLabel(), this.getInterval())); },
 
   assign() {

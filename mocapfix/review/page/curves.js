@@ -26,7 +26,7 @@ export class CurveView {
   constructor(canvas, { onScrub, onStretch }) {
     const find = (id) => document.getElementById(id);
     Object.assign(this, {
-      canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"),
+      canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"), band: find("curves-band"),
       onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1,
     });
     this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => !event.ctrlKey });
@@ -34,11 +34,12 @@ export class CurveView {
     canvas.addEventListener("pointerdown", (event) => this.startDrag(event));
     canvas.addEventListener("pointermove", (event) => this.continueDrag(event));
     canvas.addEventListener("pointerup", () => { this.drag = null; });
+    this.other.addEventListener("change", () => { this.isReferenceChosen = true; });
     for (const select of [this.quantity, this.other]) select.addEventListener("change", () => this.draw());
   }
 
   setTake(take, samples) {
-    Object.assign(this, { take, samples, markers: [], interval: null, stretch: null });
+    Object.assign(this, { take, samples, markers: [], interval: null, stretch: null, isReferenceChosen: false });
     this.other.replaceChildren(...take.labels.map((label, m) => new Option(label, m)));
     this.window.setCount(take.frame_count);
   }
@@ -50,7 +51,7 @@ export class CurveView {
   showMarkers(markers, interval) {
     const context = Math.round(CONTEXT_S * this.take.rate);
     Object.assign(this, { markers: markers.slice(0, MAX_CURVE_MARKERS), interval, magnification: 1 });
-    if (markers.length) this.other.value = this.findNearest(markers[0]);
+    if (markers.length && !this.isReferenceChosen) this.other.value = this.findNearest(markers[0]);
     if (interval) this.window.show(interval[0] - context, interval[1] + context);
     else this.draw();
   }
@@ -79,7 +80,8 @@ export class CurveView {
     this.frame = frame;
     if (this.marker === null) return;
     this.window.reveal(frame);
-    this.placeCursor();
+    if (this.magnification > 1) this.draw();
+    else this.placeCursor();
   }
 
   placeCursor() {
@@ -112,6 +114,7 @@ export class CurveView {
     Object.assign(canvas, { width: width * ratio, height: height * ratio });
     context.scale(ratio, ratio);
     this.other.hidden = this.quantity.value !== "distance";
+    this.band.hidden = !quantity.hasBand;
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     this.title.replaceChildren();
     if (this.marker === null || !this.samples) return;
@@ -146,7 +149,7 @@ export class CurveView {
     const band = row.hasBand ? this.readBand(values[0], scale) : null;
     let [low, high] = findRange([plain, changed, after, ...others, ...(band ? [band] : [])]);
     const margin = Math.max(row.hasBand ? 1 : 0.001, 0.06 * (high - low));
-    [low, high] = this.magnify(low - margin, high + margin, after);
+    [low, high] = this.magnify(row.hasBand ? low - margin : Math.max(0, low - margin), high + margin, after);
     const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
     context.strokeStyle = colour("--line");
     context.lineWidth = 1;

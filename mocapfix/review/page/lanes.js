@@ -50,6 +50,7 @@ export class LaneView {
     this.method = new Uint8Array(take.frame_count * take.labels.length).fill(METHODS.length - 1);
     for (const change of take.changes) {
       const number = METHODS.findIndex((each) => change.method.includes(each.word));
+      if (number === METHODS.length - 1) continue;  // a swap over a gap leaves its samples the method of the gap
       for (const m of change.markers.map((label) => take.labels.indexOf(label)).filter((each) => each >= 0)) {
         for (let t = change.first; t <= change.last; t++) this.method[(t - take.first_frame) * take.labels.length + m] = number;
       }

@@ -142,8 +142,12 @@ class App {
   get lastFrame() { return this.take.frame_count - 1; }
   // What the selected row stands for: an event or a change; null without one.
   get entry() { return this.list.rows.find((each) => each.id === this.selectedId) ?? null; }
-  // The selected change; of an event the one that is predicted worst.
-  get change() { return this.entry?.changes[0] ?? null; }
+  // The selected change; of an event that of the marker, of those the one that is predicted worst.
+  get change() {
+    const label = this.take.labels[this.marker], own = this.entry?.changes.find((each) => each.markers.includes(label));
+    return own ?? this.entry?.changes[0] ?? null;
+  }
+
   toIndex(frame) { return frame - this.take.first_frame; }
   middleOf(change) { return this.toIndex(Math.floor((change.first + change.last) / 2)); }
 
@@ -160,8 +164,7 @@ class App {
   }
 
   select(id, { keepsFrame = false, marker = null } = {}) {
-    this.selectedId = id;
-    this.correctionIndex = null;
+    Object.assign(this, { selectedId: id, correctionIndex: null, marker });
     if (id && !this.entry) this.unfoldEventOf(id);
     const { entry } = this;
     this.list.selectedId = id;
@@ -170,7 +173,7 @@ class App {
     this.renderCorrections();
     if (!entry) return;
     const markers = this.findMarkers([...this.change.markers, ...entry.markers]), interval = [this.toIndex(this.change.first), this.toIndex(this.change.last)];
-    const ordered = [...new Set([marker ?? markers[0] ?? null, ...markers])].filter((each) => each !== null);
+    const ordered = [...new Set([marker ?? markers[0], ...markers])].filter((each) => each !== undefined);
     this.marker = ordered[0] ?? null;
     this.lanes.select(ordered, entry.changes);
     this.curves.showMarkers(entry.changes.length > 1 ? ordered.slice(0, 1) : ordered, interval);
@@ -228,7 +231,7 @@ class App {
     this.showFrame(this.playback.frame);
   }
 
-  renderDetail() { renderDetail(find("change-detail"), this.entry, this.take); }
+  renderDetail() { renderDetail(find("change-detail"), this.entry, this.change, this.take); }
 
   // Decides on the changes of the selected row that are not reviewed; on all of them if all are.
   async decide(decision) {

@@ -7,13 +7,13 @@ function build(tag, text = "", className = "") {
   return element;
 }
 
-// Shows why the change of a row was made, and how; of an event the change that is predicted worst.
-export function renderDetail(element, entry, take) {
+// Shows why a change of a row was made, and how; of an event also what it is.
+export function renderDetail(element, entry, change, take) {
   if (!entry) {
     element.replaceChildren(build("span", "Select a change to see why it was made.", "empty"));
     return;
   }
-  const [change] = entry.changes, { before, after } = change;
+  const { before, after } = change;
   const method = change.method.charAt(0).toUpperCase() + change.method.slice(1);
   const parts = [build("b", `${change.kind}: ${change.markers.join(", ")}. `), build("span", `${change.why} ${method}.`)];
   const facts = [`${change.samples} samples`];
@@ -24,7 +24,7 @@ export function renderDetail(element, entry, take) {
   if (change.note) parts.push(build("div", change.note, "note"));
   if (entry.changes.length > 1) {
     const seconds = ((entry.last - entry.first + 1) / take.rate).toFixed(2);
-    const what = `${entry.changes.length} changes of ${entry.markers.join(", ")} in frames ${entry.first} to ${entry.last} (${seconds} s). The least certain: `;
+    const what = `${entry.changes.length} changes of ${entry.markers.join(", ")} in frames ${entry.first} to ${entry.last} (${seconds} s). ${change === entry.changes[0] ? "The least certain" : "That of this marker"}: `;
     parts.unshift(build("div", what));
   }
   element.replaceChildren(...parts);
