@@ -189,13 +189,12 @@ class OpenTake:
         """Return the decisions as they are in the file, of the changes only those that differ from the content before."""
         with self.lock:
             file = self.store.file
-            own = {(each.kind, tuple(each.markers), each.first) for each in file.corrections}
             known = {id(change) for change in before.changes} if before else set[int]()
             events = () if before else group_changes(file.changes, self.view.labels, self.view.after)
             return {
                 "revision": self.store.revision,
                 "changed" if before else "changes": [
-                    describe_change(change, own) for change in file.changes if id(change) not in known
+                    describe_change(change) for change in file.changes if id(change) not in known
                 ],
                 **({} if before else {"events": [[change.id for change in each] for each in events]}),
                 "corrections": [each.model_dump() for each in file.corrections],
@@ -296,11 +295,9 @@ class OpenTake:
         return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
 
 
-def describe_change(change: ChangeModel, corrections: set[tuple[str, tuple[str, ...], int]]) -> dict[str, Any]:
-    """Return a change as the page shows it, and whether it follows from one of the corrections (kind, markers, first frame)."""
-    kinds = {"marked": ("wrong", "missing"), "swap": ("swap",), "fragment": ("assign",)}.get(change.kind, ())
-    is_correction = any((kind, tuple(change.markers), change.first) in corrections for kind in kinds)
-    return {**change.model_dump(exclude={"reviewed"}), "is_reviewed": change.reviewed, "is_correction": is_correction}
+def describe_change(change: ChangeModel) -> dict[str, Any]:
+    """Return a change as the page shows it."""
+    return {**change.model_dump(exclude={"reviewed"}), "is_reviewed": change.reviewed}
 
 
 def compare_cleanings(

@@ -351,6 +351,18 @@ def test_a_correction_has_the_frames_of_the_marker_that_was_clicked(page: Page) 
     expect(page.locator("#swap-other")).to_have_value(pair[0])
 
 
+def test_stars_follow_the_corrections(page: Page) -> None:
+    starred = "review.app.events.flatMap(each => each.changes).filter(each => each.is_correction).map(each => each.id)"
+    change = "{ ...review.app.take.changes[0], kind: 'marked', markers: ['LTOE'], first: 5 }"
+    page.evaluate(f"review.app.take.changes[0] = {change}")
+    assert page.evaluate(starred) == []
+    correction = "{ kind: 'wrong', markers: ['LTOE'], first: 5, last: 9 }"
+    page.evaluate(f"import('./assets/edits.js').then(each => review.app.edits.send(new each.AddEdit({correction})))")
+    assert page.evaluate(starred) == [get_take(page)["changes"][0]["id"]]
+    press_and_wait(page, "Control+z")
+    assert page.evaluate(starred) == []
+
+
 def test_undo_and_redo_by_keyboard_and_by_mouse(page: Page, running: RunningServer) -> None:
     path = running.folder / "walk.changes.yaml"
     contents = [path.read_bytes()]

@@ -12,8 +12,14 @@ const ORDERS = {
   kind: (a, b) => compareText(a.kind, b.kind) || byError(a, b),
   marker: (a, b) => compareText(a.markers[0], b.markers[0]) || a.first - b.first,
 };
+const CORRECTION_KINDS = { marked: ["wrong", "missing"], swap: ["swap"], fragment: ["assign"] };  // by the kind of the change that follows
 const unite = (values) => [...new Set(values)];
 const known = (values) => values.filter((each) => each !== null);
+
+// Returns whether a change follows from one of the user's corrections.
+const isCorrection = ({ kind, markers, first }, corrections) => corrections.some(
+  (each) => CORRECTION_KINDS[kind]?.includes(each.kind) && each.first === first && each.markers.join("\n") === markers.join("\n"),
+);
 
 // Returns what a row says of some changes.
 export function summarise(id, changes) {
@@ -34,7 +40,7 @@ export function listEvents(take, { kind, marker, decision, order }) {
   const passes = (each) => (!kind || each.kind === kind)
     && (!wanted || each.markers.some((label) => label.toLowerCase().includes(wanted)))
     && (!decision || (decision === "open" ? !each.is_reviewed : each.is_reviewed && each.decision === decision));
-  const byId = new Map(take.changes.map((each) => [each.id, each]));
+  const byId = new Map(take.changes.map((each) => [each.id, { ...each, is_correction: isCorrection(each, take.corrections) }]));
   return take.events
     .map((ids) => ids.map((id) => byId.get(id)).filter(Boolean))
     .map((all) => ({ changes: all.filter(passes).sort(byError), limit_mm: Math.max(...all.map((each) => each.predicted_mm ?? Infinity)) }))
