@@ -9,6 +9,7 @@ Work that holds the lock is shared with a second process, if the command has sta
 
 import gc
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -20,7 +21,7 @@ from contextvars import ContextVar, copy_context
 from functools import cache, partial
 from importlib import import_module
 from multiprocessing import get_context, parent_process
-from typing import Generic, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -123,7 +124,7 @@ def map_in_threads(
     def compute_beside_threads(part: Part) -> Value:
         with suppress(BrokenExecutor, MemoryError):
             if process:
-                return process.submit(function, part).result()
+                return _submit(process, partial(function, part)).result()
         return function(part)
 
     def compute_remaining(function: Callable[[Part], Value]) -> None:
@@ -185,9 +186,24 @@ def compute_beside(
         keywords: More of them, for parameters by name.
     """
     compute, future, process = partial(function, *arguments, **keywords), None, second_process.get()
-    with suppress(BrokenExecutor):
-        future = process and process.submit(compute)
+    with suppress(BrokenExecutor, MemoryError):
+        future = process and _submit(process, compute)
     return Computation(compute, future)
+
+
+def _submit(process: Executor, compute: Callable[[], Value]) -> Future[Value]:
+    """Send a call, pickled here; pickling fails while another thread adds a cached property to an argument, and is repeated."""
+    for _ in range(100):
+        with suppress(RuntimeError):
+            call = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
+            break
+    else:
+        raise BrokenExecutor
+    return process.submit(_call_pickled, call)
+
+
+def _call_pickled(call: bytes) -> Any:
+    return pickle.loads(call)()
 
 
 @contextmanager

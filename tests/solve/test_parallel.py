@@ -117,18 +117,40 @@ def test_work_is_done_in_the_second_process_and_here_when_that_has_ended():
     assert compute_beside(os.getpid).finish() == here
 
 
-def test_work_is_done_here_for_which_the_second_process_lacks_memory():
-    def work() -> str:
-        if threading.current_thread() is not threading.main_thread():
-            raise MemoryError
-        return "here"
+def compute_in_the_main_thread() -> str:
+    if threading.current_thread() is not threading.main_thread():
+        raise MemoryError
+    return "here"
 
+
+def test_work_is_done_here_for_which_the_second_process_lacks_memory():
     with ThreadPoolExecutor(1) as other:
-        token, stop = second_process.set(other), threading.Event()
-        assert compute_beside(work).finish() == "here"
-        busy, unneeded = compute_beside(stop.wait), compute_beside(work)
-        stop.set()
+        token = second_process.set(other)
+        assert compute_beside(compute_in_the_main_thread).finish() == "here"
+        busy, unneeded = compute_beside(time.sleep, 0.1), compute_beside(compute_in_the_main_thread)
         unneeded.leave()
         assert busy.future
         assert busy.future.done()
+        second_process.reset(token)
+
+
+class ChangedWhilePickled:
+    """An object to which another thread adds a cached property each of the first times that it is pickled."""
+
+    def __init__(self, times: int) -> None:
+        self.times = times
+
+    def __getstate__(self) -> dict[str, int]:
+        self.times -= 1
+        if self.times >= 0:
+            raise RuntimeError("dictionary changed size during iteration")
+        return {"times": self.times}
+
+
+@pytest.mark.parametrize(("times", "is_sent"), [(0, True), (3, True), (1000, False)])
+def test_an_argument_that_changes_while_it_is_pickled_is_sent_again_or_used_here(times, is_sent):
+    with ThreadPoolExecutor(1) as other:
+        token = second_process.set(other)
+        begun = compute_beside(isinstance, ChangedWhilePickled(times), ChangedWhilePickled)
+        assert (begun.future is not None, begun.finish()) == (is_sent, True)
         second_process.reset(token)
