@@ -223,11 +223,15 @@ def run_bench_stress(
 
 
 def run_bench_contacts(
-    data: MotionFolderOption = None,
+    data: Annotated[
+        tuple[Path, ...], tyro.conf.arg(metavar="FOLDER", help="folders of motion with test.npz, measured by kind of motion")
+    ] = (),
     plates: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help="C3D captures with force plates, compared with events from markers")
     ] = None,
-    takes: Annotated[int, tyro.conf.arg(metavar="N", help="number of takes; 0 for force plates alone")] = 6,
+    takes: Annotated[
+        int, tyro.conf.arg(metavar="N", help="number of takes, with --data of each kind; 0 for force plates alone")
+    ] = 6,
     as_json: JsonOption = False,
 ) -> int:
     """Hold the feet of takes with known truth, whole and with markers of standing feet lost; compare events with force plates."""

@@ -1,13 +1,16 @@
 """Benchmark of contacts: their detection, what holding the feet does to the motion, and gait events beside force plates.
 
 Takes with known truth are cleaned whole, and with the markers of the feet lost while these stand, once for each way to hold feet.
+Recorded motion of people on whom nothing was trained is cleaned whole, with gaps, and with feet lost at any time.
 The plates and the events of captures are hidden from the cleaning. Only loads by one foot that stands on its plate with heel and
 toes count.
 """
 
+import csv
+import re
 import shutil
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,18 +25,19 @@ from mocapfix.contacts.find_contacts import compute_speed, remove_short_runs
 from mocapfix.contacts.foot_displacements import HORIZONTAL_AXES
 from mocapfix.contacts.gait_events import FootPoints, build_foot_points
 from mocapfix.contacts.plate_contacts import PlateContact, find_plate_contacts
-from mocapfix.errors import MocapfixError, TakeError
+from mocapfix.errors import MocapfixError, ReadError, TakeError
 from mocapfix.io.c3d_events import HEADER_EVENT_COUNT
 from mocapfix.io.capture import read_capture
 from mocapfix.io.force_plates import read_force_plates
+from mocapfix.lab import sound_takes
 from mocapfix.lab.common_task import clean_composed_take
-from mocapfix.lab.sound_takes import iterate_sound_takes
 from mocapfix.model.animation import Animation
+from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.model.take import C3dLayout
 from mocapfix.options import FEET_LOCK, FEET_OFF, FEET_SOFT, CleanOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
-from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic import SyntheticTake, draw_gaps
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
@@ -72,15 +76,15 @@ def find_all_true_contacts(truth: SyntheticTake) -> Bool[np.ndarray, "T C"]:
     return np.stack([find_true_contacts(truth.joint_positions[:, joint], truth.rate) for joint in joints], axis=1)
 
 
-def draw_foot_losses(truth: SyntheticTake, rng: np.random.Generator) -> list[FootLoss]:
-    """Return times in which a foot stands with heel and toes; never both feet at once."""
+def draw_foot_losses(truth: SyntheticTake, rng: np.random.Generator, *, at_any_time: bool = False) -> list[FootLoss]:
+    """Return times in which a foot stands with heel and toes, or any times; never both feet at once."""
     is_contact, losses = find_all_true_contacts(truth), list[FootLoss]()
     is_free = np.ones(len(is_contact), bool)
     margin, shortest = round(MIN_SEEN_S * truth.rate), round(LOSS_DURATION_S[0] * truth.rate)
     for _ in range(LOSSES_PER_FOOT):
         for side, joints in FOOT_JOINTS.items():
-            is_flat = is_contact[:, [CONTACT_JOINTS.index(joint) for joint in joints]].all(axis=1) & is_free
-            runs = [run for run in find_runs(is_flat) if run[1] + 1 - run[0] >= shortest + 2 * margin]
+            is_flat = is_contact[:, [CONTACT_JOINTS.index(joint) for joint in joints]].all(axis=1) | at_any_time
+            runs = [run for run in find_runs(is_flat & is_free) if run[1] + 1 - run[0] >= shortest + 2 * margin]
             if not runs:
                 continue
             first, last = runs[int(rng.integers(len(runs)))]
@@ -108,8 +112,67 @@ def lose_feet(truth: SyntheticTake, losses: Sequence[FootLoss]) -> SyntheticTake
     return replace(truth, missing_mask=missing, damaged_positions=damaged)
 
 
+def lose_markers(truth: SyntheticTake, rng: np.random.Generator) -> SyntheticTake:
+    """Return the take with gaps in all markers, and once in all markers of a leg together."""
+    side = str(rng.choice(("Left", "Right")))
+    leg = [truth.subject.skeleton.find_joint(side + joint) for joint in ("UpLeg", "Leg", "Foot", "ToeBase")]
+    missing = draw_gaps(rng, len(truth.marker_positions), truth.rate, np.isin(truth.subject.joints, leg))
+    missing = np.roll(missing, int(rng.integers(len(missing))), axis=0)
+    return replace(truth, missing_mask=missing, damaged_positions=np.where(missing[..., None], np.nan, truth.damaged_positions))
+
+
+MOTION_KINDS = {
+    "uneven": r"climb|slope|uneven|stairs|step ?stool",
+    "floor": r"roll|\bdog\b|snake|floor|\bfall|whale|fish|\bcrawl|lie",
+    "acrobatics": r"acrobat|cartwheel|flip|leap|hang|handspring",
+    "backwards": r"backward|back\b|retreat",
+    "sideways": r"sideways|sidestep|side[ _]step|\bside\b|cross walk m?(90|45)",
+    "hop": r"\bhop|jump|tongtong",
+    "duck": r"duck|squat|pick|bend|crouch|scoop|lift",
+    "sit": r"\bsit|stool|chair",
+    "martial arts": r"martial|kick|boxing|fighter|karate|punch|sword|box\b",
+    "dance": r"dance|salsa|sync",
+    "turn": r"turn|spiral|245d|135d|180d|veer",
+    "run": r"\brun|jog",
+    "walk": r"walk|march|stride",
+    "play": r"basketball|tennis|\btt\b|serve|game",
+}
+"""What the description of a recording of each kind of motion contains; the first kind counts."""
+OTHER_KIND, COMPOSED_KIND = "stand", "composed"
+MIN_KIND_S = 1.5  # shortest recording by kind: runs are short
+
+
+def iterate_takes_by_kind(motion_folders: Sequence[Path], takes_of_kind: int) -> Iterator[tuple[str, str, SyntheticTake]]:
+    """Yield the kind and the name of takes, and the takes, of people with their own bones: the longest of each subject first.
+
+    Args:
+        motion_folders: Each holds test.npz, and manifest.csv with the columns trial and description.
+    """
+    by_kind: dict[str, list[sound_takes.PerformedMotion]] = defaultdict(list)
+    for folder in motion_folders:
+        kinds = read_motion_kinds(folder / "manifest.csv")
+        for performance in sound_takes.read_performed_motions(folder / "test.npz"):
+            by_kind[kinds.get(performance.name, OTHER_KIND)].append(performance)
+    for kind in sorted(by_kind):
+        for number, chosen in enumerate(sound_takes.choose_performances(by_kind[kind], takes_of_kind, MIN_KIND_S)):
+            yield kind, chosen.name, sound_takes.perform_take(chosen, np.random.default_rng(number), has_own_bones=True)
+
+
+def read_motion_kinds(path: Path) -> dict[str, str]:
+    """Return the kind of each trial of a table of trials. Raises ReadError if it cannot be read."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            descriptions = {row["trial"]: row["description"] for row in csv.DictReader(file)}
+    except (OSError, ValueError, KeyError) as error:
+        raise ReadError(f"{path}: is not a table of trials with the columns trial and description ({error}).") from error
+    return {
+        trial: next((kind for kind, pattern in MOTION_KINDS.items() if re.search(pattern, text, re.IGNORECASE)), OTHER_KIND)
+        for trial, text in descriptions.items()
+    }
+
+
 CONTACT_TAKES = 6
-WHOLE, LOST_FEET = "whole", "feet lost"
+WHOLE, GAPS, LOST_FEET = "whole", "gaps", "feet lost"
 HELD_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
 KNEES = ("LeftLeg", "RightLeg")
 WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")  # quantities of which the largest value of all takes counts
@@ -118,10 +181,7 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class HeldFeetErrors:
-    """What one way to hold feet did to one take.
-
-    take, damage, mode
-    """
+    """What one way to hold feet did to one take."""
 
     take: str
     damage: str
@@ -146,6 +206,7 @@ class ContactAgreement:
     true_frames: int
     found_frames: int
     common_frames: int
+    kind: str = COMPOSED_KIND  # of the motion
 
     @property
     def f1(self) -> float:
@@ -154,36 +215,41 @@ class ContactAgreement:
 
 
 def measure_contacts(
-    motion_folder: Path | None = None, take_count: int = CONTACT_TAKES, report_progress: Callable[[str], None] = lambda _: None
+    motion_folders: Sequence[Path] = (), take_count: int = CONTACT_TAKES, report_progress: ProgressCallback = lambda _: None
 ) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
     """Return the errors of each take, damage and way to hold feet, and the agreement of contacts with the truth.
 
     Args:
-        motion_folder: Holds test.npz with recorded motion; None for composed motion.
+        motion_folders: Hold test.npz with recorded motion, of which `take_count` takes of each kind are used, with feet that are
+            as they were solved or locked; without folders motion is composed.
 
     Raises:
         ReadError: If there is no such motion.
     """
     errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
-    for number, (name, sound) in enumerate(iterate_sound_takes(motion_folder, take_count)):
-        report_progress(name)
-        of_take = measure_take(name, sound, draw_foot_losses(sound, np.random.default_rng(number)))
+    composed = ((COMPOSED_KIND, *each) for each in sound_takes.iterate_sound_takes(None, take_count))
+    takes = iterate_takes_by_kind(motion_folders, take_count) if motion_folders else composed
+    for number, (kind, name, sound) in enumerate(takes):
+        report_progress(f"{kind}, {name}")
+        losses = draw_foot_losses(sound, np.random.default_rng(number), at_any_time=bool(motion_folders))
+        damaged = {WHOLE: sound} | ({LOST_FEET: lose_feet(sound, losses)} if losses else {})
+        if motion_folders:
+            damaged[GAPS] = lose_markers(sound, np.random.default_rng(number))
+        of_take = measure_take(name, damaged, (FEET_OFF, FEET_LOCK) if motion_folders else HELD_MODES)
         errors += of_take[0]
-        agreements += of_take[1]
+        agreements += [replace(each, kind=kind) for each in of_take[1]]
     return errors, agreements
 
 
 def measure_take(
-    name: str, sound: SyntheticTake, losses: Sequence[FootLoss]
+    name: str, damaged: Mapping[str, SyntheticTake], modes: Sequence[str] = HELD_MODES
 ) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
-    """Return the errors and agreements of one take without faults, whole and with these losses."""
+    """Return the errors and agreements of one take, by damage, with the feet held in each way."""
     errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
-    for damage, truth in ((WHOLE, sound), (LOST_FEET, lose_feet(sound, losses))):
-        if damage == LOST_FEET and not losses:
-            continue
-        results = {mode: clean_composed_take(truth, CleanOptions().change(feet=mode)) for mode in HELD_MODES}
+    for damage, truth in damaged.items():
+        results = {mode: clean_composed_take(truth, CleanOptions().change(feet=mode)) for mode in modes}
         agreements.append(compare_contacts(name, damage, truth, results[FEET_OFF]))
-        errors += [compute_held_errors(name, damage, truth, results, mode) for mode in HELD_MODES]
+        errors += [compute_held_errors(name, damage, truth, results, mode) for mode in modes]
     return errors, agreements
 
 
@@ -306,7 +372,7 @@ class PlateAgreement:
 
 
 def measure_plate_events(
-    captures: Path, report_progress: Callable[[str], None] = lambda _: None
+    captures: Path, report_progress: ProgressCallback = lambda _: None
 ) -> tuple[list[PlateEventError], list[PlateAgreement]]:
     """Return the errors of events and the agreement of frames, for every C3D file in a folder that has usable loads.
 
@@ -375,10 +441,8 @@ def compare_events(capture: str, load: PlateContact, contacts: BodyContacts) -> 
         if np.isnan(time_s):
             continue
         late_s = [each.time_s - time_s for each in contacts.events if (each.side, each.kind) == (load.side, kind)]
-        nearest_s = min(late_s, key=abs, default=np.nan)
-        errors.append(
-            PlateEventError(capture, load.side, kind, 1e3 * nearest_s if abs(nearest_s) <= MAX_EVENT_ERROR_S else np.nan)
-        )
+        nearest_s = min((each for each in late_s if abs(each) <= MAX_EVENT_ERROR_S), key=abs, default=np.nan)
+        errors.append(PlateEventError(capture, load.side, kind, 1e3 * nearest_s))
     return errors
 
 
@@ -391,16 +455,11 @@ def compare_frames(capture: str, load: PlateContact, result: "CleaningResult") -
     is_judged = (frame_s >= strike_s - JUDGED_MARGIN_S) & (frame_s <= off_s + JUDGED_MARGIN_S)
     is_loaded = (frame_s >= strike_s) & (frame_s <= off_s)
     found = {"events": find_contact_between_events(contacts, load.side), "height and speed": apply_simple_rule(result, load.side)}
-    return [
-        PlateAgreement(
-            capture,
-            method,
-            int(is_loaded[is_judged].sum()),
-            int(is_found[is_judged].sum()),
-            int((is_loaded & is_found)[is_judged].sum()),
-        )
+    counts = {
+        method: [int(each[is_judged].sum()) for each in (is_loaded, is_found, is_loaded & is_found)]
         for method, is_found in found.items()
-    ]
+    }
+    return [PlateAgreement(capture, method, *each) for method, each in counts.items()]
 
 
 def find_contact_between_events(contacts: BodyContacts, side: str) -> Bool[np.ndarray, " T"]:
@@ -455,6 +514,10 @@ def summarise_contacts(
         damage: compute_agreement(rows) | {"mean f1 of takes": float(np.mean([row.f1 for row in rows]))}
         for damage, rows in by_damage.items()
     }
+    kinds = sorted({each.kind for each in agreements} - {COMPOSED_KIND})
+    for damage, rows in by_damage.items() if kinds else ():
+        by_kind = {kind: summarise_kind([each for each in rows if each.kind == kind], errors) for kind in kinds}
+        tables[f"{damage}, feet locked"] = by_kind
     tables["plate events"] = {}
     for kind in dict.fromkeys(each.kind for each in events):
         late_ms = np.array([each.error_ms for each in events if each.kind == kind])
@@ -465,6 +528,15 @@ def summarise_contacts(
     methods = dict.fromkeys(each.method for each in frames)
     tables["plate frames"] = {name: compute_agreement([each for each in frames if each.method == name]) for name in methods}
     return {name: table for name, table in tables.items() if table}
+
+
+def summarise_kind(rows: Sequence[ContactAgreement], errors: Sequence[HeldFeetErrors]) -> dict[str, Any]:
+    """Return how the contacts of takes of one kind and damage agree with the truth, and how feet slide that are locked."""
+    takes = {(each.take, each.damage) for each in rows}
+    locked = average_errors([each for each in errors if (each.take, each.damage) in takes and each.mode == FEET_LOCK])
+    worst = min((each for each in rows if each.true_frames), key=lambda each: each.f1, default=rows[0])
+    slides = {name: locked[name] for name in ("slide_mm_s", "true_slide_mm_s", "drift_mm")}
+    return {"takes": len(rows), "f1": compute_agreement(rows)["f1"], "worst_f1": worst.f1, "worst_take": worst.take} | slides
 
 
 def compute_agreement(rows: Sequence[ContactAgreement | PlateAgreement]) -> dict[str, float]:

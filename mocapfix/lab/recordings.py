@@ -62,6 +62,7 @@ class Recording:
     rate_hz: float
     root_position: np.ndarray  # (T, 3) of the root in metres, in the world
     source: RecordingSource = UNKNOWN_SOURCE  # where the recording comes from, as far as it is known
+    bones: np.ndarray | None = None  # (31, 3) metres: the offsets of the subject's joints, where they are known
 
 
 def compute_frame_step(rate_hz: float) -> int:
@@ -101,7 +102,8 @@ def read_shard_recordings(path: Path) -> Iterator[Recording]:
             if "euler" not in shard or "approx" in path.name:
                 return
             euler, root, trials, starts = shard["euler"], shard["root"], shard["trial"], shard["start"]
-        joints = tuple(json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))["joints"])
+        skeletons = json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))
+        joints = tuple(skeletons["joints"])
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
     if joints != load_cmu31_body().skeleton.names or euler.shape[1:] != (len(joints), 3) or root.shape != (len(euler), 3):
@@ -111,7 +113,10 @@ def read_shard_recordings(path: Path) -> Iterator[Recording]:
         rotations = Rotation.from_euler("ZYX", angles.reshape(-1, 3) / 32767 * 180, degrees=True).as_matrix()
         subject, root_position = str(name).split("_")[0], SHARD_LENGTH_UNIT_M * position.astype(float)
         local, source = rotations.reshape(*angles.shape, 3), sources.get(str(name), UNKNOWN_SOURCE)
-        yield Recording(str(name), subject, local, TRAINING_RATE_HZ, root_position, source)
+        person = skeletons.get("skeletons", {}).get(subject, {})
+        offsets = person.get("offsets_asf") or person.get("offsets")
+        bones = SHARD_LENGTH_UNIT_M * np.array(offsets) if offsets else None
+        yield Recording(str(name), subject, local, TRAINING_RATE_HZ, root_position, source, bones)
 
 
 SMPL_SIDE_JOINTS = {

@@ -6,7 +6,6 @@ system. In both cases the body is drawn with asymmetric bones, sliding skin and 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
@@ -34,7 +33,6 @@ from mocapfix.solve.pose_problem import build_motion_problem, change_all_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import SyntheticTake, compose_take, draw_subject, simulate_markers
 
-CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases
 SOUND_TAKE_RATE_HZ = 120.0
 SOUND_TAKE_DURATION_S = 20.0  # of a longer recording the beginning is used
 MIN_RECORDING_S = 8.0  # shorter recordings are not used
@@ -46,6 +44,7 @@ class PerformedMotion(NamedTuple):
     motion: Motion
     rate_hz: float
     name: str
+    bones: Float[np.ndarray, "J 3"] | None = None  # metres: the offsets of the person's joints, where they are known
 
 
 def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator[tuple[str, SyntheticTake]]:
@@ -71,18 +70,11 @@ def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator
 
 def read_performed_motions(path: Path) -> Iterator[PerformedMotion]:
     """Yield the recordings of a shard without jumps, with root positions. Raises ReadError if the file is not a shard."""
-    joint_names = load_cmu31_body().skeleton.names
-    try:
-        with np.load(path) as shard:
-            root_positions = np.split(CMU_UNIT_M * shard["root"].astype(float), shard["start"][1:])
-        json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, KeyError) as error:
-        raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
-    is_observed = ~find_weakly_observed_joints(joint_names)
-    for recording, root_position in zip(read_shard_recordings(path), root_positions, strict=True):
+    is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
+    for recording in read_shard_recordings(path):
         kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
-        motion = build_known_motion(root_position[kept], recording.rotations[kept])
-        yield PerformedMotion(motion, recording.rate_hz, recording.name)
+        motion = build_known_motion(recording.root_position[kept], recording.rotations[kept])
+        yield PerformedMotion(motion, recording.rate_hz, recording.name, recording.bones)
 
 
 def remove_damage(truth: SyntheticTake) -> SyntheticTake:
@@ -91,20 +83,24 @@ def remove_damage(truth: SyntheticTake) -> SyntheticTake:
     return replace(truth, damaged_positions=truth.marker_positions, missing_mask=empty, spike_mask=empty)
 
 
-def choose_performances(performances: list[PerformedMotion], take_count: int) -> list[PerformedMotion]:
+def choose_performances(
+    performances: list[PerformedMotion], take_count: int, shortest_s: float = MIN_RECORDING_S
+) -> list[PerformedMotion]:
     """Return at most `take_count` recordings that are long enough: first the longest of every subject, then the second
     longest.
     """
     ranked: list[tuple[int, PerformedMotion]] = []
     for _, group in groupby(performances, lambda performance: performance.name.split("_")[0]):
         by_duration = sorted(group, key=lambda performance: -_compute_duration_s(performance))
-        ranked += [(rank, each) for rank, each in enumerate(by_duration) if _compute_duration_s(each) >= MIN_RECORDING_S]
+        ranked += [(rank, each) for rank, each in enumerate(by_duration) if _compute_duration_s(each) >= shortest_s]
     return [performance for _, performance in sorted(ranked, key=lambda pair: pair[0])][:take_count]
 
 
-def perform_take(performance: PerformedMotion, rng: np.random.Generator) -> SyntheticTake:
-    """Return the recording as a take of a random subject with the same joint rotations."""
+def perform_take(performance: PerformedMotion, rng: np.random.Generator, *, has_own_bones: bool = False) -> SyntheticTake:
+    """Return the recording as a take of a random subject with the same joint rotations; on other bones standing feet slide."""
     subject, motion = draw_subject(rng, asymmetric=True), resample_performance(performance)
+    if has_own_bones and performance.bones is not None:
+        subject = replace(subject, skeleton=replace(subject.skeleton, offsets=performance.bones))
     joint_positions, marker_positions = simulate_markers(rng, subject, motion, SOUND_TAKE_RATE_HZ)
     empty = np.zeros(marker_positions.shape[:2], bool)
     return SyntheticTake(

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from mocapfix.errors import ReadError
 from mocapfix.lab.contacts import (
+    GAPS,
     LOST_FEET,
     WHOLE,
     ContactAgreement,
@@ -13,7 +15,10 @@ from mocapfix.lab.contacts import (
     compute_drift,
     compute_largest_accelerations,
     compute_slide,
+    lose_feet,
     measure_take,
+    read_motion_kinds,
+    summarise_contacts,
 )
 from mocapfix.lab.sound_takes import remove_damage
 from mocapfix.synthetic import compose_take
@@ -63,7 +68,7 @@ def test_ratios_are_those_of_the_worst_take_and_errors_are_means():
 
 def test_holding_feet_of_a_composed_take():
     sound = remove_damage(compose_take(seed=1, seconds=6.0))
-    errors, agreements = measure_take("seed 1", sound, [FootLoss("left", 560, 640)])
+    errors, agreements = measure_take("seed 1", {WHOLE: sound, LOST_FEET: lose_feet(sound, [FootLoss("left", 560, 640)])})
     by_mode = {(each.damage, each.mode): each for each in errors}
     assert set(by_mode) == {(damage, mode) for damage in (WHOLE, LOST_FEET) for mode in ("off", "soft", "lock")}
     for damage in (WHOLE, LOST_FEET):
@@ -76,3 +81,27 @@ def test_holding_feet_of_a_composed_take():
             assert held.sink_mm < 0.1
     assert by_mode[LOST_FEET, "soft"].lost_fill_mm < by_mode[LOST_FEET, "off"].lost_fill_mm
     assert min(each.f1 for each in agreements) > 0.95
+
+
+def test_kinds_are_those_of_descriptions(tmp_path):
+    texts = {"1": "walk forward", "2": "run / jog", "3": "walk backwards", "4": "cartwheel", "5": "boxing", "6": "drink soda"}
+    rows = "".join(f'{trial},"{text}"\n' for trial, text in texts.items())
+    (tmp_path / "manifest.csv").write_text(f"trial,description\n{rows}", encoding="utf-8")
+    kinds = read_motion_kinds(tmp_path / "manifest.csv")
+    assert list(kinds.values()) == ["walk", "run", "backwards", "acrobatics", "martial arts", "stand"]
+    with pytest.raises(ReadError, match=r"none\.csv: is not a table of trials"):
+        read_motion_kinds(tmp_path / "none.csv")
+
+
+def test_the_table_by_kind_pools_frames_and_names_the_worst_take():
+    good, bad = (ContactAgreement(name, GAPS, 100, 100, common, "walk") for name, common in (("a", 100), ("b", 40)))
+    errors = [
+        HeldFeetErrors(name, GAPS, mode, slide, 3.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, np.nan)
+        for name, slide in (("a", 10.0), ("b", 20.0), ("c", 90.0))
+        for mode in ("lock", "off")
+    ]
+    table = summarise_contacts(errors, [good, bad, ContactAgreement("c", GAPS, 1, 0, 0, "run")], [], [])["gaps, feet locked"]
+    assert table["walk"] == {
+        "takes": 2, "f1": 0.7, "worst_f1": 0.4, "worst_take": "b", "slide_mm_s": 15.0, "true_slide_mm_s": 3.0, "drift_mm": 1.0
+    }  # fmt: skip
+    assert list(table) == ["run", "walk"]

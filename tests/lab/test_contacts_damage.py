@@ -11,6 +11,7 @@ from mocapfix.lab.contacts import (
     find_all_true_contacts,
     find_foot_markers,
     lose_feet,
+    lose_markers,
 )
 from mocapfix.lab.sound_takes import remove_damage
 from mocapfix.synthetic import compose_take
@@ -45,3 +46,19 @@ def test_all_markers_of_a_foot_are_lost_and_no_other():
     assert damaged.missing_mask[100:161, columns].all()
     assert np.isnan(damaged.damaged_positions[damaged.missing_mask]).all()
     assert not TRUTH.missing_mask.any()
+
+
+def test_feet_can_be_lost_at_any_time():
+    losses = [loss for seed in range(5) for loss in draw_foot_losses(TRUTH, np.random.default_rng(seed), at_any_time=True)]
+    is_contact = find_all_true_contacts(TRUTH)
+    feet = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
+    assert any(not is_contact[first : last + 1, feet[side]].any(1).all() for side, first, last in losses)
+
+
+def test_gaps_take_all_markers_of_one_leg_together():
+    lost = lose_markers(TRUTH, np.random.default_rng(0)).missing_mask
+    joints = np.array(TRUTH.subject.skeleton.names)[TRUTH.subject.joints]
+    legs = [np.isin(joints, [side + joint for joint in ("UpLeg", "Leg", "Foot", "ToeBase")]) for side in ("Left", "Right")]
+    together = [lost[:, leg].all(1).sum() / TRUTH.rate for leg in legs]
+    assert sorted(round(each, 1) for each in together) == [0.0, 1.5]
+    assert 0.02 < lost.mean() < 0.12

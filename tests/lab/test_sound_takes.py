@@ -68,6 +68,13 @@ def test_performed_markers_have_skin_motion_and_noise():
     assert truth.rate == SOUND_TAKE_RATE_HZ
 
 
+def test_a_person_can_have_its_own_bones():
+    bones = 1.1 * load_cmu31_body().skeleton.offsets
+    truth = perform_take(swing()._replace(bones=bones), np.random.default_rng(0), has_own_bones=True)
+    np.testing.assert_array_equal(truth.subject.skeleton.offsets, bones)
+    assert (perform_take(swing()._replace(bones=bones), np.random.default_rng(0)).subject.skeleton.offsets != bones).any()
+
+
 def test_longest_recording_of_each_subject_comes_first():
     lengths = {"02_01": 9.0, "02_02": 12.0, "05_01": 8.5, "06_01": 3.0}
     chosen = choose_performances([swing(name, seconds) for name, seconds in lengths.items()], 9)
