@@ -86,7 +86,7 @@ PAGE_NAME = "index.html"
 PERCENT = 100
 REPORT_SUFFIX = "report.html"
 PICTURE_PATTERN = re.compile(
-    r'<svg class="moment" viewBox="[-\d ]+" role="img"><title>[^<>]*</title>(<path class="[a-z ]+" d="[-Mhlm\d ]*"/>)*</svg>'
+    r'<svg class="moment" viewBox="[-\d ]+" role="img"><title>[^<>]*</title>(<path class="[a-z ]+" d="[-LMhlm\d ]*"/>)*</svg>'
 )
 """what a picture in a record may contain: anybody who can write into the batch's folder can change it"""
 

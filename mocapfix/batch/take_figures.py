@@ -15,14 +15,11 @@ from jaxtyping import Bool, Float
 from pydantic import Field, NonNegativeFloat, NonNegativeInt
 
 from mocapfix.io.yaml_files import StrictModel
-from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
-from mocapfix.report.stick_figures import FigureView, find_worst_frame, fit_figure_view, select_shown_body
+from mocapfix.report.stick_figures import MAX_DRAWN_MARKERS, fit_figure_view, select_shown_body, trace_frame
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import predict_markers
-
-AXIS_COUNT = 3  # axes of a position, whose errors are alike: the predicted distance error is the root of their sum of squares
 
 
 class SubjectFigures(StrictModel):
@@ -40,9 +37,9 @@ class SubjectFigures(StrictModel):
     replaced: NonNegativeInt = 0
     relabelled: NonNegativeInt = 0
     fault_counts: dict[str, NonNegativeInt] = Field(default_factory=dict)  # number of faults by kind
-    # greatest predicted distance error of a filled or replaced sample; None without any
+    # that of the change that is predicted worst, as in the report; None without any
     worst_predicted_error_mm: NonNegativeFloat | None = None
-    # frame of that sample, else the one with the most empty or corrected ones; the file's frame number
+    # frame of its least certain sample, else the one with the most empty or corrected ones; the file's frame number
     worst_frame: int | None = None
     residual_mm: NonNegativeFloat | None = None  # mean distance of the markers from the body; None without a body
     picture_svg: str = ""  # small drawing of that frame for the session page
@@ -61,8 +58,7 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
 
     report, take = result.subject_report, result.input_take
     fill, solve = report["fill"], report["solve"]
-    frame = find_worst_moment(result) if take.visible.size else None
-    sample_sd = np.zeros(0) if result.take.sample_sd is None else result.take.sample_sd[np.isfinite(result.take.sample_sd)]
+    frame, worst = result.comparison.worst_moment if take.visible.size else (None, None)
     return SubjectFigures(
         subject=take.subject_name,
         marker_set=report["take"]["marker_set"],
@@ -76,7 +72,7 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
         replaced=fill["replaced"],
         relabelled=fill["relabelled"],
         fault_counts=dict(Counter(entry["kind"] for entry in report["faults"])),
-        worst_predicted_error_mm=round(float(AXIS_COUNT**0.5 * sample_sd.max()) * 1e3, 1) if len(sample_sd) else None,
+        worst_predicted_error_mm=worst.predicted_mm if worst else None,
         worst_frame=None if frame is None else take.get_frame_number(frame),
         residual_mm=solve["marker_residual_mm"]["mean"] if solve else None,
         picture_svg="" if frame is None else draw_worst_moment(result, frame),
@@ -87,20 +83,7 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
 
 MAX_TITLE_MARKERS = 4  # labels of lost markers in the title of a picture
 MAX_TITLE_LABEL_LENGTH = 24  # letters of a label in the title of a picture
-MAX_PICTURE_MARKERS = 200  # markers of one state in a picture
 CROSS_RADIUS_CM = 3  # half the width of the cross at a marker that stays empty
-
-
-def find_worst_moment(result: CleaningResult) -> int:
-    """Return the index of the frame with the least certain filled sample.
-
-    Without filled samples it is the frame with the most empty or corrected ones.
-    """
-    sample_sd = result.take.sample_sd
-    if sample_sd is not None and np.isfinite(sample_sd).any():
-        return int(np.argmax(np.where(np.isfinite(sample_sd), sample_sd, -1.0).max(axis=1)))
-    comparison = result.comparison
-    return find_worst_frame(comparison.sample_states, comparison.joint_position_world)
 
 
 def draw_worst_moment(result: CleaningResult, frame: int) -> str:
@@ -119,20 +102,11 @@ def draw_worst_moment(result: CleaningResult, frame: int) -> str:
     position = after.markers[frame].copy()
     if len(body):
         position[~shown] = _predict_positions(result, frame)[~shown]
-    content = ""
-    if comparison.skeleton is not None and len(body):
-        content += _draw_bones(view, comparison.skeleton, body)
-    estimated, empty = find_estimated_samples(outcome), ~shown
-    relabelled, suspect = outcome == SampleOutcome.RELABELLED, outcome == SampleOutcome.SUSPECT
-    groups = (
-        ("ok", shown & ~estimated & ~relabelled & ~suspect),
-        ("label", shown & relabelled),
-        ("filled", shown & estimated),
-        ("suspect", shown & suspect),
-    )
-    for css_class, mask in groups:
-        content += _draw_dots(css_class, view, position[mask])
-    content += _draw_crosses(view, position[empty])
+    estimated, suspect, empty = find_estimated_samples(outcome), outcome == SampleOutcome.SUSPECT, ~shown
+    paths = trace_frame(comparison, view, frame, digits=0).items()
+    classes = {name: name if name == "bones" else f"dot {name}" for name, _ in paths}
+    content = "".join(f'<path class="{classes[name]}" d="{path}"/>' for name, path in paths if path)
+    content += _draw_crosses(view.project_known(position[empty]))
     title = describe_moment(after, frame, (("estimated", estimated), ("faulty", suspect), ("empty", empty)))
     box = f"{int(left)} {int(top)} {int(width) + 1} {int(height) + 1}"
     return f'<svg class="moment" viewBox="{box}" role="img"><title>{escape(title)}</title>{content}</svg>'
@@ -162,29 +136,8 @@ def _predict_positions(result: CleaningResult, frame: int) -> Float[np.ndarray, 
     return position
 
 
-def _draw_bones(view: FigureView, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> str:
-    child = np.flatnonzero(skeleton.parents >= 0)
-    ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]])
-    starts, stops = (_round_positions(view, each) for each in ends[:, np.isfinite(ends).all(axis=(0, 2))])
-    lines = zip(starts, stops, strict=True)
-    path = "".join(f"M{a[0]} {a[1]}l{b[0] - a[0]} {b[1] - a[1]}" for a, b in lines if a != b)
-    return f'<path class="bones" d="{path}"/>' if path else ""
-
-
-def _draw_dots(css_class: str, view: FigureView, position: Float[np.ndarray, "N 3"]) -> str:
-    """Return the path of round dots: lines without length that have round ends."""
-    points = _round_positions(view, position[np.isfinite(position).all(axis=1)][:MAX_PICTURE_MARKERS])
-    path = "".join(f"M{x} {y}h0" for x, y in points)
-    return f'<path class="dot {css_class}" d="{path}"/>' if path else ""
-
-
-def _draw_crosses(view: FigureView, position: Float[np.ndarray, "N 3"]) -> str:
-    points = _round_positions(view, position[np.isfinite(position).all(axis=1)][:MAX_PICTURE_MARKERS])
+def _draw_crosses(points_cm: Float[np.ndarray, "N 3"]) -> str:
     r = CROSS_RADIUS_CM
-    path = "".join(f"M{x - r} {y - r}l{2 * r} {2 * r}m0-{2 * r}l-{2 * r} {2 * r}" for x, y in points)
+    shown = points_cm[:MAX_DRAWN_MARKERS]
+    path = "".join(f"M{x - r:.0f} {y - r:.0f}l{2 * r} {2 * r}m0-{2 * r}l-{2 * r} {2 * r}" for x, y, _ in shown)
     return f'<path class="lost" d="{path}"/>' if path else ""
-
-
-def _round_positions(view: FigureView, position_world: Float[np.ndarray, "*batch 3"]) -> list[list[int]]:
-    """Return the positions in the picture, right and down, in whole centimetres."""
-    return view.project_points(position_world)[..., :2].round().astype(int).tolist()

@@ -14,7 +14,7 @@ from rich.markup import escape
 
 from mocapfix.cli import console
 from mocapfix.cli.console import print_line, print_note, print_usage_error, show_progress
-from mocapfix.errors import MocapfixError, WriteError, describe_error
+from mocapfix.errors import MocapfixError, WriteError, describe_error, join_names
 from mocapfix.io.files import OUTPUT_FOLDER_SUFFIX, check_outputs_absent
 from mocapfix.model.system import count_cores
 from mocapfix.options import CleanOptions
@@ -165,6 +165,10 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     if accepted := [change["kind"] for change in changes if change["decision"] == "accept"]:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
+    made = [change for change in changes if change["decision"] == "accept" and change["predicted_mm"]]
+    for each in sorted(made, key=lambda change: -(change["predicted_mm"] or 0.0))[:1]:
+        what = f"{each['kind']} of {escape(join_names(each['markers']))}, frames {each['first']}-{each['last']}"
+        print_line(f"  predicted worst: {what}, {each['predicted_mm']} mm.")
     for line in describe_left_empty(fill):
         print_note(line)
     print_notes(report["notes"], "in the report")

@@ -217,7 +217,16 @@ def _measure_state(take: Take, samples: _SampleIndices, off_body_m: np.ndarray) 
 def _compute_predicted_error_mm(take: Take, samples: _SampleIndices) -> float | None:
     sample_sd = np.zeros(0) if take.sample_sd is None else take.sample_sd[samples]
     known = sample_sd[~np.isnan(sample_sd)]
-    return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None
+    return round(compute_distance_error_mm(known), 1) if len(known) else None
+
+
+def compute_distance_error_mm(sd_m: Float[np.ndarray, " N"]) -> float:
+    """Return the predicted error of N samples: the root mean square of the distance, which has three axes alike.
+
+    Args:
+        sd_m: The standard deviation of each per axis, in metres.
+    """
+    return float(np.sqrt(3 * (sd_m**2).mean())) * 1e3
 
 
 @dataclass(frozen=True)

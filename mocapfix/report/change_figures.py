@@ -348,7 +348,7 @@ class Figure:
 
 
 def select_worst_changes(comparison: CleaningComparison) -> list[tuple[Change, Fault]]:
-    """Return at most MAX_CHANGE_FIGURES applied changes, the worst first, including the worst of each kind.
+    """Return at most MAX_CHANGE_FIGURES applied changes, the worst first: the worst of each kind, of each event, then others.
 
     The worst has the largest product of duration and the sum of the errors, before and predicted; 1 rad counts as 1 m.
     """
@@ -359,11 +359,13 @@ def select_worst_changes(comparison: CleaningComparison) -> list[tuple[Change, F
         return (fault.last - fault.first + 1) * (error_before + (change.predicted_mm or 0.0) / 1e3)
 
     ordered = sorted(comparison.applied_changes, key=compute_weight, reverse=True)
-    first_of_kind: dict[str, int] = {}
-    for n, (change, _) in enumerate(ordered):
-        first_of_kind.setdefault(change.kind, n)
-    others = (n for n in range(len(ordered)) if n not in first_of_kind.values())
-    return [ordered[n] for n in sorted([*first_of_kind.values(), *others][:MAX_CHANGE_FIGURES])]
+    event_of = {id(change): n for n, event in enumerate(comparison.events) for change in event}
+    first_of: dict[str | int, int] = {}
+    for keys in ([change.kind for change, _ in ordered], [event_of[id(change)] for change, _ in ordered]):
+        for n, key in enumerate(keys):
+            first_of.setdefault(key, n)
+    chosen = list(dict.fromkeys((*first_of.values(), *range(len(ordered)))))
+    return [ordered[n] for n in sorted(chosen[:MAX_CHANGE_FIGURES])]
 
 
 def build_change_figure(comparison: CleaningComparison, change: Change, fault: Fault) -> Figure:

@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mocapfix.errors import join_names
 from mocapfix.io.files import replace_atomically
+from mocapfix.model.changes import Change, compute_distance_error_mm
 from mocapfix.model.faults import MISSING_KINDS
 from mocapfix.model.take import Take
 from mocapfix.report.change_figures import (
@@ -26,6 +28,7 @@ from mocapfix.report.change_figures import (
     select_worst_changes,
 )
 from mocapfix.report.contact_sheet import ContactSheet
+from mocapfix.report.notes import MAX_RELIABLE_FILL_SD_M
 from mocapfix.report.report import ErrorSummary, Report, SolveSection
 from mocapfix.report.sample_states import (
     AMBER,
@@ -37,10 +40,9 @@ from mocapfix.report.sample_states import (
     SampleOutcome,
     classify_input_samples,
     find_estimated_samples,
-    group_changes,
 )
-from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
-from mocapfix.report.terms import FAULT_GROUPS, format_frame_range, format_number, get_fault_group
+from mocapfix.report.stick_figures import CM_PER_M, build_moving_figure, draw_stick_figures
+from mocapfix.report.terms import FAULT_GROUPS, format_fault_counts, format_frame_range, format_number, get_fault_group
 from mocapfix.report.timeline import build_contact_part, build_fault_rows, build_residual_plot, build_time_ticks
 
 PAGE_COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "blue": BLUE}
@@ -58,7 +60,7 @@ def _load_environment() -> Environment:
     environment: Any = Environment(
         loader=PackageLoader("mocapfix.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    for function in (describe_change, format_frame_range, format_number, format_severity):
+    for function in (describe_change, describe_decision, describe_event, format_frame_range, format_number, format_severity):
         environment.globals[function.__name__] = function
     return environment
 
@@ -82,7 +84,8 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
     notes = [("Note", note) for note in report["notes"]]
-    events = group_changes(comparison.changes, comparison.cleaned_take.labels, comparison.cleaned_take.markers)
+    frame, worst = comparison.worst_moment
+    moving = build_moving_figure(comparison, frame, worst.markers if worst else ())
     review_file, name = f"{take.output_stem}.changes.yaml", take.path.name if take.path else "TAKE"
     write_page(
         target,
@@ -93,7 +96,9 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         terms=comparison.terms,
         facts=_build_facts(report, comparison),
         answers=[(question, describe(report, comparison)) for question, describe in answers] + notes,
-        worst_frame=_describe_worst_frame(comparison),
+        worst_moment=_describe_worst_moment(comparison),
+        moving_svg=moving[0],
+        moving=moving[1],
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
         sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
         frame_count=take.frame_count,
@@ -103,7 +108,8 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         contacts=build_contact_part(report.get("contacts"), comparison.contacts, take, comparison.terms),
         take=take,
-        changes=[(n, each) for n, event in enumerate(events, 1) for each in event],
+        events=comparison.events,
+        change_count=len(comparison.changes),
         unchanged=[fault for fault in comparison.unchanged_faults if fault.kind not in MISSING_KINDS],
         review_file=review_file,
         review_command=shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]),
@@ -131,6 +137,8 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
         (f"{fill['replaced']:,}", f"faulty {samples} replaced"),
         (f"{fill['left_empty']:,}", f"{samples} left empty"),
     ]
+    if worst := comparison.worst_moment[1]:
+        facts.insert(3, (f"{format_number(worst.predicted_mm)} mm", "predicted error of the worst change"))
     if fill["relabelled"]:
         facts.insert(1, (f"{fill['relabelled']:,}", f"{samples} relabelled"))
     if solve is not None:
@@ -140,24 +148,45 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
     return facts
 
 
-def _describe_worst_frame(comparison: CleaningComparison) -> tuple[str, Figure, Figure]:
-    """Return which frame has the most corrections, and it before and after, with the affected markers in the captions."""
+def _describe_worst_moment(comparison: CleaningComparison) -> tuple[str, Figure, Figure]:
+    """Return which moment is the worst, and its frame before and after, with the affected markers in the captions."""
     before, after, points = comparison.input_take, comparison.cleaned_take, comparison.terms.points
-    frame = find_worst_frame(comparison.sample_states, comparison.joint_position_world)
+    frame, worst = comparison.worst_moment
+    what = "It has the most corrections." if comparison.changes else "Nothing was corrected."
+    if worst:
+        number = next(n for n, event in enumerate(comparison.events, 1) if worst in event)
+        change = f"{worst.kind} of {join_names(worst.markers)}, frames {format_frame_range(worst.first, worst.last)}"
+        error = f"{format_number(worst.predicted_mm)} mm (root mean square over the change)"
+        what = f"The least certain estimate of the change that is predicted worst: {change}, event {number}: {error}."
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
-    text_before = _list_markers("missing", input_state == SampleOutcome.EMPTY, before)
+    is_marker = ~np.isin(np.arange(len(outcome)), list(comparison.fragments_by_donor))  # a donor is a piece of another marker
+    text_before = _list_markers("missing", is_marker & (input_state == SampleOutcome.EMPTY), before)
     text_before += _list_markers("faulty (red)", input_state == SampleOutcome.SUSPECT, before)
     text_before += _list_markers("under another label (violet)", input_state == SampleOutcome.RELABELLED, before)
     text_after = _list_markers("estimated (green)", find_estimated_samples(outcome), after)
     text_after += _list_markers("relabelled (violet)", outcome == SampleOutcome.RELABELLED, after)
-    text_after += _list_markers("left empty", outcome == SampleOutcome.EMPTY, after)
+    text_after += _list_markers("left empty", is_marker & (outcome == SampleOutcome.EMPTY), after)
     svg_before, svg_after = draw_stick_figures(comparison, frame)
     return (
-        f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first.",
+        f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first. {what}",
         Figure(svg_before, "Before:", text_before or f"all {points} are visible"),
         Figure(svg_after, "After:", text_after or "no corrections"),
     )
+
+
+def describe_event(event: Sequence[Change]) -> str:
+    """Return the kinds of the changes of an event, and their markers."""
+    labels = dict.fromkeys(label for change in event for label in change.markers)
+    return f"{format_fault_counts(change.kind for change in event)}: {join_names(list(labels))}"
+
+
+def describe_decision(change: Change) -> str:
+    """Return what became of a change; one whose estimate is unreliable is not called accepted."""
+    limit_mm = compute_distance_error_mm(np.array([MAX_RELIABLE_FILL_SD_M]))
+    is_unreliable = change.predicted_mm is not None and change.predicted_mm > limit_mm
+    made = "made, unreliable: review it" if is_unreliable else "made"
+    return {"accept": made, "reject": "rejected", "keep": "kept as measured"}[change.decision]
 
 
 def _list_markers(state: str, mask: Bool[np.ndarray, " M"], take: Take) -> str:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
 from mocapfix.model.body_fit import BodyFit, RememberedGap
+from mocapfix.model.changes import compute_distance_error_mm
 from mocapfix.model.detected import Detected
 from mocapfix.model.faults import (
     EXTERNAL_FILL_KINDS,
@@ -272,7 +273,7 @@ def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERM
         return []
     order = [m for m in np.argsort(-uncertain.sum(0), kind="stable") if uncertain[:, m].any()]
     labels = format_name_list([cleaned_take.labels[m] for m in order])
-    limit = f"a predicted standard deviation above {_format_mm(MAX_RELIABLE_FILL_SD_M)}"
+    limit = f"a predicted error above {compute_distance_error_mm(np.array([MAX_RELIABLE_FILL_SD_M])):.0f} mm"
     return [f"{uncertain.sum()} filled {terms.samples} are unreliable, with {limit}: {labels}."]
 
 

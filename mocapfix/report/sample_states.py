@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, Integer
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.model.changes import Change, list_affected_markers
-from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment, FrameInterval, build_fault_mask
+from mocapfix.model.faults import REPLACED_SAMPLE_KINDS, Decision, Fault, Faults, Fragment, FrameInterval, build_fault_mask
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.model.windows import iterate_blocks
@@ -112,6 +112,16 @@ class ChangedInterval(FrameInterval, Protocol):
         """The labels of its markers."""
         ...
 
+    @property
+    def predicted_mm(self) -> float | None:
+        """Its predicted error; None if nothing was estimated."""
+        ...
+
+    @property
+    def decision(self) -> Decision:
+        """Whether it is made."""
+        ...
+
 
 ChangeT = TypeVar("ChangeT", bound=ChangedInterval)
 # Two changes are of one event if they have at least this share of their frames in common, and the median distance of a marker of
@@ -120,6 +130,15 @@ ChangeT = TypeVar("ChangeT", bound=ChangedInterval)
 MIN_EVENT_OVERLAP = 0.5
 MAX_EVENT_DISTANCE_M = 0.35
 MAX_EVENT_FRAMES = 50  # in which distances are measured
+
+
+def find_worst_change(changes: Iterable[ChangeT]) -> ChangeT | None:
+    """Return the change with the largest predicted error of those that are made; None without a prediction.
+
+    Its error is the worst prediction of the take on all pages, in the tables, and on the terminal.
+    """
+    made = (each for each in changes if each.decision == "accept" and each.predicted_mm is not None)
+    return max(made, key=lambda each: each.predicted_mm or 0.0, default=None)
 
 
 def group_changes(
@@ -199,10 +218,40 @@ class CleaningComparison:
         return [(change, fault) for change, fault in self._change_fault_pairs if change.decision == "accept"]
 
     @cached_property
+    def events(self) -> list[tuple[Change, ...]]:
+        """The events of all changes, the event and in it the change with the largest predicted error first."""
+        worst_first = sorted(self.changes, key=lambda change: -(change.predicted_mm or 0.0))
+        rank = {id(change): n for n, change in enumerate(worst_first)}
+        events = group_changes(self.changes, self.cleaned_take.labels, self.cleaned_take.markers)
+        return sorted((tuple(sorted(each, key=lambda x: rank[id(x)])) for each in events), key=lambda each: rank[id(each[0])])
+
+    @cached_property
+    def worst_moment(self) -> tuple[int, Change | None]:
+        """The frame of the least certain sample of the change that is predicted worst, and this change.
+
+        Without a prediction it is the frame with the most estimated or relabelled markers, then the most empty ones, and None.
+        Frames without a body are excluded if there are others. Of several equal frames the middle one is taken.
+        """
+        worst, sd_m = find_worst_change(change for change, _ in self.applied_changes), self.cleaned_take.sample_sd
+        if worst is not None and sd_m is not None:
+            fault = next(fault for change, fault in self.applied_changes if change is worst)
+            part = sd_m[fault.frame_slice, list_affected_markers(fault, sd_m.shape[1])]
+            return fault.first + int(np.where(np.isfinite(part), part, -1.0).max(axis=1).argmax()), worst
+        states, joints = self.sample_states, self.joint_position_world
+        corrected = find_estimated_samples(states) | (states == SampleOutcome.RELABELLED)
+        score = corrected.sum(axis=1) * (states.shape[1] + 1) + (states == SampleOutcome.EMPTY).sum(axis=1)
+        if joints is not None:
+            is_known = ~np.isnan(joints[..., 0])
+            score = np.where(is_known[:, is_known.any(0)].all(1), score, -1)
+        frames = np.flatnonzero(score == score.max())
+        return int(frames[len(frames) // 2]), None
+
+    @cached_property
     def unchanged_faults(self) -> list[Fault]:
-        """Faults without a change, neither applied nor declined."""
-        paired = {id(fault) for _, fault in self._change_fault_pairs}
-        return [fault for fault in self.faults.items if id(fault) not in paired]
+        """Faults without a change, neither applied nor declined; not those of segments of which all gaps are filled."""
+        paired, visible = {id(fault) for _, fault in self._change_fault_pairs}, self.cleaned_take.visible
+        others = [fault for fault in self.faults.items if id(fault) not in paired]
+        return [x for x in others if x.kind != "segment lost" or not visible[x.frame_slice, list(x.markers)].all()]
 
     def find_affected_trajectories(self, fault: Fault) -> list[int]:
         """Return the indices of the trajectories that a fault affects: markers first, then unlabelled trajectories."""

@@ -1,7 +1,9 @@
 """SVG stick figures of one frame, before and after cleaning, in front of the body, from one side and slightly above."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,21 +20,10 @@ FLOOR_TILE_SIZE_M = 0.5
 FLOOR_TILES_PER_SIDE = 2  # on each side of the body
 CM_PER_M = 100
 MARKER_RADIUS_CM = 2
+MAX_DRAWN_MARKERS = 200  # of one state, in pictures of the session page and in a moving figure
+MOVING_REACH_S = 1.0  # played before and after the worst moment
+MAX_MOVING_RATE_HZ = 30.0  # of the frames that are played
 MIN_DIRECTION_LENGTH = 1e-9  # shorter level directions are replaced by the world's X axis
-
-
-def find_worst_frame(sample_states: Int[np.ndarray, "T M"], joint_position_world: Float[np.ndarray, "T J 3"] | None) -> int:
-    """Return the frame with the most estimated or relabelled markers, then the most empty ones.
-
-    Frames without a body are excluded if there are others. Of several equal frames the middle one is returned.
-    """
-    corrected = find_estimated_samples(sample_states) | (sample_states == SampleOutcome.RELABELLED)
-    score = corrected.sum(axis=1) * (sample_states.shape[1] + 1) + (sample_states == SampleOutcome.EMPTY).sum(axis=1)
-    if joint_position_world is not None:
-        is_known = ~np.isnan(joint_position_world[..., 0])
-        score = np.where(is_known[:, is_known.any(0)].all(1), score, -1)
-    worst = np.flatnonzero(score == score.max())
-    return int(worst[len(worst) // 2])
 
 
 def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
@@ -46,12 +37,50 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
     body = select_shown_body(comparison, frame)
     view = fit_figure_view(comparison, frame, body)
     floor = view.draw_floor()
-    bones = view.draw_bones(skeleton, body) if skeleton is not None and len(body) else ""
+    bones = _draw_lines("bones", view.list_bones(skeleton, body)) if skeleton is not None and len(body) else ""
     points = comparison.terms.points
     return (
         view.render_svg(floor + view.draw_markers(before.markers[frame], input_state, before.labels), f"{points} before"),
         view.render_svg(floor + bones + view.draw_markers(after.markers[frame], outcome, after.labels), f"{points} after"),
     )
+
+
+def build_moving_figure(comparison: CleaningComparison, frame: int, chosen: Sequence[str]) -> tuple[Markup, dict[str, Any]]:
+    """Return a picture of the cleaned take in a frame, with rings around the chosen markers, and what a script plays in it.
+
+    That is the frames up to MOVING_REACH_S before and after: their rate, their numbers in the file, the SVG paths of each by CSS
+    class, and the index of the one that is shown first.
+    """
+    after, joints = comparison.cleaned_take, comparison.joint_position_world
+    step, reach = max(1, round(after.rate / MAX_MOVING_RATE_HZ)), round(MOVING_REACH_S * after.rate)
+    frames = list(range(frame - min(frame, reach) // step * step, min(after.frame_count, frame + reach + 1), step))
+    view, ring = fit_figure_view(comparison, frame, select_shown_body(comparison, frame)), np.isin(after.labels, chosen)
+    shown = np.concatenate([after.markers[frames], *([] if joints is None else [joints[frames]])], axis=1).reshape(-1, 3)
+    view = view.fit_points(shown) if np.isfinite(shown).any() else view
+    rings = [{"ring": _join_dots(view.project_known(after.markers[t, ring]), 1)} for t in frames]
+    paths = [each | trace_frame(comparison, view, t) for each, t in zip(rings, frames, strict=True)]
+    content = "".join(f'<path class="{name}" d="{path}"/>' for name, path in paths[frames.index(frame)].items())
+    svg = view.render_svg(view.draw_floor() + content, f"{comparison.terms.points} after, moving")
+    numbers = [after.get_frame_number(t) for t in frames]
+    return svg, {"rate": after.rate / step, "numbers": numbers, "paths": paths, "index": frames.index(frame)}
+
+
+def trace_frame(comparison: CleaningComparison, view: "FigureView", frame: int, digits: int = 1) -> dict[str, str]:
+    """Return the SVG paths of a frame after cleaning by CSS class: the bones, and dots at the samples of each state.
+
+    Faulty samples are shown where they were measured.
+    """
+    marker, state = comparison.cleaned_take.markers[frame], comparison.sample_states[frame]
+    body, estimated = select_shown_body(comparison, frame), find_estimated_samples(state)
+    relabelled, suspect = (state == each for each in (SampleOutcome.RELABELLED, SampleOutcome.SUSPECT))
+    bones = view.list_bones(comparison.skeleton, body) if comparison.skeleton is not None and len(body) else ()
+    dots = {
+        "suspect": comparison.input_take.markers[frame, suspect | (state == SampleOutcome.REPLACED)],
+        "measured": marker[~estimated & ~relabelled & ~suspect],
+        "relabelled": marker[relabelled],
+        "filled": marker[estimated],
+    }
+    return {"bones": _join_lines(bones, digits)} | {k: _join_dots(view.project_known(each), digits) for k, each in dots.items()}
 
 
 def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.ndarray, "J 3"]:
@@ -73,6 +102,16 @@ class FigureView:
         """Project points in metres to centimetres: right, down and towards the viewer."""
         return (position_world @ self.rotation_view_world.T) * [CM_PER_M, -CM_PER_M, CM_PER_M]
 
+    def project_known(self, position_world: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "n 3"]:
+        """Project those points that are known."""
+        return self.project_points(position_world[np.isfinite(position_world).all(axis=1)])
+
+    def fit_points(self, position_world: Float[np.ndarray, "N 3"]) -> "FigureView":
+        """Return the view whose picture contains those points that are known."""
+        points, margin_cm = self.project_known(position_world)[:, :2], CM_PER_M * STICK_FIGURE_MARGIN_M
+        (left, top), (width, height) = points.min(axis=0) - margin_cm, np.ptp(points, axis=0) + 2 * margin_cm
+        return replace(self, box_cm=(float(left), float(top), float(width), float(height)))
+
     def render_svg(self, content: str, name: str) -> Markup:
         box = " ".join(f"{side:.1f}" for side in self.box_cm)
         return Markup(f'<svg class="figure" viewBox="{box}" role="img" aria-label="{name}">{content}</svg>')
@@ -83,10 +122,11 @@ class FigureView:
         lines = [[(s, 0, -end), (s, 0, end)] for s in steps] + [[(-end, 0, s), (end, 0, s)] for s in steps]
         return _draw_lines("floor", self.project_points(self.ground_position_world + np.array(lines)))
 
-    def draw_bones(self, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> str:
+    def list_bones(self, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "N 2 3"]:
+        """Return the ends of the known bones in the picture."""
         child = np.flatnonzero(skeleton.parents >= 0)
         ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]], axis=1)
-        return _draw_lines("bones", self.project_points(ends[np.isfinite(ends).all(axis=(1, 2))]))
+        return self.project_points(ends[np.isfinite(ends).all(axis=(1, 2))])
 
     def draw_markers(
         self, marker_position: Float[np.ndarray, "M 3"], sample_states: Int[np.ndarray, " M"], labels: tuple[str, ...]
@@ -105,8 +145,16 @@ class FigureView:
 
 
 def _draw_lines(css_class: str, lines_cm: Float[np.ndarray, "N 2 3"]) -> str:
-    path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in lines_cm)
-    return f'<path class="{css_class}" d="{path}"/>'
+    return f'<path class="{css_class}" d="{_join_lines(lines_cm)}"/>'
+
+
+def _join_lines(lines_cm: Iterable[Float[np.ndarray, "2 3"]], digits: int = 1) -> str:
+    return "".join(f"M{a[0]:.{digits}f} {a[1]:.{digits}f}L{b[0]:.{digits}f} {b[1]:.{digits}f}" for a, b in lines_cm)
+
+
+def _join_dots(points_cm: Float[np.ndarray, "N 3"], digits: int) -> str:
+    """Return the SVG path of dots: lines without length, which have round ends."""
+    return "".join(f"M{x:.{digits}f} {y:.{digits}f}h0" for x, y, _ in points_cm[:MAX_DRAWN_MARKERS])
 
 
 def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: Float[np.ndarray, "J 3"]) -> FigureView:
@@ -131,10 +179,7 @@ def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: 
     ground = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
     stray = input_position[np.isfinite(input_position).all(axis=1)]
     stray = np.clip(stray, low - MAX_DRAWN_STRAY_DISTANCE_M, high + MAX_DRAWN_STRAY_DISTANCE_M)
-    projected = FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0)).project_points(np.concatenate([points, stray]))[:, :2]
-    left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
-    width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
-    return FigureView(axes, ground, (float(left), float(top), float(width), float(height)))
+    return FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0)).fit_points(np.concatenate([points, stray]))
 
 
 def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.errors import join_words
@@ -17,7 +17,7 @@ from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.options import FEET_LOCK, FEET_OFF, FEET_SOFT
 from mocapfix.report.report import ContactSection
-from mocapfix.report.sample_states import CleaningComparison, SampleOutcome
+from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, find_estimated_samples
 from mocapfix.report.terms import PointTerms, format_number, get_fault_group
 from mocapfix.stats.sequences import find_runs
 
@@ -67,23 +67,30 @@ def build_fault_rows(comparison: CleaningComparison) -> list[TimelineRow]:
     take, applied = comparison.input_take, {id(fault) for _, fault in comparison.applied_changes}
     unused = {id(fault) for fault in comparison.unchanged_faults if fault.kind == "fragment"}
     states, bars = comparison.sample_states, defaultdict[int, list[TimelineBar]](list)
-    is_left = (states == SampleOutcome.EMPTY) | (states == SampleOutcome.SUSPECT)
     for fault in (fault for fault in comparison.faults.items if id(fault) not in unused):
         for m in (m for m in fault.markers if m < len(take.labels)):
-            bars[m] += _build_bars(fault, is_left[fault.frame_slice, m], id(fault) in applied)
+            bars[m] += _build_bars(fault, states[fault.frame_slice, m], id(fault) in applied)
     for donor, fragments in comparison.fragments_by_donor.items():
         for each in fragments:
             bars[donor].append(TimelineBar("label", each.first, each.last, f"Joined to {take.get_label(each.marker)}."))
     return [TimelineRow(take.get_label(m), tuple(_merge_near_bars(bars[m], take.frame_count))) for m in sorted(bars)]
 
 
-def _build_bars(fault: Fault, is_left: Bool[np.ndarray, " N"], is_applied: bool) -> Iterator[TimelineBar]:
-    """Yield one bar for each corrected or unchanged interval of a fault; `is_left`: which of its N samples are not corrected."""
+def _build_bars(fault: Fault, states: Int[np.ndarray, " N"], is_applied: bool) -> Iterator[TimelineBar]:
+    """Yield one bar for each corrected or unchanged interval of a fault.
+
+    What became of missing and faulty samples follows from their N states, not from the fault: the fault of a segment is that of
+    gaps which are filled, and has no change of its own.
+    """
     group = get_fault_group(fault.kind)
-    if not is_applied or group not in ("missing", "faulty") or not is_left.any():
+    if group not in ("missing", "faulty"):
         yield TimelineBar(group if is_applied else f"{group} left", fault.first, fault.last, fault.reason)
         return
-    for css_class, mask in ((group, ~is_left), (f"{group} left", is_left)):
+    is_left = np.isin(states, (SampleOutcome.EMPTY, SampleOutcome.SUSPECT, SampleOutcome.REASSIGNED))
+    is_corrected = find_estimated_samples(states) | (is_applied & ~is_left)
+    if group == "faulty":
+        is_left = ~is_corrected
+    for css_class, mask in ((group, is_corrected), (f"{group} left", is_left)):
         for first, last in find_runs(mask):
             yield TimelineBar(css_class, fault.first + first, fault.first + last, fault.reason)
 

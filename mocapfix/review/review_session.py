@@ -24,7 +24,7 @@ from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
 from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
 from mocapfix.output_formats import get_file_version
-from mocapfix.report.sample_states import group_changes
+from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
 from mocapfix.stats.sequences import find_runs
 
@@ -484,12 +484,12 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
         return entry | {"error": str(error)}
     state = take_files.determine_state(file, approval, revision)
     approved = approval if state == "approved" else None
-    predicted = [change.predicted_mm for change in file.changes if change.predicted_mm is not None]
+    worst = find_worst_change(file.changes)
     return entry | {
         "state": state,
         "change_count": len(file.changes),
         "reviewed_count": sum(change.reviewed for change in file.changes),
-        "worst_mm": max(predicted, default=None),
+        "worst_mm": worst.predicted_mm if worst else None,
         "approved_by": approved.name if approved else "",
         "approved_at": approved.date if approved else "",
     }

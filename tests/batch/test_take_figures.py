@@ -1,5 +1,6 @@
 """The figures of cleaned takes: counts as in the report, the worst predicted error, and the picture of its frame."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -8,13 +9,18 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
-from mocapfix.batch.take_figures import SubjectFigures, describe_moment, draw_worst_moment, find_worst_moment, measure_result
+from mocapfix.batch.take_figures import SubjectFigures, describe_moment, draw_worst_moment, measure_result
+from mocapfix.cli.clean import print_summary
 from mocapfix.io.changes_file import NO_REVIEW
+from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
+from mocapfix.review.review_session import describe_take
+from mocapfix.review.take_files import read_cleaned_take
 from mocapfix.synthetic import compose_take, write_synthetic_take
+from tests.text_files import trc
 
 MAX_PICTURE_BYTES = 6000
 FRAMES, RATE = 60, 60.0
@@ -48,14 +54,35 @@ def test_figures_are_those_of_the_report(result: CleaningResult) -> None:
     assert SubjectFigures.model_validate_json(figures.model_dump_json()) == figures
 
 
-def test_worst_error_is_that_of_the_worst_frame(result: CleaningResult) -> None:
-    sample_sd = np.full(result.take.visible.shape, np.nan)
-    sample_sd[25, 0], sample_sd[30, 2] = 0.010, 0.020
+def test_worst_error_is_that_of_the_worst_change_of_the_report(result: CleaningResult) -> None:
+    assert result.take.sample_sd is not None
+    sample_sd = result.take.sample_sd.copy()
+    sample_sd[25, 0] = 0.030  # one sample of the gap of the first marker
     changed = replace(result, take=result.take.replace_markers(result.take.markers, sample_sd))
     (figures,) = measure_result(changed)
-    assert figures.worst_predicted_error_mm == pytest.approx(20 * 3**0.5, abs=0.06)
-    assert figures.worst_frame == 101 + 30
-    assert find_worst_moment(changed) == 30
+    predicted = {tuple(each["markers"]): each["predicted_mm"] for each in result.subject_report["changes"]}
+    frame, worst = changed.comparison.worst_moment
+    assert worst is not None
+    assert figures.worst_predicted_error_mm == worst.predicted_mm == max(filter(None, predicted.values()))
+    assert figures.worst_frame == 101 + frame
+
+
+def test_the_worst_predicted_error_is_the_same_in_all_outputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    markers = 1000 * clean_moving_points().input_take.markers
+    (tmp_path / "points.trc").write_text(trc(markers, ("A", "B", "C", "D")))
+    result = pipeline.clean(tmp_path / "points.trc")
+    outputs = result.write(tmp_path / "out")
+    (figures,), report = measure_result(result), json.loads(outputs["report.json"].read_text())
+    worst = max(each["predicted_mm"] or 0.0 for each in report["changes"])
+    assert worst == figures.worst_predicted_error_mm
+    assert describe_take(read_cleaned_take(tmp_path, tmp_path / "out", "points"))["worst_mm"] == worst
+    assert max(each.predicted_mm or 0.0 for each in read_yaml_model(ChangesFileModel, outputs["changes.yaml"]).changes) == worst
+    page = outputs["report.html"].read_text(encoding="utf-8")
+    assert f"<b>{worst:.1f} mm</b><small>predicted error of the worst change</small>" in page
+    assert f"event 1: {worst:.1f} mm" in page
+    print_summary(report, outputs)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "predicted worst" in line)
+    assert line.endswith(f", {worst:.1f} mm.")
 
 
 def test_without_fills_the_frame_with_the_most_empty_samples_is_shown(result: CleaningResult) -> None:

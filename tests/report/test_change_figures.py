@@ -217,7 +217,7 @@ def test_worst_changes_come_first_and_include_every_kind(scene):
     selected = select_worst_changes(scene.replace_comparison(**fields).comparison)
     assert len(selected) == MAX_CHANGE_FIGURES
     assert [(c.kind, c.markers[0]) for c, _ in selected[:3]] == [("jitter", "M27"), ("jitter", "M26"), ("jitter", "M25")]
-    assert [(c.kind, c.first) for c, _ in selected[-2:]] == [("spike", 171), ("stuck", 104)]
+    assert [(c.kind, c.first) for c, _ in selected[-3:]] == [("spike", 171), ("spike", 172), ("stuck", 104)]  # all events
     assert all(change.first == comparison.input_take.get_frame_number(fault.first) for change, fault in selected)
 
 

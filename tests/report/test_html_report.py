@@ -1,5 +1,6 @@
 """The HTML report: its texts, tables, figures and time line, and that file contents are escaped."""
 
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -22,7 +23,7 @@ class Page(HTMLParser):
     def __init__(self, path):
         super().__init__()
         self.source = path.read_text(encoding="utf-8")
-        self.open, self.tags, self.words = [], [], []
+        self.open, self.tags, self.words, self.scripts = [], [], [], []
         self.feed(self.source)
         assert self.open == []
         self.text = " ".join(" ".join(self.words).split())
@@ -39,7 +40,9 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if "style" not in self.open:
+        if "script" in self.open:
+            self.scripts.append(data)
+        elif "style" not in self.open:
             self.words.append(data)
 
     def find_attributes(self, tag, css_class):
@@ -71,26 +74,100 @@ def test_the_summary_lists_faults_changes_and_missing_samples(scene, tmp_path):
 
 
 def test_every_change_is_listed_with_the_files_frame_numbers(scene, tmp_path):
-    text = write_page(scene, tmp_path).text.partition("All changes")[2]
-    assert text.startswith(" 6 changes ")
+    text = write_page(scene, tmp_path).text.partition("Changes by events")[2]
+    assert text.startswith(" 6 changes in ")
     estimated = "Estimated, mostly from the body."
-    assert f"gap-M03-151 M03 151–200 M03 is missing for 0.42 s. {estimated} 50 → 0 – → 0.0 17.3 accept" in text
-    assert f"spike-M05-171 M05 171 M05 is 300 mm off its trajectory. {estimated} 300.0 → 0.0 17.3 accept" in text
-    assert f"161–180 <b> is missing. {estimated} 20 → 10 – → 0.0 17.3 accept" in text
+    assert f"gap-M03-151 M03 151–200 M03 is missing for 0.42 s. {estimated} 50 → 0 – → 0.0 17.3 made" in text
+    assert f"spike-M05-171 M05 171 M05 is 300 mm off its trajectory. {estimated} 300.0 → 0.0 17.3 made" in text
+    assert f"161–180 <b> is missing. {estimated} 20 → 10 – → 0.0 17.3 made" in text
     assert "swap-M10-251 M10, M11 251–270 The labels of M10 and M11 are swapped." in text
     markers = scene.comparison.cleaned_take.markers
     distance_mm = 1e3 * np.linalg.norm(markers[150, 10] - markers[150, 11])
-    assert f"{distance_mm:,.1f} → 0.0 accept" in text
+    assert f"{distance_mm:,.1f} → 0.0 made" in text
     assert "M12, *1<i> 121–140 *1<i> continues M12." in text
     assert "moved-M20-311 M20 311–340 M20 shifts by 30 mm." in text
-    assert "30.0 → 30.0 accept" in text
+    assert "30.0 → 30.0 made" in text
 
 
-def test_changes_at_one_time_of_neighbouring_markers_have_one_event_number(scene, tmp_path):
-    text = write_page(scene, tmp_path).text.partition("All changes")[2]
-    numbers = {name: int(number) for number, name in re.findall(r"(\d+) ([a-z]+-\S+-\d+) ", text)}
-    assert numbers["gap-M03-151"] != numbers["spike-M05-171"]
-    assert sorted(set(numbers.values())) == list(range(1, max(numbers.values()) + 1))
+def test_changes_at_one_time_of_neighbouring_markers_are_one_event(scene, tmp_path):
+    page, events = write_page(scene, tmp_path), scene.comparison.events
+    shown = [part.partition("</details>")[0] for part in page.source.split('<details class="event">')[1:]]
+    assert len(shown) == len(events)
+    for text, event in zip(shown, events, strict=True):
+        assert set(re.findall(r"<td>([a-z]+-\S+-\d+)</td>", text)) == {
+            change.id.replace("<b>&\"'", "&lt;b&gt;&amp;&#34;&#39;") for change in event
+        }
+    worst = [max(change.predicted_mm or 0.0 for change in event) for event in events]
+    assert worst == sorted(worst, reverse=True)
+
+
+def make_uncertain(scene, sd_m):
+    """Return the scene with another standard deviation of the samples of the spike, and of the last frame of the gap of M03."""
+    comparison = scene.comparison
+    sample_sd = comparison.cleaned_take.sample_sd.copy()
+    sample_sd[70, 5], sample_sd[99, 3] = sd_m, 0.011
+    after = comparison.cleaned_take.replace_markers(comparison.cleaned_take.markers, sample_sd)
+    made = changes.build_changes(
+        comparison.input_take, comparison.relabelled_take, after, comparison.faults.items, None, np.full(sample_sd.shape, "")
+    )
+    return scene.replace_comparison(cleaned_take=after, changes=tuple(change for change, _ in made))
+
+
+def test_a_change_above_the_limit_is_not_called_accepted(scene, tmp_path):
+    for sd_m, is_reliable in ((0.0599, True), (0.0601, False)):  # the limit is 60 mm per axis
+        page = write_page(make_uncertain(scene, sd_m), tmp_path)
+        (row,) = re.findall(r"<td>spike-M05-171</td>.*?</tr>", page.source, re.DOTALL)
+        assert ("<td>made</td>" in row, "<td>made, unreliable: review it</td>" in row) == (is_reliable, not is_reliable)
+
+
+def test_the_worst_prediction_is_one_number(scene, tmp_path):
+    uncertain = make_uncertain(scene, 0.05)
+    page, number = write_page(uncertain, tmp_path), f"{50 * 3**0.5:.1f}"
+    assert uncertain.comparison.worst_moment == (70, uncertain.comparison.changes[1])
+    assert f"{number} mm predicted error of the worst change" in page.text
+    assert f"spike of M05, frames 171, event 1: {number} mm" in page.text
+    assert f"1 spike: M05 171 {number} 1" in page.text
+    assert f"Predicted error {number} mm." in page.text
+    assert str(uncertain.comparison.changes[1].predicted_mm) == number
+
+
+def test_the_worst_moment_is_the_least_certain_sample_of_the_worst_change(scene):
+    comparison = make_uncertain(scene, 0.001).comparison  # the gap of M03 is the worst, since its last sample is
+    assert comparison.worst_moment == (99, comparison.changes[0])
+    rejected = replace(comparison, changes=(replace(comparison.changes[0], decision="reject"), *comparison.changes[1:]))
+    assert rejected.worst_moment[0] == 60  # in the other gap
+
+
+def test_the_frames_around_the_worst_moment_are_played(scene, tmp_path):
+    uncertain = make_uncertain(scene, 0.05)
+    page = write_page(uncertain, tmp_path)
+    data = json.loads(page.scripts[0])
+    assert data["rate"] == 30.0
+    assert data["numbers"] == list(range(101 + 2, 101 + 191, 4))  # at 120 Hz, one second before and after frame 70
+    assert data["numbers"][data["index"]] == 171
+    (svg,) = re.findall(r'<svg class="figure"[^>]*after, moving">.*?</svg>', page.source)
+    left, top, width, height = (float(x) for x in svg.split('viewBox="')[1].split('"')[0].split())
+    for number, paths in zip(data["numbers"], data["paths"], strict=True):
+        states = uncertain.comparison.sample_states[number - 101]
+        assert paths["filled"].count("M") == np.isin(states, (1, 2)).sum()
+        assert paths["ring"].count("M") == (number != 301)
+        for x, y in re.findall(r"M([-\d.]+) ([-\d.]+)h0", paths["measured"]):
+            assert left < float(x) < left + width
+            assert top < float(y) < top + height
+    assert f'd="{data["paths"][data["index"]]["bones"]}"' in svg  # what stands there without the script
+    assert "prefers-reduced-motion" in page.scripts[1]
+
+
+def test_filled_gaps_of_a_lost_segment_are_drawn_as_filled(scene, tmp_path):
+    lost = Fault("segment lost", 3, 40, 109, 0.5, "The segment is lost.", other_markers=(5, 29))
+    page = write_page(scene, tmp_path, faults=scene.comparison.faults.add_faults([lost]))
+    rows = {row.partition("</b>")[0]: row for row in page.source.split('<div class="row"><b>')[1:]}
+    filled, left = r'class="missing" style="left:([\d.]+)%;width:([\d.]+)%', r'class="missing left" style="left:([\d.]+)%;width'
+    assert set(re.findall(filled, rows["M03"])) == {("20.833", "20.833")}  # the 50 frames of its gap from frame 50 on, of 240
+    assert not re.findall(left, rows["M03"])
+    assert not re.findall(left, rows["M05"])  # it is measured
+    ends = [re.findall(pattern, rows["&lt;b&gt;&amp;&#34;&#39;"])[0] for pattern in (filled, left)]
+    assert ends == [("25.000", "4.167"), "29.167"]  # half of its gap is filled, half is left
 
 
 def test_the_page_gives_the_command_that_reverts_a_change(scene, tmp_path):
@@ -100,7 +177,7 @@ def test_the_page_gives_the_command_that_reverts_a_change(scene, tmp_path):
 
 
 def test_unchanged_faults_are_listed(scene, tmp_path):
-    text = write_page(scene, tmp_path).text.rpartition("Unchanged faults")[2].partition("All changes")[0]
+    text = write_page(scene, tmp_path).text.rpartition("Unchanged faults")[2].partition("Residuals by")[0]
     assert text.strip().startswith("1 fault ")
     assert text.strip().endswith("jitter M07 221–240 10 mm M07 jitters.")
 
@@ -111,8 +188,8 @@ def test_a_rejected_change_has_no_figure(scene, tmp_path):
     page = write_page(scene, tmp_path, changes=declined, report=report)
     assert "Declined in review: 1 rejected." in page.text
     assert len(page.find_attributes("svg", "change")) == 5
-    assert "spike: M05" not in page.text
-    assert "spike-M05-171 M05 171 M05 is 300 mm off its trajectory. Not applied. 300.0 → 0.0 17.3 reject" in page.text
+    assert "spike: M05" not in page.cut_section("Largest changes", "Distance of")
+    assert "spike-M05-171 M05 171 M05 is 300 mm off its trajectory. Not applied. 300.0 → 0.0 17.3 rejected" in page.text
 
 
 def test_bars_are_at_the_frames_of_the_faults(scene, tmp_path):
@@ -129,14 +206,14 @@ def test_bars_are_at_the_frames_of_the_faults(scene, tmp_path):
     assert find_styles("label") == [swap, swap, fragment, fragment]  # both markers of the swap; M12 and its donor
     assert find_styles("place") == ["left:87.500%;width:12.500%"]
     assert "Joined to M12." in [bar.get("title") for bar in page.find_attributes("i", "label")]
-    assert "*1<i>" in page.cut_section("Faults over time", "Distance of")
+    assert "*1<i>" in page.cut_section("Faults over time", "Numbers")
 
 
 def test_long_unchanged_faults_are_drawn_below_short_ones_and_outlined(scene, tmp_path):
     noise = Fault("noise", 5, 0, 239, 0.01, "M05 is noisy.")
     page = write_page(scene, tmp_path, faults=scene.comparison.faults.add_faults([noise]))
     row = page.source.partition("<b>M05</b>")[2].partition("</div>")[0]
-    assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty"]
+    assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty left", "faulty"]  # before and after the spike
 
 
 def test_unmatched_trajectories_are_listed_but_are_not_faults_of_markers(scene, tmp_path):
@@ -146,7 +223,7 @@ def test_unmatched_trajectories_are_listed_but_are_not_faults_of_markers(scene, 
     assert "9 of 31 markers have faults" in page.text
     assert "1 unlabelled trajectory matches no marker." in page.text
     assert "fragment *1<i> 191–200 – *1<i> does not move." in page.text
-    timeline = page.cut_section("Faults over time", "Distance of")
+    timeline = page.cut_section("Faults over time", "Numbers")
     assert "M08" not in timeline
     assert timeline.count("*1<i>") == 1
 
@@ -173,16 +250,22 @@ def test_file_contents_are_escaped_and_nothing_is_loaded_from_elsewhere(scene, t
     assert "<1>" not in page.source
     assert "<hand>" not in page.source
     for tag, attrs in page.tags:
-        assert tag not in {"script", "link", "img", "iframe", "hand"}
+        assert tag not in {"link", "img", "iframe", "hand"}
         assert not {"src", "href"} & attrs.keys()
     assert "url(" not in page.source
     assert "http" not in page.source
 
 
-def test_the_worst_frame_has_the_most_corrected_markers(scene, tmp_path):
-    page = write_page(scene, tmp_path)  # only in frame 70 the spike coincides with a filled gap
+@pytest.mark.parametrize("is_predicted", [True, False])
+def test_the_worst_moment_is_shown_before_and_after(scene, tmp_path, is_predicted):
+    scene = make_uncertain(scene, 0.05)
+    if not is_predicted:  # only in frame 70 the spike coincides with a filled gap
+        unknown = tuple(replace(change, predicted_mm=None) for change in scene.comparison.changes)
+        scene = scene.replace_comparison(changes=unknown)
+    page = write_page(scene, tmp_path)
+    assert ("It has the most corrections." in page.text) != is_predicted
     assert "Frame 171, 0.58 s after the first." in page.text
-    before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
+    _, before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
     assert before.count("<circle") == scene.comparison.input_take.visible[70].sum()
     assert before.count('class="suspect"') == 1
     assert after.count("<circle") == scene.comparison.cleaned_take.visible[70].sum()
@@ -192,8 +275,8 @@ def test_the_worst_frame_has_the_most_corrected_markers(scene, tmp_path):
 
 def test_the_body_faces_the_viewer_in_the_middle_of_the_figure(scene, tmp_path):
     page = write_page(scene, tmp_path)
-    left, top, width, height = (float(number) for number in page.find_attributes("svg", "figure")[1]["viewbox"].split())
-    circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[1])
+    left, top, width, height = (float(number) for number in page.find_attributes("svg", "figure")[2]["viewbox"].split())
+    circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[2])
     position = {label: (float(x), float(y)) for x, y, label in circles}
     joint = {name: f"M{scene.comparison.skeleton.find_joint(name):02d}" for name in ("Head", "LeftFoot", "RightHand", "LeftHand")}
     assert position[joint["Head"]][1] < position[joint["LeftFoot"]][1]  # y points down in an SVG
@@ -229,8 +312,8 @@ def test_a_take_without_a_body(scene, tmp_path):
     assert "No body was used" in page.text
     assert "None" not in page.text
     assert "Bone lengths" not in page.text
-    assert "bones" not in {attrs.get("class") for tag, attrs in page.tags if tag == "path"}
-    assert len(page.find_attributes("svg", "figure")) == 2
+    assert not any(attrs["d"] for attrs in page.find_attributes("path", "bones"))
+    assert len(page.find_attributes("svg", "figure")) == 3
 
 
 def test_a_take_without_faults(scene, tmp_path):
@@ -250,7 +333,8 @@ def test_a_take_without_faults(scene, tmp_path):
     assert "No faults: every marker is visible in every frame." in page.text
     assert "No changes: all samples are as measured." in page.text
     assert "No missing samples." in page.text
-    assert "All changes" not in page.text
+    assert "Changes by events" not in page.text
+    assert "after the first. Nothing was corrected." in page.text
     assert "Unchanged faults" not in page.text
     assert not page.find_attributes("svg", "change")
 
@@ -282,11 +366,11 @@ def test_the_page_of_a_take_with_many_faults_stays_small(scene, tmp_path, count)
     takes = {"input_take": before, "relabelled_take": before, "cleaned_take": after, "faults": Faults(items), "changes": made}
     page = write_page(scene, tmp_path, **takes, skeleton=None, joint_position_world=None, residual_m=None)
     assert len(page.source.encode()) < 1_500_000
-    assert f"{count:,} changes" in page.text
-    assert ("And 5,000 more in the JSON report." in page.text) == (count > 1000)
+    assert f"{count:,} changes in " in page.text
+    assert ("And 4,980 more in the JSON report." in page.text) == (count > 1000)
     assert len(page.find_attributes("svg", "change")) == 12
     open_lists = [attrs for tag, attrs in page.tags if tag == "details" and "open" in attrs]
-    assert len(open_lists) == 2  # only the lists of what is left empty, by marker and by interval, are short
+    assert len(open_lists) == 2 + (count == 300)  # those of what is left empty, by marker and by interval, and that of 10 events
 
 
 def test_a_missing_folder_is_named(scene, tmp_path):

@@ -126,7 +126,7 @@ def test_uncertain_fills_are_counted_with_their_markers():
     sample_sd = np.full((FRAMES, 3), NAN)
     sample_sd[3:6, 0], sample_sd[7, 2], sample_sd[8, 1] = 0.0601, 0.2, 0.06
     filled = build_take("A", "B", "C").replace_markers(np.ones((FRAMES, 3, 3)), sample_sd)
-    limit = "are unreliable, with a predicted standard deviation above 60 mm: A, C."
+    limit = "are unreliable, with a predicted error above 104 mm: A, C."
     assert describe_uncertain_fills(filled) == [f"4 filled samples {limit}"]
     assert describe_uncertain_fills(filled, JOINT_TERMS) == [f"4 filled values {limit}"]
     assert describe_uncertain_fills(build_take("A")) == []
