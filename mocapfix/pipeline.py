@@ -6,7 +6,7 @@ feet, fill, apply decisions. Each stage takes values and returns a value of its 
 
 import gc
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from mocapfix.contacts.body_contacts import hold_standing_feet
-from mocapfix.contacts.contacts import CONTACT_JOINTS
+from mocapfix.contacts.contacts import CONTACT_JOINTS, StandingBody
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import Review, build_fault_review, reject_corrections
+from mocapfix.io.changes_file import Correction, Review, build_fault_review, reject_corrections
 from mocapfix.io.files import return_free_memory
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import choose_subject_file, split_corrected_subjects
@@ -217,13 +217,57 @@ def run_stages(
     take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer, kept: slice | None = None
 ) -> CleanedSubject:
     """Run all stages on the take of one subject, or on a part of a long take, of which the frames `kept` are returned."""
+    fitted = fit_stages(take, choice, review, options, timer)
+    with timer("fill"):
+        filled = next(fitted.fill_gaps([review.corrections], options))
+        solved = build_solved_body(fitted.detected, fitted.standing) if fitted.standing else None
+        if kept is not None:
+            filled, solved = crop_stages(take, filled, solved, kept)
+            take, review = select_frames(take, kept), review.select_frames(kept)
+        marker_set = fitted.choice.marker_set
+        is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
+        decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
+        decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
+    return CleanedSubject(fitted.choice, solved, decided)
+
+
+class FittedSubject(NamedTuple):
+    """The take of one subject before it is filled; `standing` has the body and its held feet, None without a body."""
+
+    choice: SubjectChoice
+    detected: Detected
+    standing: StandingBody | None
+
+    def fill_gaps(self, alternatives: Sequence[Sequence[Correction]], options: CleanOptions) -> Iterator[Filled]:
+        """Yield the take filled with each of some lists of corrections, which differ in requested methods only."""
+        # markers are filled from feet that are held in full, without the prior; changes are compared with the body of the outputs
+        body = replace(self.standing.fit, motion=self.standing.filling_motion) if self.standing else None
+        props = self.choice.marker_set.props if self.choice.marker_set else {}
+        return fill_gaps(self.detected, body, props, alternatives, options.fill)
+
+
+@limit_blas_threads
+def fit_subject(path: Path, options: CleanOptions, name: str) -> tuple[FittedSubject, Take]:
+    """Return a subject of a file by its take's name, fitted as in `clean`, and this take as read. Raises as `clean`."""
+    capture = read_capture(path, options.read)
+    assert isinstance(capture, Take)
+    capture, options = label_capture(capture, options, calibrate_takes)
+    if capture.frame_count > MAX_PIECE_FRAMES:
+        raise TakeError(f"{capture.name}: is cleaned in windows, for its length; estimates are shown when it is cleaned again.")
+    takes, reviews, _ = split_corrected_subjects(capture, options)
+    take, review = next(pair for pair in zip(takes, reviews, strict=True) if pair[0].name == name)
+    return fit_stages(take, identify_subject(take, options.subject), review, options, StageTimer()), take
+
+
+def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer) -> FittedSubject:
+    """Run the stages before the fill on the take of one subject, or on a part of a long take."""
     memory = load_memory(take, options)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
     choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, timer)
     if take.part is None:
         check_contradictions(detected, body, options)
-    standing, marker_set = None, choice.marker_set
+    standing = None
     if body:
         with timer("solve", "limbs and feet"):
             conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
@@ -235,18 +279,7 @@ def run_stages(
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
             if conditioner and options.prior.prior_scope == PRIOR_EVERY_FRAME:
                 standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
-    with timer("fill"):
-        # markers are filled from feet that are held in full, without the prior; changes are compared with the body of the outputs
-        body = replace(standing.fit, motion=standing.filling_motion) if standing else None
-        filled = fill_gaps(detected, body, marker_set.props if marker_set else {}, review.corrections, options.fill)
-        solved = build_solved_body(detected, standing) if standing else None
-        if kept is not None:
-            filled, solved = crop_stages(take, filled, solved, kept)
-            take, review = select_frames(take, kept), review.select_frames(kept)
-        is_smoothed = options.fill.smooth_keypoints and marker_set is not None and bool(marker_set.point_sd)
-        decided = apply_decisions(take, filled, review, options, is_smoothed=is_smoothed)
-        decided = replace(decided, take=update_computed_points(take, decided.take, options.fill))
-    return CleanedSubject(choice, solved, decided)
+    return FittedSubject(choice, detected, standing)
 
 
 def load_memory(take: Take, options: CleanOptions) -> PersonMemory | None:

@@ -91,17 +91,19 @@ def estimate_missing_samples(
     *,
     body: BodyFit | None = None,
     rigid_groups: Sequence[RigidGroup] = (),
-    requests: Sequence[FillRequest] = (),
-) -> MarkerEstimate:
-    """Return the estimates of all missing samples.
+    alternatives: Sequence[Sequence[FillRequest]] = ((),),
+) -> Iterator[MarkerEstimate]:
+    """Yield the estimates of all missing samples with each of some lists of requests, in the same arrays.
 
     Args:
         markers: Metres, NaN if not visible or an outlier.
         rate: Frame rate in Hz.
         body: The solved body, or that of a preview, in which only gaps off the body and on unseen segments need more than it.
         rigid_groups: Groups of markers that are rigid and not on the body.
-        requests: Samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
+        alternatives: Requests for samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
+            The gaps are estimated once, so that the lists differ in their methods only.
     """
+    requests = alternatives[0]
     second_process = compute_beside(bool)
     markers = np.ascontiguousarray(markers.swapaxes(0, 1)).swapaxes(0, 1)  # a marker's path lies together
     if body and body.evidence is None and not requests:
@@ -110,20 +112,22 @@ def estimate_missing_samples(
         settled = fill_short_gaps(markers, rate, requests)
     is_settled = ~np.isnan(settled.sd)
     if not (np.isnan(markers[..., 0]) & ~is_settled).any():
-        return settled
+        yield from [settled] * len(alternatives)
+        return
     known = markers.copy(order="K")
     known[is_settled] = settled.position[is_settled]
     take = MarkersInTake(markers, known, settled, measure_distance_changes(markers), rate, body, rigid_groups)
     is_idle = second_process.future is not None and second_process.future.done()
     estimation = _GapEstimation(take, {each.column for each in requests})
     try:
-        gaps = _estimate_gaps(estimation, is_shared=is_idle)
+        gaps = _estimate_gaps(estimation, requests, is_shared=is_idle)
     finally:
         if estimation.is_shared:
             compute_beside(_end_estimation, id(estimation))
-    for request in requests:
-        _use_request(take, gaps, request)
-    return take.estimate
+    for alternative in alternatives:
+        for request in alternative:
+            _use_request(take, gaps, request)
+        yield take.estimate
 
 
 def fill_short_gaps(markers: Float[np.ndarray, "T M 3"], rate: float, requests: Sequence[FillRequest]) -> MarkerEstimate:
@@ -156,6 +160,11 @@ class _EstimatedMarker(NamedTuple):
     similarity: Float[np.ndarray, " K"]
     fill: Fill
     estimates: list[GapEstimate]
+
+    def is_requested(self, request: FillRequest) -> bool:
+        """Return whether a request is for samples of this marker in its gap."""
+        frames = self.gap.window.gap_frames
+        return self.gap.marker == request.column and bool(frames[0] <= request.last and request.first <= frames[-1])
 
 
 class _GapEstimation:
@@ -285,7 +294,7 @@ def _end_estimation(number: int) -> None:
     _estimations.pop(number, None)
 
 
-def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_EstimatedMarker]:
+def _estimate_gaps(estimation: _GapEstimation, requests: Sequence[FillRequest], *, is_shared: bool) -> list[_EstimatedMarker]:
     """Estimate every gap; if they are shared and many, the second process does half. No gap sees fills of its group."""
     take, estimated = estimation.take, list[list[_EstimatedMarker]]()
     has_ends = take.is_common.copy()
@@ -302,6 +311,9 @@ def _estimate_gaps(estimation: _GapEstimation, *, is_shared: bool) -> list[_Esti
         estimation.use_fills([(each.gap.marker, each.gap.window.first, each.fill) for each in chain(*new)])
     uncertain = [[each for each in markers if not (each.fill[1] < MAX_SETTLED_SD_M).all()] for markers in estimated]
     later = estimation.map(_GapEstimation.estimate_later, [[each.gap for each in markers] for markers in uncertain if markers])
+    for each in chain(*estimated) if requests else []:
+        if any(each.is_requested(request) for request in requests) and (each.fill[1] < MAX_SETTLED_SD_M).all():
+            each.estimates.extend(*estimation.estimate_later([each.gap]))
     for each, added in zip(chain(*uncertain), chain(*later), strict=True):
         each.estimates.extend(added)
         fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity, each.gap.window.length / take.rate)
@@ -319,8 +331,8 @@ def _use_request(take: MarkersInTake, gaps: Sequence[_EstimatedMarker], request:
     take.estimate.sd[wanted, request.column] = np.nan
     for each in gaps:
         chosen = [estimate for estimate in each.estimates if estimate.method.name.lower() == request.method]
-        frames = np.intersect1d(each.gap.window.gap_frames, wanted)
-        if each.gap.marker == request.column and chosen and len(frames):
+        if each.is_requested(request) and chosen:
+            frames = np.intersect1d(each.gap.window.gap_frames, wanted)
             combined = combine_gap_estimates(chosen, each.gap.window, each.similarity, each.gap.window.length / take.rate)
             for values, new in zip(take.estimate, combined, strict=True):
                 values[frames, request.column] = new[frames - each.gap.window.first]

@@ -3,7 +3,7 @@
 The estimates and their weights: `gap_estimates`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +30,10 @@ def fill_gaps(
     detected: Detected,
     body: BodyFit | None,
     props: Mapping[str, Sequence[str]],
-    corrections: Sequence[Correction],
+    alternatives: Sequence[Sequence[Correction]],
     options: FillOptions,
-) -> Filled:
-    """Fill a take's missing and faulty samples.
+) -> Iterator[Filled]:
+    """Fill a take's missing and faulty samples, with each of some lists of corrections.
 
     Fills of other programs stay as they are (unless they were detected as faulty), and labels that only name fragments of other
     markers are not filled.
@@ -41,20 +41,28 @@ def fill_gaps(
     Args:
         body: the body that is solved from it, with the motion from which lost markers are filled.
         props: the labels of each prop that the marker set names.
-        corrections: those of a reviewer, who may request the fills of samples.
+        alternatives: those of a reviewer, who may request the fills of samples; the lists differ in requested methods only.
     """
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate, take.part)[:, epochs.column_marker]
     groups = find_rigid_groups_outside(detected, body, props)
     # while a marker slides it is at neither position, yet its samples show most of where it is in a gap between them
     is_shown = inliers[:, epochs.column_marker] & epochs.is_near
-    requests = [  # for every column of a marker that moved
-        FillRequest(int(column), each.first, each.last, each.entry.method)
-        for each in corrections
-        if each.entry.method is not None
-        for column in np.flatnonzero(epochs.column_marker == each.markers[0])
+    requests = [
+        [  # for every column of a marker that moved
+            FillRequest(int(column), each.first, each.last, each.entry.method)
+            for each in corrections
+            if each.entry.method is not None
+            for column in np.flatnonzero(epochs.column_marker == each.markers[0])
+        ]
+        for corrections in alternatives
     ]
-    filled, reasons, methods = fill_take(
+    is_kept = take.visible & ~take.measured
+    is_kept[:, list(detected.donor_markers)] = True
+    descriptions = np.array([*(method.description for method in FillMethod), ""], object)
+    of_take = [replace(each, markers=tuple(dict.fromkeys(epochs.column_marker[list(each.markers)].tolist()))) for each in groups]
+    body_markers = detected.place_on_body(body) if body else None
+    fills = fill_take(
         epochs.take.replace_markers(np.where(is_shown[..., None], take.markers[:, epochs.column_marker], epochs.take.markers)),
         is_shown,
         gap_durations_s,
@@ -62,17 +70,13 @@ def fill_gaps(
         body,
         options,
         rigid_groups=groups,
-        requests=requests,
+        alternatives=requests,
     )
-    is_kept = take.visible & ~take.measured
-    is_kept[:, list(detected.donor_markers)] = True
-    markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.markers))
-    proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(filled.estimated_sd)))
-    reasons = epochs.merge_columns(reasons)
-    descriptions = np.array([*(method.description for method in FillMethod), ""], object)
-    methods = np.where(is_kept, "", epochs.merge_columns(descriptions[methods]))
-    of_take = [replace(each, markers=tuple(dict.fromkeys(epochs.column_marker[list(each.markers)].tolist()))) for each in groups]
-    return Filled(detected, proposed, reasons, methods, detected.place_on_body(body) if body else None, tuple(of_take))
+    for filled, reasons, methods in fills:
+        markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.markers))
+        proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(filled.estimated_sd)))
+        merged = np.where(is_kept, "", epochs.merge_columns(descriptions[methods]))
+        yield Filled(detected, proposed, epochs.merge_columns(reasons), merged, body_markers, tuple(of_take))
 
 
 def find_rigid_groups_outside(
@@ -100,8 +104,8 @@ def fill_take(
     options: FillOptions,
     *,
     rigid_groups: Sequence[RigidGroup] = (),
-    requests: Sequence[FillRequest] = (),
-) -> tuple[Take, Shaped[np.ndarray, "T M"], Int[np.ndarray, "T M"]]:
+    alternatives: Sequence[Sequence[FillRequest]] = ((),),
+) -> Iterator[tuple[Take, Shaped[np.ndarray, "T M"], Int[np.ndarray, "T M"]]]:
     """Fill or empty every sample that is not an inlier.
 
     Args:
@@ -113,26 +117,26 @@ def fill_take(
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
-        requests: how a reviewer wants some samples to be filled.
+        alternatives: how a reviewer wants some samples to be filled; lists that differ in their methods only.
 
-    Returns:
-        The filled take; why each sample stays empty, "" for the others; and the FillMethod of each sample, -1 where it was not
-        filled.
+    Yields:
+        For each list the filled take; why each sample stays empty, "" for the others; and the FillMethod of each sample, -1 where
+        it was not filled.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
-    markers, sd, method = estimate_missing_samples(
-        np.where(is_inlier[..., None], take.markers, np.nan), take.rate, body=body, rigid_groups=rigid_groups, requests=requests
-    )
-    reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
-    reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)
-    reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
-    is_filled = is_wanted & (reasons == "")
-    filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
-    after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
-    reasons[~is_editable] = EXCLUDED_REASON
-    reasons[:, ~take.is_ever_visible] = NEVER_VISIBLE_REASON
-    return after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1)
+    known = np.where(is_inlier[..., None], take.markers, np.nan)
+    estimates = estimate_missing_samples(known, take.rate, body=body, rigid_groups=rigid_groups, alternatives=alternatives)
+    for requests, (markers, sd, method) in zip(alternatives, estimates, strict=True):
+        reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
+        reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)
+        reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
+        is_filled = is_wanted & (reasons == "")
+        filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
+        after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
+        reasons[~is_editable] = EXCLUDED_REASON
+        reasons[:, ~take.is_ever_visible] = NEVER_VISIBLE_REASON
+        yield after, np.where(after.visible, "", reasons), np.where(is_filled, method, -1)
 
 
 def compute_gap_durations(

@@ -165,7 +165,8 @@ CHANGES_FILE_HEADER = """\
 #   - {kind: missing, markers: [LKNE], first: 10, last: 20}           remove the samples, and fill the gap
 #   - {kind: swap, markers: [LKNE, LSHN], first: 10, last: 20}        exchange the labels of two markers
 #   - {kind: assign, markers: [LKNE, "*12"], first: 10, last: 20}     give an unlabelled trajectory to a marker
-#   - {kind: fill, markers: [LKNE], first: 10, last: 20, method: M}   fill by M: spline, cluster, body or empty
+#   - {kind: fill, markers: [LKNE], first: 10, last: 20, method: M}   fill by M: spline, cluster, rigid_group,
+#     body, gaussian_process, line or empty
 """
 CHANGES_FILE_LINE_LENGTH = 120  # characters
 

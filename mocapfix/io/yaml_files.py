@@ -6,7 +6,7 @@ Modules that write such files as well import this one where they read: pydantic 
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import pydantic
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
@@ -130,7 +130,8 @@ class CorrectionModel(StrictModel):
             names = {"swap": "two markers", "assign": "a marker and an unlabelled trajectory"}.get(self.kind, "one marker")
             raise ValueError(f"{self.kind} must name {names}")
         if (self.method is not None) != (self.kind == "fill"):
-            text = "fill must have a method: spline, cluster, body or empty" if self.kind == "fill" else "only fill has a method"
+            methods = format_name_list(get_args(RequestedFill))
+            text = f"fill must have a method: {methods}" if self.kind == "fill" else "only fill has a method"
             raise ValueError(text)
         return self
 

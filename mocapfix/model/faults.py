@@ -16,7 +16,7 @@ FaultKind = Literal[
 ]  # fmt: skip
 Decision = Literal["accept", "reject", "keep"]  # what a reviewer decides about a change (see `mocapfix.model.changes.Change`)
 CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
-RequestedFill = Literal["spline", "cluster", "body", "empty"]
+RequestedFill = Literal["spline", "cluster", "rigid_group", "body", "gaussian_process", "line", "empty"]
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
 
 # Missing samples.

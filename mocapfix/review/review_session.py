@@ -3,16 +3,19 @@
 A take is cleaned again by the command line, in a process of its own.
 """
 
+import json
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -20,12 +23,14 @@ from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
 from mocapfix.io.changes_file import locate_correction
 from mocapfix.io.files import hold_process_lock
 from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel, read_yaml_model
+from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, format_arguments
+from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, CleanOptions, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
+from mocapfix.solve.parallel import begin_second_process
 from mocapfix.stats.sequences import find_runs
 
 MAX_MESSAGE_LENGTH = 1000
@@ -112,6 +117,37 @@ def explain_why_not(take: take_files.CleanedTake) -> str:
     if take.input_path is None:
         return f"The input file {take.arguments[0]} is not there; put it back, or clean the take again on the command line."
     return ""
+
+
+@lru_cache(1)
+def _fit_subject(folder: Path, input_name: str, options: CleanOptions, name: str, _key: str) -> Any:
+    from mocapfix import pipeline  # the server does not need it
+
+    os.chdir(folder)  # the options name files relative to it
+    return pipeline.fit_subject(Path(input_name), options, name)
+
+
+def estimate_fills(
+    subject: tuple[Path, str, CleanOptions, str, str], corrections: Sequence[CorrectionModel], wanted: CorrectionModel
+) -> list[dict[str, Any]]:
+    """Return each estimate of the stretch of a requested fill, by whatever method it is, as the next cleaning fills it.
+
+    `subject` has the arguments of `_fit_subject`, and `corrections` are other requested fills. Of each method: its name, for each
+    frame position and standard deviation per axis in metres (None: none), predicted error in mm, and why samples stay empty.
+    """
+    fitted, take = _fit_subject(*subject)
+    known = [locate_correction(each, take, "The correction") for each in corrections]
+    located = locate_correction(wanted, take, "The stretch")
+    samples = slice(located.first, located.last + 1), located.markers[0]
+    methods, fills = [each for each in get_args(RequestedFill) if each != "empty"], list[dict[str, Any]]()
+    requests = [replace(located, entry=wanted.model_copy(update={"method": each})) for each in methods]
+    for method, filled in zip(methods, fitted.fill_gaps([[*known, each] for each in requests], subject[2]), strict=True):
+        sd_m, positions = filled.take.estimated_sd[samples], filled.take.markers[samples]
+        known_m, reason = sd_m[~np.isnan(sd_m)], next(filter(None, filled.unfilled_reasons[samples]), "")
+        shown = [None if np.isnan(row[3]) else row.tolist() for row in np.round(np.c_[positions, sd_m], 6)]
+        predicted_mm = round(float(np.sqrt(3 * (known_m**2).mean())) * 1e3, 1) if len(known_m) else None
+        fills.append({"method": method, "samples": shown, "predicted_mm": predicted_mm, "reason": reason})
+    return fills
 
 
 MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs from the cleaning before
@@ -213,6 +249,24 @@ class OpenTake:
             before = self.store.file
             self.store.edit(revision, take_files.parse_edit(action))
             return self.describe_review(before)
+
+    def request_fills(self, marker: str, first: int, last: int) -> "partial[list[dict[str, Any]]]":
+        """Return the call of `estimate_fills` for a stretch of a marker. Raises SceneError, WriteError."""
+        with self.lock:
+            self.check_not_running()
+            if reason := explain_why_not(self.take):
+                raise SceneError(reason)
+            file, subjects = self.store.file, [each.changes_path for each in self.subjects]
+            wanted = CorrectionModel(kind="fill", markers=[marker], first=first, last=last, method="spline")
+            self._check_correction(wanted)
+            fills = [each for each in file.corrections if each.kind == "fill"]
+            others = [each.model_dump() for each in file.corrections if each.kind != "fill"]
+            kept = [each.id for each in file.changes if each.decision != "accept" and each.kind in SHIFT_KINDS]
+            kept += [each.id for each in file.changes if each.decision == "keep"]
+            versions = [get_file_version(path) for path in subjects if path != self.take.changes_path]
+            options = self.take.options.change(is_fast=False, review_files=tuple(path.name for path in subjects))
+            subject = self.take.folder, self.take.arguments[0], options, file.take, json.dumps([others, kept, versions])
+            return partial(estimate_fills, subject, fills, wanted)
 
     def approve(self, name: str) -> dict[str, Any]:
         """Approve the take as it is. Raises as `edit`."""
@@ -328,6 +382,7 @@ def compare_cleanings(
 Event = dict[str, Any]
 REVIEW_LOCK_NAME = ".review.lock"
 MAX_TAKES_READ_AT_ONCE = 30
+MAX_KEPT_FILLS = 50  # stretches whose estimates are kept
 MAX_OPEN_VIEWS = 2  # takes whose samples are kept in memory
 
 
@@ -345,6 +400,8 @@ class ReviewSession:
         self._lock = threading.RLock()
         self._listeners: list[Callable[[Event], None]] = []
         self._locks, self._held_folders = ExitStack(), set[Path]()
+        self._process: Executor | None = None  # in which fills are estimated, when they have been asked for
+        self._fills: dict[str, list[dict[str, Any]]] = {}
         self._summaries: dict[str, tuple[object, dict[str, Any]]] = {}
         if len(self._takes) > MAX_TAKES_READ_AT_ONCE:
             threading.Thread(target=self._read_summaries, daemon=True).start()
@@ -426,6 +483,21 @@ class ReviewSession:
         self.announce({"type": "edited", "take": name, "revision": edited["revision"]})
         return edited
 
+    def estimate_fills(self, name: str, marker: str, first: int, last: int) -> list[dict[str, Any]]:
+        """Return what `estimate_fills` does, in a process of its own. Raises as `OpenTake.request_fills`, and ReadError."""
+        call = self.open_take(name).request_fills(marker, first, last)
+        if (key := repr(call)) not in self._fills:
+            with self._lock:
+                self._process = self._process or ProcessPoolExecutor(1, get_context("spawn"), begin_second_process)
+                running = self._process.submit(call)
+            try:
+                fills = running.result()
+            except (BrokenExecutor, MemoryError) as error:
+                self._process = None
+                raise ReadError(f"{name}: the process that estimates fills has ended; try again.") from error
+            self._fills = {**dict(list(self._fills.items())[1 - MAX_KEPT_FILLS :]), key: fills}
+        return self._fills[key]
+
     def start_cleaning(self, name: str, formats: Sequence[str], rigs: Sequence[str]) -> RunStatus:
         """Clean a take again in the background. Raises as `OpenTake.start_cleaning`."""
         opened = self.open_take(name)
@@ -459,6 +531,8 @@ class ReviewSession:
         """Stop what runs, and tell the pages that the review ends."""
         for opened in list(self._open.values()):
             opened.cancel_cleaning()
+        if self._process:
+            self._process.shutdown(wait=False, cancel_futures=True)
         self.announce({"type": "closing"})
         self._locks.close()
 

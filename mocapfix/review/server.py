@@ -158,6 +158,7 @@ class ReviewServer:
                 route("/api/close", self._close, "POST"),
                 route(f"{take}/samples", self._get_samples),
                 route(f"{take}/characters", self._get_character),
+                route(f"{take}/fills", self._get_fills),
                 route(f"{take}/edit", self._edit, "POST"),
                 route(f"{take}/clean", self._clean, "POST"),
                 route(f"{take}/cancel", self._cancel, "POST"),
@@ -197,6 +198,10 @@ class ReviewServer:
         if path is None:
             raise ReadError("There is no such character; load the page again.")
         return FileResponse(path, media_type="model/gltf-binary")
+
+    async def _get_fills(self, request: Request) -> Response:
+        stretch = request.query_params.get("marker", ""), _read_number(request, "first"), _read_number(request, "last")
+        return JSONResponse(await run_in_threadpool(self.session.estimate_fills, request.path_params["take"], *stretch))
 
     async def _edit(self, request: Request) -> Response:
         name, body = request.path_params["take"], await _read_body(request)

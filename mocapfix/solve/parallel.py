@@ -213,7 +213,7 @@ def start_second_process(*modules: str) -> Generator[None]:
     Args:
         modules: Those that it imports while this process does other things, in the order in which they will be needed.
     """
-    process = ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin_second_process)
+    process = ProcessPoolExecutor(1, get_context("spawn"), initializer=begin_second_process)
     for each in modules:
         process.submit(import_module, each)
     started = list(process._processes.values())  # pyright: ignore[reportPrivateUsage]  # public from Python 3.14 on
@@ -227,7 +227,7 @@ def start_second_process(*modules: str) -> Generator[None]:
         process.shutdown(cancel_futures=True)
 
 
-def _begin_second_process() -> None:
+def begin_second_process() -> None:
     """End this process when the one that has started it ends, however it does, and not at an interrupt from the keyboard."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()  # as in the first one

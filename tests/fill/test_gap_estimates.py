@@ -50,7 +50,7 @@ def prop(frames=400):
 
 
 def estimate_take(take, is_inlier):
-    return estimate_missing_samples(np.where(is_inlier[..., None], take.markers, np.nan), take.rate)
+    return next(estimate_missing_samples(np.where(is_inlier[..., None], take.markers, np.nan), take.rate))
 
 
 @given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
@@ -98,7 +98,7 @@ def test_marker_seen_only_at_rest_follows_its_neighbours():
     markers = np.einsum("tab,mb->tma", turn, places) + np.stack([angle, 0 * t, 0 * t], 1)[:, None] + noise
     damaged = markers.copy()
     damaged[20:-20, 0] = np.nan
-    filled, deviation, _ = estimate_missing_samples(damaged, RATE)
+    filled, deviation, _ = next(estimate_missing_samples(damaged, RATE))
     error = np.linalg.norm(filled - markers, axis=-1)[20:-20, 0]
     assert error.max() < 0.02
     assert deviation[20:-20, 0].max() < 0.25
@@ -142,7 +142,7 @@ def test_marker_alone_in_an_empty_volume_is_filled_as_well_as_by_a_line(seed):
     markers = truth.copy()
     markers[:180, 1:] = np.nan
     markers[70:95, 0] = np.nan
-    estimate = estimate_missing_samples(markers, 120.0)
+    estimate = next(estimate_missing_samples(markers, 120.0))
     line = truth[69, 0] + np.arange(1, 26)[:, None] / 26 * (truth[95, 0] - truth[69, 0])
     errors = [np.sqrt(((each - truth[70:95, 0]) ** 2).mean()) for each in (estimate.position[70:95, 0], line)]
     assert errors[0] < 1.1 * errors[1]
@@ -212,7 +212,7 @@ def test_an_estimator_is_added_by_one_registration_and_weighted_by_its_errors(mo
     damaged = truth.copy()
     damaged[300:360] = np.nan
     register(monkeypatch, lambda take: Oracle(truth[:, 0], offset_m))
-    filled = estimate_missing_samples(damaged, RATE)
+    filled = next(estimate_missing_samples(damaged, RATE))
     assert (np.linalg.norm(filled.position - truth, axis=-1)[300:360].max() < 0.005) == is_used
     assert (filled.method[330, 0] == FillMethod.BODY) == is_used
 
@@ -228,7 +228,7 @@ def test_the_estimator_of_the_guide_works_as_it_stands(monkeypatch):
     truth += np.random.default_rng(1).normal(scale=0.001, size=truth.shape)
     damaged = truth.copy()
     damaged[300:360, 0] = np.nan
-    filled = estimate_missing_samples(damaged, RATE)
+    filled = next(estimate_missing_samples(damaged, RATE))
     error = np.sqrt(((filled.position - truth)[300:360, 0] ** 2).mean())
     assert 0.001 < error < 0.003
     assert 0.5 < error / np.sqrt((filled.sd[300:360, 0] ** 2).mean()) < 2
@@ -241,9 +241,9 @@ def test_requested_samples_have_the_estimate_of_one_method_or_none():
     markers = np.stack([path, path + [0, 0, 1], path + [0, 1, 0]], axis=1)
     truth = markers.copy()
     markers[20:30] = np.nan
-    usual = estimate_missing_samples(markers, 60.0)
+    usual = next(estimate_missing_samples(markers, 60.0))
     requests = [FillRequest(0, 22, 27, "spline"), FillRequest(2, 20, 29, "body")]
-    changed = estimate_missing_samples(markers, 60.0, requests=requests)
+    changed = next(estimate_missing_samples(markers, 60.0, alternatives=[requests]))
     np.testing.assert_allclose(changed.position[22:28, 0], truth[22:28, 0], atol=1e-9)
     assert (changed.method[22:28, 0] == FillMethod.SPLINE).all()
     assert not np.isnan(changed.sd[20:30, 0]).any()
@@ -294,10 +294,10 @@ def damaged_body():
 def test_a_second_process_changes_no_estimate_whether_or_not_it_ends(damaged_body, failing, error):
     markers, body = damaged_body
     requests = [FillRequest(10, 110, 120, "body")]
-    alone = estimate_missing_samples(markers, 60.0, body=body, requests=requests)
+    alone = next(estimate_missing_samples(markers, 60.0, body=body, alternatives=[requests]))
     token = second_process.set(process := Copies(failing, error))
     try:
-        shared = estimate_missing_samples(markers, 60.0, body=body, requests=requests)
+        shared = next(estimate_missing_samples(markers, 60.0, body=body, alternatives=[requests]))
     finally:
         second_process.reset(token)
     for values, others in zip(alone, shared, strict=True):

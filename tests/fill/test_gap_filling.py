@@ -45,14 +45,14 @@ def remove_samples(markers, *gaps):
 def fill(take, options=ANYTHING, is_inlier=None):
     kept = take.visible if is_inlier is None else is_inlier
     durations, ends = gap_filling.compute_gap_durations(kept, take.rate), gap_filling.find_ends(kept)
-    filled, reasons, _ = gap_filling.fill_take(take, kept, durations, ends, None, options)
+    filled, reasons, _ = next(gap_filling.fill_take(take, kept, durations, ends, None, options))
     return filled, find_unfilled_runs(filled, reasons)
 
 
 def fill_with_body(take, body):
     durations = gap_filling.compute_gap_durations(take.visible, take.rate)
     ends = gap_filling.find_ends(take.visible)
-    filled, reasons, _ = gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions())
+    filled, reasons, _ = next(gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions()))
     return filled, find_unfilled_runs(filled, reasons)
 
 
@@ -76,7 +76,7 @@ def test_gap_while_a_marker_slides_is_filled_from_its_own_samples(rod):
     rod[:, 0] += 0.03 * np.clip((np.arange(FRAMES) - 100) / 200, 0, 1)[:, None]
     take = remove_samples(rod, (0, 120, 150))
     slide = MarkerShift("drift", 0, 100, FRAMES - 1, 0.05, "", settled_frame=300)
-    filled = gap_filling.fill_gaps(Detected(take, sample_faults=Faults((slide,))), None, {}, (), ANYTHING)
+    filled = next(gap_filling.fill_gaps(Detected(take, sample_faults=Faults((slide,))), None, {}, [()], ANYTHING))
     assert np.linalg.norm(filled.take.markers[120:151, 0] - rod[120:151, 0], axis=-1).max() < 0.003
     assert are_bits_equal(take, filled.take, take.visible)
 

@@ -237,5 +237,5 @@ def test_fill_uses_a_changing_cluster_where_no_other_is_as_near():
     """Six markers on a box, and four that move independently of it and are visible throughout."""
     truth = np.concatenate([tumbling(2, size=7), 3 * tumbling(5, size=4)], axis=1)
     damaged = hide(truth, 40, 60)
-    estimated = estimate_missing_samples(damaged, RATE)
+    estimated = next(estimate_missing_samples(damaged, RATE))
     assert np.linalg.norm(estimated.position[GAP, 6] - truth[GAP, 6], axis=1).max() < 0.01

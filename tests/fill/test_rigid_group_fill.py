@@ -108,7 +108,7 @@ def test_a_group_fills_the_frames_that_show_it(measured):
     lost[20:40, 0], lost[30:33, 1:] = np.nan, np.nan
     groups = find_rigid_groups(np.concatenate([lost, np.zeros((FRAMES, 1, 3))], axis=1))
     assert [group.markers for group in groups] == [(0, 1, 2, 3, 4)]
-    filled = estimate_missing_samples(lost, 50.0, rigid_groups=groups)
+    filled = next(estimate_missing_samples(lost, 50.0, rigid_groups=groups))
     shown = np.r_[20:30, 33:40]
     assert (filled.method[shown, 0] == FillMethod.RIGID_GROUP).mean() > 0.5
     assert np.linalg.norm(filled.position[shown, 0] - measured[shown, 0], axis=-1).max() < 0.005

@@ -1,6 +1,7 @@
 """Corrections by a reviewer: what a changes file may name, and what a cleaning makes of it."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mocapfix import pipeline
 from mocapfix.errors import SceneError
 from mocapfix.fill.gap_estimates import FillRequest
 from mocapfix.fill.gap_filling import EMPTY_REASON, explain_requested_fills
+from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.changes_file import (
     Review,
     build_fault_review,
@@ -18,7 +20,8 @@ from mocapfix.io.changes_file import (
     write_changes_file,
 )
 from mocapfix.io.yaml_files import CorrectionModel
-from mocapfix.model.faults import CorrectionKind, Fault, Fragment
+from mocapfix.model.faults import CorrectionKind, Fault, Fragment, RequestedFill
+from mocapfix.options import CleanOptions
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.io.test_changes_file import build_change, build_take
 
@@ -144,13 +147,28 @@ def test_marked_samples_are_estimated_and_nothing_else_changes(sound, tmp_path):
 def test_a_requested_fill_is_used_or_the_samples_stay_empty(sound, tmp_path):
     label = sound[1].take.labels[3]
     marked = build_correction("wrong", (label,), 60, 79)
+    requests = [build_correction("fill", (label,), 60, 79, method=method) for method in get_args(RequestedFill)]
+    result = clean_with(sound, tmp_path, marked)
+    options = CleanOptions().change(prior="none", subject=sound[1].subject, review_files=(tmp_path / "walk.changes.yaml",))
+    fitted, take = pipeline.fit_subject(sound[0], options, sound[1].take.name)
+    first = take.first_frame
+    alternatives = [
+        [locate_correction(each.model_copy(update={"first": 60 + first, "last": 79 + first}), take, "file")] for each in requests
+    ]
+    shown = [filled.take.markers[60:80, 3] for filled in fitted.fill_gaps(alternatives, options)]
     methods: dict[str, np.ndarray] = {}
-    for method in ("spline", "cluster", "body", "empty"):
-        result = clean_with(sound, tmp_path, marked, build_correction("fill", (label,), 60, 79, method=method))
+    for request, positions in zip(requests, shown, strict=True):
+        method = str(request.method)
+        result = clean_with(sound, tmp_path, marked, request)
         methods[method] = result.take.markers[60:80, 3]
+        np.testing.assert_array_equal(methods[method], positions)  # as they were estimated without cleaning again
+        assert {change.method for change in result.changes if change.kind == "marked"} == {
+            "removed" if np.isnan(positions).all() else f"estimated, mostly from {FillMethod[method.upper()].description}"
+        }
         if method == "empty":
             assert EMPTY_REASON in {run.reason for run in result.unfilled_runs}
     assert np.isnan(methods.pop("empty")).all()
+    assert np.isnan(methods.pop("rigid_group")).all()  # the marker is in no rigid group
     assert all(np.isfinite(positions).all() for positions in methods.values())
     assert len({positions.tobytes() for positions in methods.values()}) == len(methods)
 

@@ -70,7 +70,7 @@ def proposed(faulty) -> tuple[Take, Filled]:
     assert body is not None
     standing = hold_standing_feet(complete_body(body, None, options), take, "soft")
     body = replace(standing.fit, motion=standing.filling_motion)
-    return take, fill_gaps(detected, body, {}, (), options.fill)
+    return take, next(fill_gaps(detected, body, {}, [()], options.fill))
 
 
 def test_every_fault_is_repaired(faulty):

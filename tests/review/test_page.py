@@ -405,6 +405,87 @@ def test_a_rejected_change_shows_its_state_at_once(page: Page) -> None:
     assert page.evaluate(sample, place) == [state, position]
 
 
+READ_MARKER = """([label, first, last]) => { const { samples, take } = review.app, m = take.labels.indexOf(label);
+    return [...Array(last - first + 1).keys()].map((n) => samples.getPosition("after", first - take.first_frame + n, m)); }"""
+
+
+def test_an_estimate_of_a_gap_is_taken_by_a_number_and_is_what_the_next_cleaning_fills(
+    page: Page, running: RunningServer
+) -> None:
+    take = get_take(page)
+    change = max((each for each in take["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
+    label, first, last = stretch = [change["markers"][0], change["first"], change["last"]]
+    select_change(page, change["id"])
+    before = page.evaluate(READ_MARKER, stretch)
+    page.keyboard.press("g")
+    page.wait_for_selector("#fills button")
+    expect(page.locator("#fills")).to_contain_text(f"{label}, frames {first}–{last}")
+    names = ["spline", "markers near it", "rigid group", "body", "similar frames", "straight line", "leave empty"]
+    texts = page.locator("#fills button").all_text_contents()
+    assert all(text.startswith(f"{n} ") and name in text for n, (name, text) in enumerate(zip(names, texts, strict=True), 1))
+    assert [" mm" in text for text in texts].count(True) == page.evaluate("review.app.curves.estimates.length") > 3
+    assert page.evaluate("review.app.scene.ghosts.geometry.drawRange.count") > 2  # in the middle of the gap
+    expect(page.locator("#fills button").nth(2)).to_be_disabled()
+    page.keyboard.press("3")  # there is no rigid group
+    expect(page.locator("#status")).to_contain_text("gives no estimate")
+    page.keyboard.press("Escape")
+    expect(page.locator("#fills")).to_be_hidden()
+    assert page.evaluate("review.app.curves.estimates.length") == 0
+
+    page.keyboard.press("g")
+    page.wait_for_selector("#fills button")
+    press_and_wait(page, "4")
+    assert read_changes(running)["corrections"] == [
+        {"kind": "fill", "markers": [label], "first": first, "last": last, "method": "body"}
+    ]
+    shown = page.evaluate(READ_MARKER, stretch)
+    assert np.abs(np.subtract(shown, before)).max() > 1e-3
+    expect(page.locator("#lanes-legend")).to_contain_text("body")
+    press_and_wait(page, "Control+z")
+    assert page.evaluate(READ_MARKER, stretch) == before
+    press_and_wait(page, "Control+y")
+    assert page.evaluate(READ_MARKER, stretch) == shown
+    page.keyboard.press("c")
+    page.wait_for_selector("#difference:not([hidden])")
+    page.wait_for_function("review.app.isComplete")
+    np.testing.assert_allclose(page.evaluate(READ_MARKER, stretch), shown, atol=2e-6)  # as shown, but for rounding
+
+
+def test_an_estimate_of_a_stretch_is_taken_by_mouse(page: Page, running: RunningServer) -> None:
+    take = get_take(page)
+    change = max((each for each in take["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
+    box, lane = (
+        page.locator("#lanes").bounding_box(),
+        page.evaluate("review.app.lanes.rows.map(each => each.marker)").index(take["labels"].index(change["markers"][0])),
+    )
+    assert box
+    y, middle = box["y"] + 13 * lane + 6, (change["first"] + change["last"]) // 2 - take["first_frame"]
+    start, end = page.evaluate("t => [review.app.lanes.window.x(t), review.app.lanes.window.x(t + 6)]", middle)
+    page.mouse.move(box["x"] + start, y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + end, y, steps=4)
+    page.mouse.up()
+    first, last = (each + take["first_frame"] for each in page.evaluate("review.app.stretch"))
+    page.locator("#fill").click()
+    option = page.locator("#fills button").nth(6)
+    option.hover()
+    page.locator("#fills button").nth(1).hover()
+    assert page.evaluate("review.app.curves.estimates.filter(each => each.isActive).map(each => each.method)") == ["cluster"]
+    click_and_wait(page, "#fills button:nth-of-type(7)")
+    assert np.isnan(
+        [
+            each if each is not None else np.nan
+            for each in np.ravel(page.evaluate(READ_MARKER, [change["markers"][0], first, last]))
+        ]
+    ).all()
+    entry = {"kind": "fill", "markers": change["markers"], "first": first, "last": last, "method": "empty"}
+    assert read_changes(running)["corrections"] == [entry]
+    page.evaluate("review.app.showMarker(review.app.take.labels.indexOf('RFHD'))")  # measured throughout
+    page.evaluate("review.app.setStretch([0, 1])")
+    page.keyboard.press("g")
+    expect(page.locator("#status")).to_contain_text("no sample is missing or faulty")
+
+
 def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_them(
     browser: Browser, tmp_path: Path, problems: list[str]
 ) -> None:

@@ -28,7 +28,14 @@ export const correctionActions = {
     return this.add(dialogs.askSwap(this.take.labels, [marker, other], this.getInterval()));
   },
 
-  requestFill() { return this.allows("fill") && this.add(dialogs.askFill(this.take.labels, this.getMarkerLabel(), this.getInterval())); },
+  // Shows the estimates of the chosen marker in the chosen stretch, or in the gap at this frame.
+  requestFill() {
+    if (!this.allows("fill")) return;
+    const marker = this.marker ?? 0, isOfMarker = this.change?.markers.includes(this.take.labels[marker]);
+    this.scene.frameMarkers([marker]);
+    const { frame } = this.playback, run = this.lanes.findRun(marker, frame);
+    this.fills.open(this.take, this.samples, marker, this.stretch || isOfMarker ? this.getInterval() : run.map((each) => each + this.take.first_frame));
+  },
 
   assign() {
     if (!this.allows("assign")) return false;

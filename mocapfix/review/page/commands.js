@@ -42,7 +42,7 @@ function listCommands(app) {
     [["x"], "X", "mark the stretch as missing", () => app.mark("missing")],
     [["s"], "S", "swap two labels", () => app.swap(), "swap"],
     [["u"], "U", "assign an unlabelled trajectory", () => app.assign(), "assign"],
-    [["g"], "G", "choose how a gap is filled", () => app.requestFill(), "fill"],
+    [["g"], "G", "see all estimates of a gap or stretch, of which a number takes one", () => app.requestFill(), "fill"],
     [["Delete"], "Delete", "remove the selected correction", () => app.removeCorrection()],
     [["z"], "Z", "zoom the lanes to the selection, or to the whole take; the wheel zooms, with Shift it moves, as does Alt-drag", () => app.toggleZoom(), "lanes-zoom"],
     [["i"], "I", "curves of position, speed, distance; Ctrl-click on a lane adds its marker, Ctrl-wheel enlarges", () => app.curves.changeQuantity()],
@@ -51,9 +51,10 @@ function listCommands(app) {
     [["p"], "P", "approve, or withdraw the approval", () => app.approve(), "approve"],
     [["t"], "T", "list of takes", () => app.toggleTakes(), "takes-button"],
     [["n"], "N", "next take that is not approved", () => app.openNextTake()],
-    [["1"], "1", "view from the front", () => look(FRONT), "view-front"],
-    [["2"], "2", "view from the side", () => look(SIDE), "view-side"],
-    [["3"], "3", "view from above", () => look(TOP), "view-top"],
+    [["1"], "1", "view from the front", () => app.fills.choose(1) || look(FRONT), "view-front"],
+    [["2"], "2", "view from the side", () => app.fills.choose(2) || look(SIDE), "view-side"],
+    [["3"], "3", "view from above", () => app.fills.choose(3) || look(TOP), "view-top"],
+    [["4", "5", "6", "7"], "1–7", "take an estimate, while those of a gap are shown", (key) => app.fills.choose(Number(key))],
     [["0"], "0", "the whole body", () => look(null), "view-all"],
     [["f"], "F", "the selected markers", () => app.frameSelected()],
     [["b"], "B", "show or hide markers before", () => app.toggleLayer("before")],
@@ -94,7 +95,7 @@ export function connectCommands(app) {
     if (event.target.id === "limit" && key.startsWith("Arrow")) return;
     event.preventDefault();
     if (isTyping(event.target)) event.target.blur();
-    command.run();
+    command.run(key);
   });
   find("help-list").replaceChildren(...commands.map((each) => buildItem(each, false)));
   find("dialog-help").addEventListener("click", () => find("dialog-help").close());

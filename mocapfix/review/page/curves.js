@@ -27,7 +27,7 @@ export class CurveView {
     const find = (id) => document.getElementById(id);
     Object.assign(this, {
       canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"), band: find("curves-band"),
-      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1,
+      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1, estimates: [],
     });
     this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => !event.ctrlKey });
     canvas.addEventListener("wheel", (event) => this.scale(event), { passive: false });
@@ -94,6 +94,12 @@ export class CurveView {
     this.draw();
   }
 
+  // Shows estimates of the first marker: thin lines with their numbers.
+  setEstimates(estimates) {
+    this.estimates = estimates;
+    this.draw();
+  }
+
   startDrag(event) {
     if (this.marker === null || event.button || event.altKey) return;
     this.canvas.setPointerCapture(event.pointerId);
@@ -120,11 +126,11 @@ export class CurveView {
     if (this.marker === null || !this.samples) return;
     this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--green"))), quantity.unit);
     const rowHeight = (height - TOP - BOTTOM - GAP * (quantity.rows.length - 1)) / quantity.rows.length;
-    this.shade(context, this.interval, colour("--selected"), height);
+    if (!this.estimates.length) this.shade(context, this.interval, colour("--selected"), height);
     this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", height);
     context.font = "11px system-ui, sans-serif";
     quantity.rows.forEach(([name, evaluate], n) => {
-      this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand ?? false, value: (...args) => evaluate(this, ...args) }, colour);
+      this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand && !this.estimates.length, isSigned: quantity.hasBand ?? false, value: (...args) => evaluate(this, ...args), evaluate }, colour);
     });
     context.fillStyle = colour("--muted");
     const [from, to] = [this.window.first, this.window.last].map((each) => String(Math.round(this.take.first_frame + each)));
@@ -147,9 +153,10 @@ export class CurveView {
     const others = values.slice(1).map((each) => reduce(each, scale, isAny)), after = reduce(values[0], scale, isShown);
     const plain = reduce(before, scale, (t) => !isChanged(t)), changed = reduce(before, scale, isChanged);
     const band = row.hasBand ? this.readBand(values[0], scale) : null;
-    let [low, high] = findRange([plain, changed, after, ...others, ...(band ? [band] : [])]);
-    const margin = Math.max(row.hasBand ? 1 : 0.001, 0.06 * (high - low));
-    [low, high] = this.magnify(row.hasBand ? low - margin : Math.max(0, low - margin), high + margin, after);
+    const estimates = (this.quantity.value === "distance" ? [] : this.estimates).map((each) => reduce(this.readEstimate(row, each, scale), scale, isAny));
+    let [low, high] = findRange([plain, changed, after, ...others, ...estimates, ...(band ? [band] : [])]);
+    const margin = Math.max(row.isSigned ? 1 : 0.001, 0.06 * (high - low));
+    [low, high] = this.magnify(row.isSigned ? low - margin : Math.max(0, low - margin), high + margin, after);
     const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
     context.strokeStyle = colour("--line");
     context.lineWidth = 1;
@@ -172,6 +179,7 @@ export class CurveView {
     this.strokeLine(context, plain, y, colour("--muted"), 1.2);
     this.strokeLine(context, changed, y, colour("--red"), 1.2);
     this.strokeLine(context, after, y, colour("--green"), 1.4);
+    estimates.forEach((line, n) => this.drawEstimate(context, line, y, this.estimates[n]));
     context.restore();
   }
 
@@ -206,6 +214,19 @@ export class CurveView {
     const values = new Float64Array(to - from + 1);
     for (let t = from; t <= to; t++) values[t - from] = row.value(layer, marker, t);
     return values;
+  }
+
+  readEstimate(row, { layer, from, length }, scale) {
+    const { take } = this, value = (t) => (t >= 0 && t < length ? row.evaluate({ samples: layer, take }, "values", 0, t) : NaN);
+    return Float64Array.from({ length: scale.to - scale.from + 1 }, (_, n) => value(n + scale.from - from));
+  }
+
+  drawEstimate(context, line, y, { colour, isActive, number, from, length }) {
+    this.strokeLine(context, line, y, colour, isActive ? 3 : 1.3);
+    const at = Math.floor((from + (length * number) / 8 - line.from) / line.step);
+    if (!(line.low[at] <= line.high[at])) return;
+    context.fillStyle = colour;
+    context.fillText(String(number), this.window.x(line.from + at * line.step), y(line.high[at]) - 3);
   }
 
   // Returns the limits of the uncertainty of a line.

@@ -71,13 +71,6 @@ export async function askAssign(labels, trajectories, marker, trajectory, interv
   return { kind: "assign", markers: [find("assign-marker").value, find("assign-trajectory").value], ...readInterval("assign") };
 }
 
-export async function askFill(labels, marker, interval) {
-  fillOptions(find("fill-marker"), labels, marker);
-  writeInterval("fill", interval);
-  if (!(await showModal(find("dialog-fill")))) return null;
-  return { kind: "fill", markers: [find("fill-marker").value], method: find("fill-method").value, ...readInterval("fill") };
-}
-
 export async function askExport({ formats, rigs, written }) {
   for (const [id, name, values] of [["export-formats", "format", formats], ["export-rigs", "rig", rigs]]) {
     const boxes = values.map((value) => {

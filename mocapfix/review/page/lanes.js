@@ -27,6 +27,8 @@ const ORDERS = {
   error: (a, b) => b.worstMm - a.worstMm, body: (a, b) => a.marker - b.marker,
 };
 
+export const getMethodColour = (name) => METHODS.find((each) => each.name === name)?.colour ?? "";
+
 export class LaneView {
   constructor({ onPick, onStretch }) {
     const find = (id) => document.getElementById(id);
@@ -85,12 +87,12 @@ export class LaneView {
   }
 
   // Returns the runs [first, last, code] of a marker, how many samples are missing in the input, and how long the longest gap is.
-  measureLane(marker, { state, before, counts, frameCount }) {
+  measureLane(marker, { state, before, counts, frameCount, requested }) {
     const runs = [], width = counts.after;
     let run = null, missing = 0, longestGap = 0, gap = 0;
     for (let t = 0, index = marker; t < frameCount; t++, index += width) {
-      const outcome = state[index];
-      const code = outcome === STATE.filled ? FILLED + this.method[index] : outcome === STATE.replaced ? REPLACED + this.method[index] : outcome;
+      const outcome = state[index], method = requested.size && requested.has(index) ? this.findMethod(requested.get(index)) : this.method[index];
+      const code = outcome === STATE.filled ? FILLED + method : outcome === STATE.replaced ? REPLACED + method : outcome;
       if (run && run[2] === code) run[1] = t;
       else runs.push(run = [t, t, code]);
       gap = Number.isNaN(before[index * 3]) ? gap + 1 : 0;
@@ -99,6 +101,11 @@ export class LaneView {
     }
     return { runs, missing, longestGap };
   }
+
+  findMethod(name) { return METHODS.findIndex((each) => each.name === name); }
+
+  // Returns the first and last frame of the run of a marker that has a frame.
+  findRun(marker, frame) { return this.lanes.find((each) => each.marker === marker).runs.find(([, last]) => frame <= last).slice(0, 2); }
 
   sort() {
     this.rows = [...this.lanes].sort((a, b) => ORDERS[this.order.value](a, b) || a.marker - b.marker);

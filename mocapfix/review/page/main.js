@@ -10,6 +10,7 @@ import { CurveView } from "./curves.js";
 import * as dialogs from "./dialogs.js";
 import { DecideEdit, EditQueue, NoteEdit, RedoEdit, UndoEdit } from "./edits.js";
 import { listEvents, listRows } from "./events.js";
+import { FillPreview } from "./fills.js";
 import { labelPlacement } from "./labels.js";
 import { LaneView } from "./lanes.js";
 import { LimitBar } from "./limit.js";
@@ -41,6 +42,9 @@ class App {
     });
     this.edits = new EditQueue({
       getTake: () => this.take, applyReview: (take, review) => this.applyReview(take, review), showStatus: (...args) => this.showStatus(...args),
+    });
+    this.fills = new FillPreview({
+      onShow: (estimates) => this.showEstimates(estimates), send: (edit) => this.edits.send(edit), showStatus: (...args) => this.showStatus(...args),
     });
     this.scene.afterRender = () => this.placeLabels();
     dialogs.prepareDialogs();
@@ -77,6 +81,7 @@ class App {
     this.isReady = false;
     if (this.samples) this.samples.isCancelled = true;
     this.playback.toggle(false);
+    this.fills.close();
     const isSame = this.take?.id === id;
     const take = await api.fetchTake(id);
     this.take = take;
@@ -163,7 +168,13 @@ class App {
     this.lanes.setFrame(frame);
   }
 
+  showEstimates(estimates) {
+    this.curves.setEstimates(estimates);
+    this.scene.setEstimates(estimates);
+  }
+
   select(id, { keepsFrame = false, marker = null } = {}) {
+    this.fills.close();
     Object.assign(this, { selectedId: id, correctionIndex: null, marker });
     if (id && !this.entry) this.unfoldEventOf(id);
     const { entry } = this;
@@ -221,6 +232,7 @@ class App {
 
   // Shows a marker without a change.
   showMarker(marker, interval = null) {
+    this.fills.close();
     this.marker = marker;
     this.selectedId = null;
     this.list.selectedId = null;
@@ -284,6 +296,7 @@ class App {
   }
 
   leave() {
+    this.fills.close();
     this.setStretch(null);
     find("takes").hidden = true;
     find("difference").hidden = true;

@@ -8,6 +8,8 @@ const SHIFT_KINDS = ["moved", "drift"];  // no sample differs
 
 export const STATE = { measured: 0, filled: 1, replaced: 2, relabelled: 3, reassigned: 4, suspect: 5, empty: 6, rejected: 7 };
 
+const describeFill = ({ markers, first, last, method }) => [markers[0], first, last, method].join(" ");
+
 export class Samples {
   constructor(take) {
     this.take = take;
@@ -20,6 +22,8 @@ export class Samples {
     this.sd = new Float32Array(this.frameCount * this.counts.after).fill(NaN);
     this.state = new Uint8Array(this.frameCount * this.counts.after).fill(STATE.empty);
     this.cleaned = new Map();  // of samples that a decision hides, by their index: [x, y, z, sd, state] as they were cleaned
+    this.requested = new Map();  // of samples that a correction fills by an estimate, by their index: the name of its method
+    this.fills = new Map();  // of corrections that request a fill, by their content: [marker, [x, y, z, sd] of each frame, method]
     this.columns = new Map(take.labels.map((label, m) => [label, m]));
     this.isCancelled = false;
   }
@@ -62,7 +66,9 @@ export class Samples {
       this.after.set([x, y, z], index * 3);
       [this.sd[index], this.state[index]] = [sd, state];
       this.cleaned.delete(index);
+      this.requested.delete(index);
     }
+    for (const correction of this.take.corrections) this.showRequested(correction, from, to);
     for (const change of this.take.changes) {
       if (change.decision === "accept" || SHIFT_KINDS.includes(change.kind)) continue;
       const first = Math.max(change.first - this.take.first_frame, from), last = Math.min(change.last - this.take.first_frame, to);
@@ -72,11 +78,31 @@ export class Samples {
     }
   }
 
+  // Notes the samples of a correction that requests a fill; they are shown once it is among the corrections.
+  request(correction, marker, samples, name) { this.fills.set(describeFill(correction), { marker, samples, name }); }
+
+  showRequested(correction, from, to) {
+    const fill = this.fills.get(describeFill(correction)), first = correction.first - this.take.first_frame;
+    for (let t = Math.max(first, from); fill && t <= Math.min(correction.last - this.take.first_frame, to); t++) {
+      const index = t * this.counts.after + fill.marker, sample = fill.samples[t - first] ?? null, state = this.state[index];
+      if (![STATE.filled, STATE.replaced, STATE.empty, STATE.suspect].includes(state) && !sample) continue;  // it is measured
+      this.keepCleaned(index);
+      this.after.set(sample?.slice(0, 3) ?? [NaN, NaN, NaN], index * 3);
+      this.sd[index] = sample?.[3] ?? NaN;
+      this.state[index] = !sample ? STATE.empty : Number.isNaN(this.before[index * 3]) ? STATE.filled : STATE.replaced;
+      this.requested.set(index, fill.name);
+    }
+  }
+
+  keepCleaned(index) {
+    if (!this.cleaned.has(index)) this.cleaned.set(index, [...this.after.subarray(index * 3, index * 3 + 3), this.sd[index], this.state[index]]);
+  }
+
   showDeclined(index, change) {
     const { before, after, sd, state } = this, isGap = change.before.missing > change.last - change.first;
     const wasMissing = Number.isNaN(before[index * 3]);
     if (!isGap && wasMissing && state[index] !== STATE.relabelled) return;  // this sample belongs to a gap
-    if (!this.cleaned.has(index)) this.cleaned.set(index, [...after.subarray(index * 3, index * 3 + 3), sd[index], state[index]]);
+    this.keepCleaned(index);
     after.set(isGap ? [NaN, NaN, NaN] : before.subarray(index * 3, index * 3 + 3), index * 3);
     sd[index] = NaN;
     if (change.decision === "reject" && (isGap || !wasMissing)) state[index] = STATE.rejected;

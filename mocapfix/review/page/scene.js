@@ -6,7 +6,8 @@ import { STATE } from "./samples.js";
 const COLOURS = { before: 0x6b7480, faulty: 0xff4f4f, relabelled: 0xa98bff, estimated: 0x2fd07a, unlabelled: 0xe0a030 };
 const THEMES = { dark: { back: 0x101418, after: 0xc9d0d8, grid: 0x39424c, bone: 0x4f8fd6 },
   light: { back: 0xe9edf1, after: 0x8d98a5, grid: 0xc3cad2, bone: 0x3f7fc4 } };
-const SIZES_M = { before: 0.04, after: 0.05, unlabelled: 0.034 };
+const SIZES_M = { before: 0.04, after: 0.05, unlabelled: 0.034, estimate: 0.034 };
+const MAX_ESTIMATES = 7;
 const TRAIL_S = 0.5;
 const PICK_RADIUS_PX = 14;
 const SLOW_RENDER_MS = 24;
@@ -50,6 +51,8 @@ export class SceneView {
       child.geometry?.dispose();
     }
     for (const name of ["unlabelled", "before", "after"]) this.layers[name] = this.addPoints(samples.counts[name], SIZES_M[name]);
+    this.estimates = [];
+    this.ghosts = this.addPoints(MAX_ESTIMATES, SIZES_M.estimate);
     this.bones = this.addLines(take.bones.length * 2, this.theme.bone);
     const trailPoints = 2 * (2 * Math.ceil(TRAIL_S * take.rate) + 1);
     this.trails = ["before", "after"].map((name) => this.addLines(trailPoints, name === "before" ? COLOURS.faulty : COLOURS.estimated));
@@ -99,6 +102,7 @@ export class SceneView {
     this.updatePoints("before", frame, (m) => this.chooseInputColour(frame, m));
     this.updatePoints("after", frame, (m) => this.chooseOutputColour(frame, m));
     this.updatePoints("unlabelled", frame, () => COLOURS.unlabelled);
+    this.updateGhosts(frame);
     this.updateBones(frame);
     this.updateTrails(frame, selected[0]);
     const root = this.samples.counts.joints * 3 * frame;
@@ -138,6 +142,24 @@ export class SceneView {
     }
     layer.geometry.setDrawRange(0, shown);
     position.needsUpdate = colours.needsUpdate = true;
+  }
+
+  // Shows estimates of a marker beside it: [x, y, z] of each from a frame on, with its colour.
+  setEstimates(estimates) {
+    this.estimates = estimates;
+    if (this.frame !== undefined) this.updateGhosts(this.frame);
+    this.requestRender();
+  }
+
+  updateGhosts(frame) {
+    const { position, color } = this.ghosts.geometry.attributes;
+    const shown = this.estimates.map((each) => ({ ...each, at: (frame - each.from) * 3 })).filter(({ layer, at }) => at > 2 && at < layer.values.length - 3 && !Number.isNaN(layer.values[at]));
+    shown.forEach(({ layer, at, colour, isActive }, n) => {
+      position.array.set(layer.values.subarray(at, at + 3), n * 3);
+      this.colour.set(isActive ? 0xffffff : colour).toArray(color.array, n * 3);
+    });
+    this.ghosts.geometry.setDrawRange(0, shown.length);
+    position.needsUpdate = color.needsUpdate = true;
   }
 
   updateBones(frame) {
