@@ -17,7 +17,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt
 from mocapfix.io.yaml_files import StrictModel
 from mocapfix.model.take import Take
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
-from mocapfix.report.stick_figures import MAX_DRAWN_MARKERS, fit_figure_view, select_shown_body, trace_frame
+from mocapfix.report.stick_figures import MAX_DRAWN_MARKERS, fit_figure_view, select_shown_body, trace_bones, trace_markers
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import predict_markers
 
@@ -103,9 +103,9 @@ def draw_worst_moment(result: CleaningResult, frame: int) -> str:
     if len(body):
         position[~shown] = _predict_positions(result, frame)[~shown]
     estimated, suspect, empty = find_estimated_samples(outcome), outcome == SampleOutcome.SUSPECT, ~shown
-    paths = trace_frame(comparison, view, frame, digits=0).items()
-    classes = {name: name if name == "bones" else f"dot {name}" for name, _ in paths}
-    content = "".join(f'<path class="{classes[name]}" d="{path}"/>' for name, path in paths if path)
+    dots = trace_markers(view, after.markers[frame], outcome, digits=0)
+    paths = {"bones": trace_bones(view, comparison, frame, digits=0), **{f"dot {label}": path for label, path in dots.items()}}
+    content = "".join(f'<path class="{name}" d="{path}"/>' for name, path in paths.items() if path)
     content += _draw_crosses(view.project_known(position[empty]))
     title = describe_moment(after, frame, (("estimated", estimated), ("faulty", suspect), ("empty", empty)))
     box = f"{int(left)} {int(top)} {int(width) + 1} {int(height) + 1}"

@@ -242,8 +242,13 @@ def iterate_blocks(value: Value, frame_count: int, block_frames: int = 0) -> Ite
     """Yield blocks of frames, and a value there. What was read from the files of its arrays leaves the memory after each."""
     for first in range(0, frame_count, length := block_frames or MAX_BLOCK_FRAMES):
         frames = slice(first, min(first + length, frame_count))
-        yield frames, map_arrays(value, frame_count, lambda name, of, t=frames: of if name.endswith("point_columns") else of[t])
+        yield frames, select_block(value, frame_count, frames)
         release_pages(value, frame_count)
+
+
+def select_block(value: Value, frame_count: int, frames: slice) -> Value:
+    """Return a value there."""
+    return map_arrays(value, frame_count, lambda name, of: of if name.endswith("point_columns") else of[frames])
 
 
 def store_take(take: Take) -> Take:

@@ -41,7 +41,7 @@ from mocapfix.report.sample_states import (
     classify_input_samples,
     find_estimated_samples,
 )
-from mocapfix.report.stick_figures import CM_PER_M, build_moving_figure, draw_stick_figures
+from mocapfix.report.stick_figures import CM_PER_M, build_moving_figures
 from mocapfix.report.terms import FAULT_GROUPS, format_fault_counts, format_frame_range, format_number, get_fault_group
 from mocapfix.report.timeline import build_contact_part, build_fault_rows, build_residual_plot, build_time_ticks
 
@@ -84,8 +84,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
     notes = [("Note", note) for note in report["notes"]]
-    frame, worst = comparison.worst_moment
-    moving = build_moving_figure(comparison, frame, worst.markers if worst else ())
+    moment, moving = _describe_worst_moment(comparison)
     review_file, name = f"{take.output_stem}.changes.yaml", take.path.name if take.path else "TAKE"
     write_page(
         target,
@@ -96,9 +95,8 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         terms=comparison.terms,
         facts=_build_facts(report, comparison),
         answers=[(question, describe(report, comparison)) for question, describe in answers] + notes,
-        worst_moment=_describe_worst_moment(comparison),
-        moving_svg=moving[0],
-        moving=moving[1],
+        moment=moment,
+        moving=moving,
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
         sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
         frame_count=take.frame_count,
@@ -148,8 +146,8 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
     return facts
 
 
-def _describe_worst_moment(comparison: CleaningComparison) -> tuple[str, Figure, Figure]:
-    """Return which moment is the worst, and its frame before and after, with the affected markers in the captions."""
+def _describe_worst_moment(comparison: CleaningComparison) -> tuple[tuple[str, Figure, Figure], dict[str, Any]]:
+    """Return which moment is the worst, it before and after with the affected markers in the captions, and what is played."""
     before, after, points = comparison.input_take, comparison.cleaned_take, comparison.terms.points
     frame, worst = comparison.worst_moment
     what = "It has the most corrections." if comparison.changes else "Nothing was corrected."
@@ -167,12 +165,12 @@ def _describe_worst_moment(comparison: CleaningComparison) -> tuple[str, Figure,
     text_after = _list_markers("estimated (green)", find_estimated_samples(outcome), after)
     text_after += _list_markers("relabelled (violet)", outcome == SampleOutcome.RELABELLED, after)
     text_after += _list_markers("left empty", is_marker & (outcome == SampleOutcome.EMPTY), after)
-    svg_before, svg_after = draw_stick_figures(comparison, frame)
+    svg_before, svg_after, moving = build_moving_figures(comparison, frame, worst.markers if worst else ())
     return (
         f"Frame {before.get_frame_number(frame)}, {frame / before.rate:.2f} s after the first. {what}",
         Figure(svg_before, "Before:", text_before or f"all {points} are visible"),
         Figure(svg_after, "After:", text_after or "no corrections"),
-    )
+    ), moving
 
 
 def describe_event(event: Sequence[Change]) -> str:

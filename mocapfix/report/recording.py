@@ -7,21 +7,25 @@ Entities:
       unlabelled          unlabelled trajectories: grey, violet where joined to a marker
       after               cleaned markers: grey if measured, green if estimated, violet if relabelled
       skeleton            one line from each joint to its parent
-    state/LABEL           outcome of each sample, for the markers with the most changes
+    state/SUBJECT/LABEL   outcome of each sample, for the markers with the most changes
     missing/before|after  number of missing markers
-    error/LABEL           distance of the marker from the body in millimetres, for the markers with the largest distances
+    error/SUBJECT/LABEL   distance of the marker from the body in millimetres, for the markers with the largest distances
     world/contacts        joints while they are in contact with the floor: orange, pale where the contact is inferred
     world/floor/N         a grid on each level of the floor, around the places at which joints are in contact with it
     contacts/left-heel    when each joint is in contact, as a lane of states
     events                events of gait, as a log
+
+The time lines "time" and "frame" have the whole take; "worst moment", on which a viewer opens, has a second before and after it.
 
 All data are sent as whole columns: strips in lists, or one call per frame, take about a hundred times longer. A frame without
 markers is a row without points; without such a row rerun keeps showing the previous frame.
 """
 
 import errno
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +39,7 @@ from mocapfix.contacts.contacts import BodyContacts, Floor
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
-from mocapfix.model.windows import iterate_blocks
+from mocapfix.model.windows import iterate_blocks, select_block
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
@@ -46,6 +50,7 @@ from mocapfix.report.sample_states import (
     classify_input_samples,
     find_estimated_samples,
 )
+from mocapfix.report.stick_figures import MOVING_REACH_S
 from mocapfix.report.timeline import CONTACT_NAMES
 
 CONTACT_COLOUR = 0xFF9F40FF
@@ -58,16 +63,6 @@ GRID_MARGIN_M = 0.5  # distance from the places of contacts to the edge of the g
 MAX_GRID_LINES = 200  # lines of a grid in each direction; of a larger one the spacing is wider
 CONTACT_STATES = ("none", "inferred", "contact")
 STATE_RGBA = np.array([0x333A43FF, INFERRED_CONTACT_COLOUR, CONTACT_COLOUR], np.uint32)
-
-
-def log_contacts(writer: "_RecordingWriter", contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
-    """Log the contacts, whose joints are at `position` (T, C, 3) in metres, the floor and the events."""
-    _log_contact_points(writer, contacts, position)
-    for level, lines in enumerate(build_floor_grids(contacts, position)):
-        strips = rr.LineStrips3D(lines.astype(np.float32), radii=FLOOR_LINE_RADIUS_M, colors=np.uint32(FLOOR_COLOUR))
-        writer.recording.log(f"world/floor/{level + 1}", strips, static=True)
-    _log_contact_states(writer, contacts)
-    _log_events(writer, contacts)
 
 
 def _log_contact_points(writer: "_RecordingWriter", contacts: BodyContacts, position: Float[np.ndarray, "T C 3"]) -> None:
@@ -101,22 +96,23 @@ def _build_grid(floor: Floor, level: int, points: Float[np.ndarray, "P 3"]) -> F
     return np.stack([ends[..., 0], height, ends[..., 1]], axis=-1)
 
 
-def _log_contact_states(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
-    """Log the changes of state of each joint that is ever in contact."""
+def _log_contact_states(writer: "_RecordingWriter", contacts: BodyContacts, is_shown: Bool[np.ndarray, " C"]) -> None:
+    """Log the changes of state of the joints that are shown."""
     style = rr.StateConfiguration(values=CONTACT_STATES, labels=(" ", *CONTACT_STATES[1:]), colors=STATE_RGBA)
-    for column in np.flatnonzero(contacts.is_contact.any(0)):
+    for column in np.flatnonzero(is_shown):
         state = np.where(contacts.is_contact[:, column], 1 + contacts.is_known[:, column], 0)
         writer.log_states(f"contacts/{CONTACT_NAMES[contacts.joints[column]].replace(' ', '-')}", state, CONTACT_STATES, style)
 
 
 def _log_events(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
-    if not contacts.events:
-        return
-    time_s = np.array([event.time_s for event in contacts.events])
-    frame = np.rint(time_s * contacts.rate).astype(int) + writer.frame_numbers[0]
-    texts = [f"{event.side} {event.kind}, from {event.source}" for event in contacts.events]
-    times = [rr.TimeColumn("time", duration=time_s), rr.TimeColumn("frame", sequence=frame)]
-    rr.send_columns("events", times, rr.TextLog.columns(text=texts, level=["INFO"] * len(texts)), recording=writer.recording)
+    frames = [round(event.time_s * contacts.rate) for event in contacts.events]
+    shown = [n for n, frame in enumerate(frames) if writer.block.start <= frame < writer.block.stop]
+    if shown:
+        events, numbers = [contacts.events[n] for n in shown], np.array(frames)[shown] + writer.frame_numbers[0]
+        texts = [f"{event.side} {event.kind}, from {event.source}" for event in events]
+        columns = rr.TextLog.columns(text=texts, level=["INFO"] * len(texts))
+        times = writer.build_times(np.array([event.time_s for event in events]), numbers)
+        rr.send_columns("events", times, columns, recording=writer.recording)
 
 
 def build_contact_views(contacts: BodyContacts) -> list[rrb.View]:
@@ -129,6 +125,7 @@ def build_contact_views(contacts: BodyContacts) -> list[rrb.View]:
     return views
 
 
+MOMENT_TIMELINE = "worst moment"  # the time line on which a recording opens; the others have all frames
 MAX_STATE_LANES = 20  # markers in the time line of sample states
 
 # Colours on the dark background of rerun; input markers are darker than cleaned ones.
@@ -169,11 +166,13 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
 
 
 def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison) -> None:
-    """Log a take before and after cleaning, a long one block by block."""
-    writer, count = _RecordingWriter(recording, comparison.input_take), comparison.input_take.frame_count
-    states, residual_m = comparison.sample_states, comparison.residual_m
+    """Log a take before and after cleaning, a long one block by block, and its worst moment again on a time line of its own."""
+    writer, length = _RecordingWriter(recording, comparison.input_take), comparison.input_take.frame_count
+    states, residual_m, contacts = comparison.sample_states, comparison.residual_m, comparison.contacts
     lanes, worst = writer.prepare_state_lanes(states), [] if residual_m is None else writer.prepare_residual_curves(residual_m)
-    for frames, block in iterate_blocks(comparison, count):
+    is_joint_shown = np.array([] if contacts is None else contacts.is_contact.any(0), bool)
+
+    def log_block(frames: slice, block: CleaningComparison) -> None:
         writer.block = frames
         writer.log_markers(block, states[frames])
         if block.skeleton is not None and block.joint_position_world is not None:
@@ -182,9 +181,28 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
         writer.log_missing_counts(block.input_take, block.cleaned_take)
         if block.residual_m is not None:
             writer.log_residuals(block.residual_m, worst)
-    writer.block = slice(0, count)
-    if comparison.contacts is not None and (contact_position := comparison.locate_contacts()) is not None:
-        log_contacts(writer, comparison.contacts, contact_position)
+        if block.contacts is not None and (position := block.locate_contacts()) is not None:
+            _log_contact_points(writer, block.contacts, position)
+            _log_contact_states(writer, block.contacts, is_joint_shown)
+            _log_events(writer, block.contacts)
+
+    for frames, block in iterate_blocks(comparison, length):
+        log_block(frames, block)
+    position = comparison.locate_contacts()
+    grids = [] if contacts is None or position is None else build_floor_grids(contacts, position)
+    for level, lines in enumerate(grids):
+        strips = rr.LineStrips3D(lines.astype(np.float32), radii=FLOOR_LINE_RADIUS_M, colors=np.uint32(FLOOR_COLOUR))
+        recording.log(f"world/floor/{level + 1}", strips, static=True)
+    if length:
+        writer.is_moment, moment = True, find_moment_frames(comparison)
+        log_block(moment, select_block(comparison, length, moment))
+
+
+def find_moment_frames(comparison: CleaningComparison) -> slice:
+    """Return the frames of the worst moment: up to MOVING_REACH_S before and after it."""
+    take = comparison.cleaned_take
+    worst, reach = comparison.worst_moment[0] if take.visible.size else 0, round(MOVING_REACH_S * take.rate)
+    return slice(max(0, worst - reach), min(take.frame_count, worst + reach + 1))
 
 
 def check_recording_complete(path: Path) -> None:
@@ -199,20 +217,26 @@ class _RecordingWriter:
     """A recording with the time columns of a take and unique names of its trajectories."""
 
     def __init__(self, recording: rr.RecordingStream, take: Take):
-        self.recording, self.block = recording, slice(0, take.frame_count)  # the frames that are logged
+        self.recording, self.block, self.is_moment = recording, slice(0, take.frame_count), False  # what is logged
         self.time_s = np.arange(take.frame_count) / take.rate
         self.frame_numbers = take.first_frame + np.arange(take.frame_count)
         labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
         counts = Counter(labels)  # a file may contain a label twice
         self.point_names = [label if counts[label] == 1 else f"{label} ({m + 1})" for m, label in enumerate(labels)]
+        self.point_paths = name_entities(labels)
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
     def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
         """Send columns of some frames of the block."""
         time_s, numbers = self.time_s[self.block][frames], self.frame_numbers[self.block][frames]
-        times = [rr.TimeColumn("time", duration=time_s), rr.TimeColumn("frame", sequence=numbers)]
-        rr.send_columns(path, times, columns, recording=self.recording)
+        rr.send_columns(path, self.build_times(time_s, numbers), columns, recording=self.recording)
+
+    def build_times(self, time_s: Float[np.ndarray, " N"], number: Int[np.ndarray, " N"]) -> list[rr.TimeColumn]:
+        """Return the time lines of rows: those of the take, or that of the worst moment."""
+        if self.is_moment:
+            return [rr.TimeColumn(MOMENT_TIMELINE, duration=time_s)]
+        return [rr.TimeColumn("time", duration=time_s), rr.TimeColumn("frame", sequence=number)]
 
     def log_markers(self, comparison: CleaningComparison, outcome: Int[np.ndarray, "T M"]) -> None:
         """Log input markers, unlabelled trajectories and cleaned markers."""
@@ -251,7 +275,7 @@ class _RecordingWriter:
         """Return the paths of the lanes of the markers with the most samples that are not simply measured."""
         count = (outcome != SampleOutcome.MEASURED).sum(axis=0)
         markers = sorted(m for m in np.argsort(-count, kind="stable")[:MAX_STATE_LANES].tolist() if count[m])
-        return {rr.new_entity_path(["state", self.point_names[m]]): m for m in markers}
+        return {f"state/{self.point_paths[m]}": m for m in markers}
 
     def log_sample_states(self, outcome: Int[np.ndarray, "T M"], lanes: Mapping[str, int]) -> None:
         """Log the changes of state of markers."""
@@ -283,18 +307,28 @@ class _RecordingWriter:
     def log_residuals(self, residual_m: Float[np.ndarray, "T M"], markers: Sequence[int]) -> None:
         """Log the distance from the body of markers."""
         for m, colour in zip(markers, RESIDUAL_CURVE_COLOURS, strict=False):
-            path = rr.new_entity_path(["error", self.point_names[m]])
+            path = f"error/{self.point_paths[m]}"
             style = rr.SeriesLines(colors=_convert_to_rgba(colour), widths=1, names=self.point_names[m])
             self.recording.log(path, style, static=True)
             self.send_columns(path, rr.Scalars.columns(scalars=residual_m[:, m] * 1e3))
 
 
+def name_entities(labels: Sequence[str]) -> list[str]:
+    """Return a different path for each label: parts at colons, as of a subject, without the characters that rerun escapes."""
+    paths: dict[str, None] = {}
+    for label in labels:
+        path = "/".join(re.sub(r"[^a-zA-Z0-9_.-]+", "-", part).strip("-_") or "unnamed" for part in label.split(":"))
+        paths[next(name for n in count(1) if (name := path if n == 1 else f"{path}-{n}") not in paths)] = None
+    return list(paths)
+
+
 def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
-    """Return the blueprint of the recording: a 3-D view of the whole take beside plots of its markers."""
-    step = -(-comparison.cleaned_take.frame_count // MAX_CAMERA_FRAMES)
-    position_world = comparison.cleaned_take.markers[::step]
+    """Return the blueprint of the recording: a 3-D view of the worst moment, which plays in a loop, beside plots."""
+    moment = find_moment_frames(comparison)
+    shown = slice(moment.start, moment.stop, 1 + (moment.stop - moment.start) // MAX_CAMERA_FRAMES)
+    position_world = comparison.cleaned_take.markers[shown]
     if comparison.joint_position_world is not None:
-        position_world = np.concatenate([position_world, comparison.joint_position_world[::step]], axis=1)
+        position_world = np.concatenate([position_world, comparison.joint_position_world[shown]], axis=1)
     eye, target = _compute_eye_position(position_world)
     controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0))
     body = rrb.Spatial3DView(origin="world", name=f"{comparison.input_take.name}: before and after", eye_controls=controls)
@@ -313,7 +347,7 @@ def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
     if comparison.contacts is not None and (contact_views := build_contact_views(comparison.contacts)):
         shares, views = [*shares, 2], [*views, rrb.Tabs(*contact_views)]
     beside = rrb.Vertical(*views, row_shares=shares)
-    time = rrb.TimePanel(timeline="time", state="collapsed", play_state="paused")
+    time = rrb.TimePanel(timeline=MOMENT_TIMELINE, state="collapsed", play_state="playing", loop_mode="all")
     return rrb.Blueprint(rrb.Horizontal(body, beside, column_shares=[3, 2]), time, collapse_panels=True)
 
 

@@ -1,16 +1,14 @@
-"""SVG stick figures of one frame, before and after cleaning, in front of the body, from one side and slightly above."""
+"""SVG stick figures of a moment, before and after cleaning, in front of the body, from one side and slightly above."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from markupsafe import Markup
 
-from mocapfix.model.skeleton import Skeleton
-from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples
 
 VIEW_YAW_RAD = np.radians(25)
 VIEW_PITCH_RAD = np.radians(8)
@@ -19,68 +17,58 @@ MAX_DRAWN_STRAY_DISTANCE_M = 0.4  # distance from the body up to which faulty ma
 FLOOR_TILE_SIZE_M = 0.5
 FLOOR_TILES_PER_SIDE = 2  # on each side of the body
 CM_PER_M = 100
-MARKER_RADIUS_CM = 2
 MAX_DRAWN_MARKERS = 200  # of one state, in pictures of the session page and in a moving figure
 MOVING_REACH_S = 1.0  # played before and after the worst moment
 MAX_MOVING_RATE_HZ = 30.0  # of the frames that are played
 MIN_DIRECTION_LENGTH = 1e-9  # shorter level directions are replaced by the world's X axis
 
 
-def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
-    """Return two SVG pictures on one scale: the input markers, and the body with the cleaned markers.
+def build_moving_figures(
+    comparison: CleaningComparison, frame: int, chosen: Sequence[str]
+) -> tuple[Markup, Markup, dict[str, Any]]:
+    """Return pictures of a frame before and after cleaning, with rings around the chosen markers, and what is played in them.
 
-    Only markers are drawn if there is no skeleton or a joint is unknown in this frame.
+    That is the frames up to MOVING_REACH_S before and after: their rate, their numbers in the file, for each the SVG paths of
+    both pictures by CSS class, and the index of the one that is shown first.
     """
-    before, after, skeleton = comparison.input_take, comparison.cleaned_take, comparison.skeleton
-    outcome = comparison.sample_states[frame]
-    input_state = classify_input_samples(before.visible[frame], outcome)
-    body = select_shown_body(comparison, frame)
-    view = fit_figure_view(comparison, frame, body)
-    floor = view.draw_floor()
-    bones = _draw_lines("bones", view.list_bones(skeleton, body)) if skeleton is not None and len(body) else ""
-    points = comparison.terms.points
-    return (
-        view.render_svg(floor + view.draw_markers(before.markers[frame], input_state, before.labels), f"{points} before"),
-        view.render_svg(floor + bones + view.draw_markers(after.markers[frame], outcome, after.labels), f"{points} after"),
-    )
-
-
-def build_moving_figure(comparison: CleaningComparison, frame: int, chosen: Sequence[str]) -> tuple[Markup, dict[str, Any]]:
-    """Return a picture of the cleaned take in a frame, with rings around the chosen markers, and what a script plays in it.
-
-    That is the frames up to MOVING_REACH_S before and after: their rate, their numbers in the file, the SVG paths of each by CSS
-    class, and the index of the one that is shown first.
-    """
-    after, joints = comparison.cleaned_take, comparison.joint_position_world
+    before, after, joints = comparison.input_take, comparison.cleaned_take, comparison.joint_position_world
     step, reach = max(1, round(after.rate / MAX_MOVING_RATE_HZ)), round(MOVING_REACH_S * after.rate)
     frames = list(range(frame - min(frame, reach) // step * step, min(after.frame_count, frame + reach + 1), step))
     view, ring = fit_figure_view(comparison, frame, select_shown_body(comparison, frame)), np.isin(after.labels, chosen)
     shown = np.concatenate([after.markers[frames], *([] if joints is None else [joints[frames]])], axis=1).reshape(-1, 3)
     view = view.fit_points(shown) if np.isfinite(shown).any() else view
-    rings = [{"ring": _join_dots(view.project_known(after.markers[t, ring]), 1)} for t in frames]
-    paths = [each | trace_frame(comparison, view, t) for each, t in zip(rings, frames, strict=True)]
-    content = "".join(f'<path class="{name}" d="{path}"/>' for name, path in paths[frames.index(frame)].items())
-    svg = view.render_svg(view.draw_floor() + content, f"{comparison.terms.points} after, moving")
+    paths: list[list[dict[str, str]]] = []
+    for t in frames:
+        states, rings = (
+            comparison.sample_states[t],
+            (_join_dots(view.project_known(x.markers[t, ring]), 1) for x in (before, after)),
+        )
+        marks = trace_markers(view, before.markers[t], classify_input_samples(before.visible[t], states))
+        bones = {"bones": trace_bones(view, comparison, t)}
+        traces = ({"bones": ""} | marks, bones | trace_markers(view, after.markers[t], states))
+        paths.append([{"ring": each} | trace for each, trace in zip(rings, traces, strict=True)])
+    contents = ("".join(f'<path class="{k}" d="{path}"/>' for k, path in each.items()) for each in paths[frames.index(frame)])
+    one, other = (view.render_svg(view.draw_floor() + each, comparison.terms.points) for each in contents)
     numbers = [after.get_frame_number(t) for t in frames]
-    return svg, {"rate": after.rate / step, "numbers": numbers, "paths": paths, "index": frames.index(frame)}
+    return one, other, {"rate": after.rate / step, "numbers": numbers, "paths": paths, "index": frames.index(frame)}
 
 
-def trace_frame(comparison: CleaningComparison, view: "FigureView", frame: int, digits: int = 1) -> dict[str, str]:
-    """Return the SVG paths of a frame after cleaning by CSS class: the bones, and dots at the samples of each state.
+def trace_markers(
+    view: "FigureView", position_world: Float[np.ndarray, "M 3"], sample_states: Int[np.ndarray, " M"], digits: int = 1
+) -> dict[str, str]:
+    """Return the SVG paths of the visible markers by the label of their state."""
+    points = {each.label: view.project_known(position_world[sample_states == each]) for each in SampleOutcome}
+    return {label: _join_dots(each, digits) for label, each in points.items()}
 
-    Faulty samples are shown where they were measured.
-    """
-    marker, state = comparison.cleaned_take.markers[frame], comparison.sample_states[frame]
-    body, estimated = select_shown_body(comparison, frame), find_estimated_samples(state)
-    relabelled, suspect = (state == each for each in (SampleOutcome.RELABELLED, SampleOutcome.SUSPECT))
-    bones = view.list_bones(comparison.skeleton, body) if comparison.skeleton is not None and len(body) else ()
-    dots = {
-        "suspect": comparison.input_take.markers[frame, suspect | (state == SampleOutcome.REPLACED)],
-        "measured": marker[~estimated & ~relabelled & ~suspect],
-        "relabelled": marker[relabelled],
-        "filled": marker[estimated],
-    }
-    return {"bones": _join_lines(bones, digits)} | {k: _join_dots(view.project_known(each), digits) for k, each in dots.items()}
+
+def trace_bones(view: "FigureView", comparison: CleaningComparison, frame: int, digits: int = 1) -> str:
+    """Return the SVG path of the known bones of the body that a picture of a frame shows."""
+    body, skeleton = select_shown_body(comparison, frame), comparison.skeleton
+    if skeleton is None or not len(body):
+        return ""
+    child = np.flatnonzero(skeleton.parents >= 0)
+    ends = np.stack([body[skeleton.parents[child]], body[child]], axis=1)
+    return _join_lines(view.project_points(ends[np.isfinite(ends).all(axis=(1, 2))]), digits)
 
 
 def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.ndarray, "J 3"]:
@@ -120,35 +108,11 @@ class FigureView:
         steps = np.arange(-FLOOR_TILES_PER_SIDE, FLOOR_TILES_PER_SIDE + 1) * FLOOR_TILE_SIZE_M
         end = FLOOR_TILES_PER_SIDE * FLOOR_TILE_SIZE_M
         lines = [[(s, 0, -end), (s, 0, end)] for s in steps] + [[(-end, 0, s), (end, 0, s)] for s in steps]
-        return _draw_lines("floor", self.project_points(self.ground_position_world + np.array(lines)))
-
-    def list_bones(self, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "N 2 3"]:
-        """Return the ends of the known bones in the picture."""
-        child = np.flatnonzero(skeleton.parents >= 0)
-        ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]], axis=1)
-        return self.project_points(ends[np.isfinite(ends).all(axis=(1, 2))])
-
-    def draw_markers(
-        self, marker_position: Float[np.ndarray, "M 3"], sample_states: Int[np.ndarray, " M"], labels: tuple[str, ...]
-    ) -> str:
-        """Return circles of the visible markers, the farthest first, so that near ones cover them."""
-        projected = self.project_points(marker_position)
-        circles = ""
-        for m in np.argsort(projected[:, 2]):
-            if np.isfinite(projected[m]).all():
-                state = SampleOutcome(sample_states[m]).label
-                circles += (
-                    f'<circle class="{state}" cx="{projected[m, 0]:.1f}" cy="{projected[m, 1]:.1f}" r="{MARKER_RADIUS_CM}">'
-                    f"<title>{escape(labels[m])}: {state}</title></circle>"
-                )
-        return circles
+        path = _join_lines(self.project_points(self.ground_position_world + np.array(lines)), 1)
+        return f'<path class="floor" d="{path}"/>'
 
 
-def _draw_lines(css_class: str, lines_cm: Float[np.ndarray, "N 2 3"]) -> str:
-    return f'<path class="{css_class}" d="{_join_lines(lines_cm)}"/>'
-
-
-def _join_lines(lines_cm: Iterable[Float[np.ndarray, "2 3"]], digits: int = 1) -> str:
+def _join_lines(lines_cm: Float[np.ndarray, "N 2 3"], digits: int) -> str:
     return "".join(f"M{a[0]:.{digits}f} {a[1]:.{digits}f}L{b[0]:.{digits}f} {b[1]:.{digits}f}" for a, b in lines_cm)
 
 

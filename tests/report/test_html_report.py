@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -13,6 +13,7 @@ from mocapfix.model import changes
 from mocapfix.model.changes import serialize_changes
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.report.html_report import write_html_report
+from mocapfix.report.stick_figures import fit_figure_view
 
 VOID_TAGS = {"meta", "br", "img", "link", "input"}
 
@@ -101,6 +102,33 @@ def test_changes_at_one_time_of_neighbouring_markers_are_one_event(scene, tmp_pa
     assert worst == sorted(worst, reverse=True)
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A stick figure: its box (left, top, width and height) and its paths by class."""
+
+    box: tuple[float, ...]
+    paths: dict[str, str]
+
+    def contains(self, x, y):
+        left, top, width, height = self.box
+        return left < x < left + width and top < y < top + height
+
+
+def find_pictures(page):
+    """Return the stick figures before and after."""
+    parts = re.findall(r'<svg class="figure" viewBox="([^"]+)".*?</svg>', page.source)
+    svgs = re.findall(r'<svg class="figure".*?</svg>', page.source)
+    paths = [dict(re.findall(r'<path class="(\w+)" d="([^"]*)"', svg)) for svg in svgs]
+    return [
+        Picture(tuple(map(float, box.split())), {name: path for name, path in each.items() if name != "floor"})
+        for box, each in zip(parts, paths, strict=True)
+    ]
+
+
+def find_dots(path):
+    return [(float(x), float(y)) for x, y in re.findall(r"M([-\d.]+) ([-\d.]+)h0", path)]
+
+
 def make_uncertain(scene, sd_m):
     """Return the scene with another standard deviation of the samples of the spike, and of the last frame of the gap of M03."""
     comparison = scene.comparison
@@ -145,16 +173,20 @@ def test_the_frames_around_the_worst_moment_are_played(scene, tmp_path):
     assert data["rate"] == 30.0
     assert data["numbers"] == list(range(101 + 2, 101 + 191, 4))  # at 120 Hz, one second before and after frame 70
     assert data["numbers"][data["index"]] == 171
-    (svg,) = re.findall(r'<svg class="figure"[^>]*after, moving">.*?</svg>', page.source)
-    left, top, width, height = (float(x) for x in svg.split('viewBox="')[1].split('"')[0].split())
+    pictures = find_pictures(page)
     for number, paths in zip(data["numbers"], data["paths"], strict=True):
         states = uncertain.comparison.sample_states[number - 101]
-        assert paths["filled"].count("M") == np.isin(states, (1, 2)).sum()
-        assert paths["ring"].count("M") == (number != 301)
-        for x, y in re.findall(r"M([-\d.]+) ([-\d.]+)h0", paths["measured"]):
-            assert left < float(x) < left + width
-            assert top < float(y) < top + height
-    assert f'd="{data["paths"][data["index"]]["bones"]}"' in svg  # what stands there without the script
+        before, after = paths
+        assert after["filled"].count("M") == (states == 1).sum()
+        assert before["measured"].count("M") + before["suspect"].count("M") + before["relabelled"].count("M") == (
+            uncertain.comparison.input_take.visible[number - 101].sum()
+        )
+        assert after["ring"].count("M") == 1
+        assert bool(after["bones"]) > bool(before["bones"])
+        for x, y in find_dots(after["measured"]):
+            assert pictures[1].contains(x, y)
+    for picture, paths in zip(pictures, data["paths"][data["index"]], strict=True):  # what stands there without the script
+        assert picture.paths == paths
     assert "prefers-reduced-motion" in page.scripts[1]
 
 
@@ -265,24 +297,26 @@ def test_the_worst_moment_is_shown_before_and_after(scene, tmp_path, is_predicte
     page = write_page(scene, tmp_path)
     assert ("It has the most corrections." in page.text) != is_predicted
     assert "Frame 171, 0.58 s after the first." in page.text
-    _, before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
-    assert before.count("<circle") == scene.comparison.input_take.visible[70].sum()
-    assert before.count('class="suspect"') == 1
-    assert after.count("<circle") == scene.comparison.cleaned_take.visible[70].sum()
-    assert after.count('class="filled"') == after.count('class="replaced"') == 1
-    assert ('class="bones"' in after, 'class="bones"' in before) == (True, False)
+    before, after = find_pictures(page)
+    assert sum(map(len, map(find_dots, before.paths.values()))) == scene.comparison.input_take.visible[70].sum() + is_predicted
+    assert len(find_dots(before.paths["suspect"])) == 1
+    shown = sum(len(find_dots(path)) for name, path in after.paths.items() if name not in ("bones", "ring"))
+    assert shown == scene.comparison.cleaned_take.visible[70].sum()
+    assert len(find_dots(after.paths["replaced"])) == 1
+    assert len(find_dots(after.paths["filled"])) == 1
 
 
-def test_the_body_faces_the_viewer_in_the_middle_of_the_figure(scene, tmp_path):
-    page = write_page(scene, tmp_path)
-    left, top, width, height = (float(number) for number in page.find_attributes("svg", "figure")[2]["viewbox"].split())
-    circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[2])
-    position = {label: (float(x), float(y)) for x, y, label in circles}
-    joint = {name: f"M{scene.comparison.skeleton.find_joint(name):02d}" for name in ("Head", "LeftFoot", "RightHand", "LeftHand")}
-    assert position[joint["Head"]][1] < position[joint["LeftFoot"]][1]  # y points down in an SVG
-    right_hand, left_hand = position[joint["RightHand"]][0], position[joint["LeftHand"]][0]
-    assert left < right_hand < left + width / 2 < left_hand < left + width
-    assert all(top < y < top + height for _, y in position.values())
+def test_the_body_faces_the_viewer_in_the_middle_of_the_figure(scene):
+    body = scene.comparison.joint_position_world[50]
+    view = fit_figure_view(scene.comparison, 50, body)
+    left, top, width, height = view.box_cm
+    places = view.project_points(body)
+    head, foot, right, left_hand = (
+        places[scene.comparison.skeleton.find_joint(name)] for name in ("Head", "LeftFoot", "RightHand", "LeftHand")
+    )
+    assert head[1] < foot[1]  # y points down in an SVG
+    assert left < right[0] < left + width / 2 < left_hand[0] < left + width
+    assert ((top < places[:, 1]) & (places[:, 1] < top + height)).all()
 
 
 def test_the_residual_curve_is_interrupted_at_unknown_values(scene, tmp_path):
@@ -312,8 +346,7 @@ def test_a_take_without_a_body(scene, tmp_path):
     assert "No body was used" in page.text
     assert "None" not in page.text
     assert "Bone lengths" not in page.text
-    assert not any(attrs["d"] for attrs in page.find_attributes("path", "bones"))
-    assert len(page.find_attributes("svg", "figure")) == 3
+    assert not any(picture.paths["bones"] for picture in find_pictures(page))
 
 
 def test_a_take_without_faults(scene, tmp_path):

@@ -2,6 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
+from hypothesis import example, given
+from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
 from mocapfix.errors import WriteError
@@ -11,8 +14,10 @@ from mocapfix.report.recording import (
     FAULTY_COLOUR,
     FIELD_OF_VIEW_RAD,
     INPUT_COLOUR,
+    MOMENT_TIMELINE,
     RELABELLED_COLOUR,
     _compute_eye_position,
+    name_entities,
     write_recording,
 )
 
@@ -22,16 +27,19 @@ class Recording:
 
     def __init__(self, path):
         reader = RrdReader(path)
-        self.reader, self.static, self.rows = reader, {}, {}
+        self.reader, self.static, self.rows, self.moment = reader, {}, {}, {}
+        durations = ("time", MOMENT_TIMELINE)
         for chunk in reader.stream().to_chunks():
             batch = chunk.to_record_batch()
             columns = {name: batch.column(name) for name in batch.schema.names}
-            values = {name: (c.cast("int64") if name == "time" else c).to_pylist() for name, c in columns.items()}  # nanoseconds
+            in_ns = {name: c.cast("int64") if name in durations else c for name, c in columns.items()}
+            values = {name: column.to_pylist() for name, column in in_ns.items()}
             if chunk.is_static:
                 self.static.setdefault(chunk.entity_path, {}).update(values)
             else:
+                columns_of = self.moment if MOMENT_TIMELINE in values else self.rows
                 for name, rows in values.items():
-                    self.rows.setdefault(chunk.entity_path, {}).setdefault(name, []).extend(rows)
+                    columns_of.setdefault(chunk.entity_path, {}).setdefault(name, []).extend(rows)
 
     def read_column(self, entity, end):
         """Return the rows of the column whose name ends with `end`."""
@@ -141,8 +149,37 @@ def test_equal_labels_have_separate_lanes(scene, tmp_path):
     assert len(lanes) == 2
 
 
-def test_the_recording_has_a_blueprint(recording):
-    assert len(recording.reader.blueprints()) == 1
+def test_the_recording_opens_at_the_worst_moment_with_the_body_in_view(scene, recording):
+    frame, _ = scene.comparison.worst_moment
+    first, last = 0, frame + 120  # a second at 120 Hz
+    time_ns = recording.moment["/world/after"][MOMENT_TIMELINE]
+    np.testing.assert_allclose(time_ns, 1e9 * np.arange(first, last + 1) / 120, atol=1)
+    whole = recording.read_column("/world/after", "positions")
+    shown = next(rows for name, rows in recording.moment["/world/after"].items() if name.endswith("positions"))
+    assert shown == whole[first : last + 1]
+    assert recording.moment.keys() == recording.rows.keys()  # no view is empty
+    for entity in recording.moment:
+        if entity.startswith("/state/"):  # each lane begins with its state
+            assert recording.moment[entity][MOMENT_TIMELINE][0] == 0
+    (blueprint,) = recording.reader.blueprints()
+    chunks = [chunk for chunk in recording.reader.stream(store=blueprint).to_chunks() if chunk.entity_path == "/time_panel"]
+    panel = [chunk.to_record_batch() for chunk in chunks]
+    values = {name.rpartition(":")[2]: each.column(name)[0] for each in panel for name in each.schema.names if ":" in name}
+    assert values["timeline"].as_py() == [MOMENT_TIMELINE]
+
+
+@given(st.lists(st.text(max_size=12), max_size=8))
+@example(["subject:LANK", "subject:LANK", "subject/LANK", "*1<i>", "", ":", "A-2", "A", "A", "__x"])
+def test_entities_have_names_that_need_no_escape(labels):
+    paths = name_entities(labels)
+    assert len(set(paths)) == len(paths) == len(labels)
+    for path in paths:
+        assert rr.new_entity_path(path.split("/")) == f"/{path}"
+        assert not any(part.startswith("__") for part in path.split("/"))
+
+
+def test_a_subject_is_a_part_of_the_path():
+    assert name_entities(["Jim:LANK", "LANK", "LANK"]) == ["Jim/LANK", "LANK", "LANK-2"]
 
 
 def test_the_whole_body_is_in_view_over_the_whole_take(scene):

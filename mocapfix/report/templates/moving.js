@@ -2,13 +2,16 @@
 "use strict";
 {
   const { rate, numbers, paths, index } = JSON.parse(document.getElementById("moving").textContent);
-  const player = document.getElementById("player"), figure = player.closest("figure"), [button, slider, output] = player.children;
+  const player = document.getElementById("player"), [button, slider, output] = player.children;
+  const figures = document.querySelectorAll("#figures svg");
   const HOLD_S = 0.4;  // the worst frame and the last stay so much longer
   let shown = index, isPlaying = !matchMedia("(prefers-reduced-motion: reduce)").matches && numbers.length > 1, due = 0;
 
   const show = (n) => {
     shown = n;
-    for (const [name, path] of Object.entries(paths[n])) figure.querySelector(`path.${name}`).setAttribute("d", path);
+    figures.forEach((figure, k) => {
+      for (const [name, path] of Object.entries(paths[n][k])) figure.querySelector(`path.${name}`).setAttribute("d", path);
+    });
     slider.value = n;
     output.textContent = `frame ${numbers[n]}${n === index ? ", the worst" : ""}`;
   };
