@@ -53,7 +53,7 @@ from mocapfix.model.windows import (
     select_marker_places,
     write_rows,
 )
-from mocapfix.options import FEET_OFF, PRIOR_EVERY_FRAME, CleanOptions, check_take_options
+from mocapfix.options import FEET_OFF, CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import SolvedBody, build_solved_body, describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
@@ -71,7 +71,7 @@ from mocapfix.solve.person_memory import (
     remember_motion,
 )
 from mocapfix.solve.pose_problem import find_unobserved_joints
-from mocapfix.solve.prior_conditioner import build_prior_conditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.trained_priors import build_pose_model_loader
 from mocapfix.subject.calibration import Calibrated, calibrate_body, place_moved_markers
 from mocapfix.subject.library import NO_BODY_NOTE, SubjectChoice, describe_marker_set_match, withdraw_marker_set
@@ -270,15 +270,17 @@ def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: Clean
     standing = None
     if body:
         with timer("solve", "limbs and feet"):
-            conditioner = build_prior_conditioner(build_pose_model_loader(options.prior.name_used), options.solve.prior_scale)
+            load_pose_model = build_pose_model_loader(options.prior.name_used)
+            conditioner = PriorConditioner(load_pose_model, options.solve.prior_scale) if load_pose_model else None
             if memory and (difference := describe_other_person(memory, body.subject.skeleton)):
                 choice, memory = replace(choice, notes=(*choice.notes, difference)), None
             body = complete_body(body, conditioner, options, memory)
             are_written = options.contacts.write_events or "events" in options.output.extra_formats
             has_events = are_written or not options.initialise.is_fast
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
-            if conditioner and options.prior.prior_scope == PRIOR_EVERY_FRAME:
-                standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
+            if conditioner:
+                is_held = standing.contacts.is_contact[:, : len(CONTACT_JOINTS)]
+                standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, is_held, conditioner, options))
     return FittedSubject(choice, detected, standing)
 
 

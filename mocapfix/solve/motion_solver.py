@@ -25,12 +25,13 @@ from mocapfix.model.body_fit import BodyFit, RememberedGap, SubjectInTake
 from mocapfix.model.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
-from mocapfix.options import CleanOptions
+from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions
 from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.solve.measured_segments import yield_to_markers
+from mocapfix.solve.measured_segments import smooth_share, yield_to_markers
+from mocapfix.solve.motion_prior import GapContext, combine_rotations, predict_shipped_gap
 from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.pose_problem import (
@@ -44,11 +45,11 @@ from mocapfix.solve.pose_problem import (
     list_window_frames,
     select_windows,
 )
-from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
+from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior, find_moved_joints
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
-from mocapfix.stats.sequences import interpolate_rows
+from mocapfix.stats.sequences import group_gaps, interpolate_rows
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
 MAX_ABSORBED_SHARE = 0.9  # share of its squared error that the pose absorbs above which a marker does not enter the estimate
@@ -168,28 +169,6 @@ def estimate_marker_sd(
 FIXED_JOINT_WEIGHT = 1e5  # in 1/rad^2 or 1/m^2, keeps solved joints and the root where they are against prior and limits
 
 
-def infer_unobserved_joints(
-    problem: MotionProblem,
-    motion: Motion,
-    evidence: PoseEvidence,
-    conditioner: PriorConditioner | None,
-    memory: PersonMemory | None = None,
-) -> tuple[Motion, PoseEvidence, list[RememberedGap]]:
-    """Return the motion with the unobserved joints inferred from the rest of the take and the memory of the person, the evidence
-    with their variance, and the gaps that are inferred from the memory.
-    """
-    frames = np.flatnonzero(problem.is_unobserved.any(1))
-    local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
-    joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
-    known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate, memory)
-    remembered = occluded_joints.infer_occluded_joints(known, conditioner)
-    inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
-    local_rotations[:] = motion.local_rotations
-    rows, joints = np.nonzero(problem.is_unobserved[frames])
-    local_rotations[frames[rows], joints] = inferred[rows, joints]
-    return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance), remembered
-
-
 def _solve_inferred_joints(
     problem: MotionProblem, pose: Poses, variance: Float[np.ndarray, "T J"], frames: Int[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N J 3 3"]:
@@ -221,16 +200,24 @@ def complete_motion(
     evidence: PoseEvidence,
     conditioner: PriorConditioner | None,
     memory: PersonMemory | None = None,
-) -> tuple[Motion, list[RememberedGap]]:
-    """Return the motion with the joints that no marker shows inferred as `infer_unobserved_joints` does, and their uncertainty;
-    and the gaps that are inferred from the memory of the person.
+) -> tuple[Motion, PoseEvidence, list[RememberedGap]]:
+    """Return the motion with the unobserved joints inferred from the rest of the take and the memory of the person, the evidence
+    with their variance, and the gaps that are inferred from the memory.
     """
     frames = np.flatnonzero(problem.is_unobserved.any(1))
     if not len(frames):
-        return motion, []
-    inferred, evidence, remembered = infer_unobserved_joints(problem, motion, evidence, conditioner, memory)
+        return motion, evidence, []
+    local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
+    joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
+    known = KnownMotion(motion.root_position, local_rotations, variance, problem.is_unobserved, joints, problem.rate, memory)
+    remembered = occluded_joints.infer_occluded_joints(known, conditioner)
+    solved = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
+    local_rotations[:] = motion.local_rotations
+    rows, joints = np.nonzero(problem.is_unobserved[frames])
+    local_rotations[frames[rows], joints] = solved[rows, joints]
+    inferred, evidence = replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance)
     inferred = yield_to_markers(problem.subject, problem.pose_problem.marker_positions, motion, inferred, problem.rate)
-    return update_motion_sd(problem, inferred, evidence, frames), remembered
+    return update_motion_sd(problem, inferred, evidence, frames), evidence, remembered
 
 
 def solve_changed_frames(
@@ -323,32 +310,77 @@ def complete_body(
     if body.evidence is None:
         return body
     problem = _build_body_problem(body, options)
-    motion, remembered = complete_motion(problem, body.motion, body.evidence, conditioner, memory)
+    motion, evidence, remembered = complete_motion(problem, body.motion, body.evidence, conditioner, memory)
     if motion is body.motion:
         return body
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
-    return replace(_build_body_fit(body, replace(motion, status=status), body.evidence), remembered=tuple(remembered))
+    return replace(_build_body_fit(body, replace(motion, status=status), evidence), remembered=tuple(remembered))
 
 
-def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorConditioner, options: CleanOptions) -> BodyFit:
-    """Return the body under the trained prior in every frame, which yields to visible markers.
+def apply_prior(
+    body: BodyFit,
+    held_joints: Sequence[str],
+    is_held: Bool[np.ndarray, "T H"],
+    conditioner: PriorConditioner,
+    options: CleanOptions,
+) -> BodyFit:
+    """Return the body under the motion prior where limbs are lost, and under the pose prior where its scope says.
 
-    What it changes is computed at POSE_RATE_HZ, and interpolated in between. It is weighed against the actual errors of markers:
-    the solve assumes larger ones, to be robust.
+    The standard deviations are those without these priors.
 
     Args:
         body: The solved body; without evidence it is returned as it is.
         held_joints: Names of joints that keep their positions, if markers show them.
-        conditioner: The trained prior.
+        is_held: When each of them stands. A lost limb that carries it then keeps its pose.
+        conditioner: The pose prior.
         options: Those of the solve.
     """
     if body.evidence is None:
         return body
-    problem, subject, motion = _build_body_problem(body, options), body.extended_subject, body.motion
-    poses, frames = (motion.root_position, motion.local_rotations), list_posed_frames(motion.frame_count, problem.rate)
-    held = [j for j in map(body.subject.skeleton.find_joint, held_joints) if body.subject.solved_joints[j]]
-    marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, body.evidence.marker_sd)
-    pose_problem, rate = replace(problem.pose_problem, marker_sd=marker_sd), min(problem.rate, POSE_RATE_HZ)
+    problem, held = _build_body_problem(body, options), [body.subject.skeleton.find_joint(name) for name in held_joints]
+    motion = add_motion_prior(problem, body.motion, body.evidence, held, is_held)
+    if options.prior.prior_scope == PRIOR_EVERY_FRAME:
+        held = [j for j in held if body.subject.solved_joints[j]]
+        motion = add_pose_prior(problem, motion, body.evidence, held, conditioner)
+    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
+
+
+def add_motion_prior(
+    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, held: list[int], is_held: Bool[np.ndarray, "T H"]
+) -> Motion:
+    """Return the motion with the lost limbs, whose variances are in the evidence, combined with the motion prior's predictions.
+
+    It yields to visible markers. The joints `held` stand when `is_held` says; the limb's pose is then taken as certain.
+    """
+    parts, rate = (motion.root_position, motion.local_rotations), problem.rate
+    joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
+    has_body = KnownMotion(*parts, evidence.rotation_variance, problem.is_unobserved, joints, rate).has_body[:, None]
+    carried, local_rotations = find_moved_joints(problem.pose_problem.tree.parents)[:, held], motion.local_rotations.copy()
+    for gap, lost in group_gaps(problem.is_unobserved & has_body).items():
+        context = GapContext(*parts, has_body & ~problem.is_unobserved, *gap, rate)
+        if prediction := predict_shipped_gap(context.crop()):
+            share = np.stack([smooth_share(1.0 - each, rate)[context.frames] for each in carried[lost] @ is_held.T], axis=1)
+            rotations, variance = (each[context.frames][:, lost] for each in (motion.local_rotations, evidence.rotation_variance))
+            combined = combine_rotations(rotations, share * variance, prediction.select_joints(lost))
+            local_rotations[context.frames, lost] = combined[0]
+    if (local_rotations == motion.local_rotations).all():
+        return motion
+    inferred = replace(motion, local_rotations=local_rotations)
+    return yield_to_markers(problem.subject, problem.pose_problem.marker_positions, motion, inferred, rate)
+
+
+def add_pose_prior(
+    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, held: list[int], conditioner: PriorConditioner
+) -> Motion:
+    """Return the motion under the pose prior in every frame, which yields to visible markers; joints `held` keep their places.
+
+    What it changes is computed at POSE_RATE_HZ, and interpolated in between. It is weighed against the actual errors of markers:
+    the solve assumes larger ones, to be robust.
+    """
+    subject, poses = problem.subject, (motion.root_position, motion.local_rotations)
+    frames, rate = list_posed_frames(motion.frame_count, problem.rate), min(problem.rate, POSE_RATE_HZ)
+    marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, evidence.marker_sd)
+    pose_problem = replace(problem.pose_problem, marker_sd=marker_sd)
     known = motion.select_frames(frames)
     before = known.root_position, known.local_rotations
     found = apply_pose_prior(pose_problem, problem.prior, conditioner, before, np.array(held, int), rate)
@@ -356,8 +388,7 @@ def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorCon
     inferred = yield_to_markers(subject, pose_problem.marker_positions[frames], known, inferred, rate)
     changes = inferred.root_position - before[0], before[1].swapaxes(-1, -2) @ inferred.local_rotations
     step, turn = kinematics.interpolate_poses(changes, frames, motion.frame_count)
-    motion = replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
-    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
+    return replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
 
 
 def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:

@@ -18,8 +18,8 @@ frames are then similar if the body moves alike for a while about them: so a ges
 same pose. Each take has an offset of its own. Beside that of the process these frames get the variance with which limbs that are
 hidden elsewhere in the take are predicted best. If they are predicted best without the memory, it is not used.
 
-Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision
-(`motion_prior`). In takes of markers it did not improve what was measured on real captures; see docs/priors.md.
+Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision (`motion_prior`). In takes
+of markers fills do not gain from it: there it is added to the motion alone (`motion_solver.add_motion_prior`).
 """
 
 import math

@@ -138,11 +138,6 @@ class PriorConditioner:
         return ObservedErrors(joints, sd, whitening, occluded @ observed.T @ whitening.T @ whitening)
 
 
-def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, prior_scale: float) -> PriorConditioner | None:
-    """Return the pose prior as the solver uses it for one take; None without a prior."""
-    return PriorConditioner(load_pose_model, prior_scale) if load_pose_model else None
-
-
 MIN_ROOT_CURVATURE = 1.0  # curvature, in 1/m^2 and 1/rad^2, that keeps the root where it is in frames without markers
 SMALL_ANGLE_RAD = 1e-4  # angle below which the derivative of the exponential is given by its series
 

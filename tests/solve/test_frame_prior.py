@@ -1,4 +1,4 @@
-"""The trained prior in every frame: joints that markers determine keep their poses, the others follow the rest of the body."""
+"""The trained priors of the motion: joints that markers determine keep their poses, the others follow the rest of the body."""
 
 from dataclasses import replace
 
@@ -8,15 +8,18 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS
+from mocapfix.model.motion import PoseEvidence
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import kinematics, mean_pose, pose_problem, prior_conditioner
+from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem, prior_conditioner
+from mocapfix.solve.motion_prior import GapPrediction
 from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
 from mocapfix.solve.terms import MarkerAttachment
 from mocapfix.solve.trained_priors import load_pose_model
 from mocapfix.synthetic import compose_take
+from tests.conftest import build_c3d
 
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)
@@ -139,3 +142,72 @@ def test_fixed_joints_keep_the_mean_pose(scene):
     fixed, base = ~BODY.free_joints, problem.pose_prior
     expected = np.broadcast_to(base.rotations[0, fixed], term.rotations[:, fixed].shape)
     np.testing.assert_allclose(term.rotations[:, fixed], expected, atol=1e-12)
+
+
+ARM = [NAMES.index(f"Left{name}") for name in ("Arm", "ForeArm", "Hand")]
+LEG = [NAMES.index(f"Right{name}") for name in ("UpLeg", "Leg", "Foot")]
+LOST = slice(60, 120)
+
+
+def hide_limbs(markers, subject, joints=(*ARM, *LEG), frames=LOST):
+    """Return markers of which those on some joints are missing in some frames."""
+    hidden = markers.copy()
+    hidden[frames, np.isin(subject.joints, joints)] = np.nan
+    return hidden
+
+
+def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
+    truth = compose_take(seed=4, seconds=3.0, rate=60.0)
+    take = Take(hide_limbs(truth.marker_positions, truth.subject), truth.labels, 60.0)
+    problem = pose_problem.build_motion_problem(take, truth.subject, BODY, PRIOR, LIMITS, SolveOptions())
+    inferred, frame_count = truth.motion.local_rotations.copy(), len(take.markers)
+    inferred[LOST, [*ARM, *LEG]] @= Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
+    motion = replace(truth.motion, local_rotations=inferred)
+    variance = np.full((frame_count, JOINTS), 0.04)
+    evidence = PoseEvidence(np.zeros(take.visible.shape), variance, variance, np.zeros(frame_count))
+    is_held = np.zeros((frame_count, len(FEET)), bool)
+    is_held[50:80, 1] = True
+
+    def predict(context):  # the first frame of the context is that of the take
+        rotations = truth.motion.local_rotations[context.frames]
+        variance = np.full(rotations.shape[:2], 0.02)
+        return GapPrediction(rotations, variance, context.root_position[context.frames], np.ones(len(rotations)))
+
+    monkeypatch.setattr(motion_solver, "predict_shipped_gap", predict)
+    found = motion_solver.add_motion_prior(problem, motion, evidence, FEET.tolist(), is_held)
+    turned = Rotation.from_matrix((truth.motion.local_rotations.swapaxes(-1, -2) @ found.local_rotations).reshape(-1, 3, 3))
+    error_rad = turned.magnitude().reshape(frame_count, JOINTS)
+    np.testing.assert_allclose(error_rad[LOST, ARM], 0.15, atol=1e-6)  # half of the weight
+    np.testing.assert_allclose(error_rad[60:80, LEG], 0.3, atol=1e-6)
+    np.testing.assert_allclose(error_rad[110:120, LEG], 0.15, atol=1e-6)
+    assert np.abs(np.diff(error_rad[LOST, LEG], axis=0)).max() < 0.03
+    is_lost = np.zeros((frame_count, JOINTS), bool)
+    is_lost[LOST, [*ARM, *LEG]] = True
+    assert (found.local_rotations == inferred)[~is_lost].all()
+    assert (found.root_position == motion.root_position).all()
+
+
+def test_fills_and_deviations_do_not_have_the_motion_prior(cleaned, tmp_path, monkeypatch):
+    truth, subject, path = cleaned.truth, cleaned.result.subject, tmp_path / "lost.c3d"
+    path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
+    with_prior = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
+    monkeypatch.setattr(motion_solver, "predict_shipped_gap", lambda context: None)
+    without = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
+    np.testing.assert_array_equal(with_prior.take.markers, without.take.markers)
+    assert [each.predicted_mm for each in with_prior.changes] == [each.predicted_mm for each in without.changes]
+    assert with_prior.motion is not None
+    assert without.motion is not None
+    np.testing.assert_array_equal(with_prior.motion.joint_sd, without.motion.joint_sd)
+    is_moved = (with_prior.motion.local_rotations != without.motion.local_rotations).any((2, 3))
+    assert set(np.flatnonzero(is_moved.any(0))) == set(ARM)
+    assert set(np.flatnonzero(is_moved.any(1))) <= set(range(LOST.start, LOST.stop))
+
+
+def test_without_a_prior_no_limb_has_one(cleaned, tmp_path, monkeypatch):
+    def refuse(context):
+        raise AssertionError("the motion prior was used")
+
+    monkeypatch.setattr(motion_solver, "predict_shipped_gap", refuse)
+    truth, path = cleaned.truth, tmp_path / "lost.c3d"
+    path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
+    pipeline.clean(path, subject=cleaned.result.subject, prior_scope="none")
