@@ -345,6 +345,9 @@ class DecisionStore:
 
 
 JOINT_BLOCK_FRAMES = 1000
+STICK_VARIATION_WEIGHT = 5.0
+MAX_STICK_M = 0.7  # so that the markers of two people are not joined
+MIN_HIP_OFFSET_M = 0.02
 MAX_SAMPLES_COMPARED_AT_ONCE = 20_000  # samples that are compared with all others of their frame at a time
 NO_INPUT_NOTE = (
     "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
@@ -362,6 +365,8 @@ class TakeView:
     unlabelled_labels: tuple[str, ...]
     joint_names: tuple[str, ...]
     bones: tuple[tuple[int, int], ...]
+    root_joint: int  # from which the body branches
+    pelvis_sides: tuple[tuple[int, ...], tuple[int, ...]]  # the joints to the left and to the right of the pelvis
     before: Float32[np.ndarray, "T M 3"]  # before, after: positions, NaN where missing
     after: Float32[np.ndarray, "T M 3"]
     unlabelled: Float32[np.ndarray, "T U 3"]  # positions of the unlabelled trajectories of the input
@@ -381,6 +386,22 @@ class TakeView:
         sampled = self.after[sample_evenly(self.frame_count, 200), :, 1]
         lowest = np.array([heights.min() for row in sampled if len(heights := row[np.isfinite(row)])])
         return float(np.percentile(lowest, 5)) if len(lowest) else 0.0
+
+    @cached_property
+    def sticks(self) -> list[tuple[int, int]]:
+        """Pairs of markers with a stick between them: no third marker is nearer to both.
+
+        The distance of a pair is its mean and STICK_VARIATION_WEIGHT standard deviations, so sticks join markers of one segment.
+        """
+        rows = self.after[sample_evenly(self.frame_count, 50)].astype(float)
+        lengths = np.linalg.norm(rows[:, :, None] - rows[:, None], axis=-1)
+        known = np.isfinite(lengths)
+        mean, square = (np.where(known, lengths**power, 0.0).sum(0) / np.maximum(known.sum(0), 1) for power in (1, 2))
+        distance = mean + STICK_VARIATION_WEIGHT * np.sqrt(np.maximum(square - mean**2, 0.0))
+        distance[~known.any(0) | np.eye(len(distance), dtype=bool)] = np.inf
+        nearest_third = np.array([np.maximum(row, distance).min(axis=1) for row in distance])
+        is_joined = (distance <= nearest_third) & (distance < MAX_STICK_M)
+        return [(int(one), int(other)) for one, other in np.argwhere(np.triu(is_joined))]
 
     def encode_frames(self, first: int, count: int) -> bytes:
         """Return the samples of some frames as the page reads them: one array after the other, little-endian."""
@@ -420,14 +441,16 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
     if before is None:
         before = replace(after, markers=np.where(is_estimated[..., None], np.nan, after.markers), unlabelled=None)
     unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3), np.float32)
-    joints, names, parents = _compute_joints(take, after, animation)
+    joints, body = _compute_joints(take, after, animation)
     view = TakeView(
         rate=after.rate,
         first_frame=after.first_frame,
         labels=after.labels,
         unlabelled_labels=before.unlabelled.labels if before.unlabelled else (),
-        joint_names=names,
-        bones=tuple((int(parent), joint) for joint, parent in enumerate(parents) if parent >= 0),
+        joint_names=body.names if body else (),
+        bones=tuple((int(parent), joint) for joint, parent in enumerate(body.parents) if parent >= 0) if body else (),
+        root_joint=body.body_root if body else 0,
+        pelvis_sides=find_pelvis_sides(body) if body else ((), ()),
         before=before.markers.astype(np.float32, copy=False),
         after=after.markers.astype(np.float32, copy=False),
         unlabelled=unlabelled.astype(np.float32, copy=False),
@@ -534,13 +557,13 @@ def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: Clean
 
 def _compute_joints(
     take: CleanedTake, after: Take, animation: Animation | None
-) -> tuple[Float[np.ndarray, "T J 3"], tuple[str, ...], list[int]]:
-    """Return joint positions at the frames of the take in metres, names and parents; no joints without a body."""
+) -> tuple[Float[np.ndarray, "T J 3"], Animation | None]:
+    """Return joint positions at the frames of the take in metres, and their animation; no joints without a body."""
     shift_m = 0.0
     if animation is None:
         path = take.get_path("bvh")
         if not path.is_file():
-            return np.zeros((after.frame_count, 0, 3), np.float32), (), []
+            return np.zeros((after.frame_count, 0, 3), np.float32), None
         written = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
         assert isinstance(written, Animation)
         animation = written
@@ -552,4 +575,12 @@ def _compute_joints(
         block = slice(first, first + JOINT_BLOCK_FRAMES)
         positions[block] = animation.replace_values(animation.values[frames[block]]).compute_world_poses()[0]
     positions[..., 1] += shift_m
-    return positions, animation.names, animation.parents.tolist()
+    return positions, animation
+
+
+def find_pelvis_sides(body: Animation) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the joints at which the left and the right side of the body begin below the root, +X to the left at rest."""
+    place = body.skeleton.rest_positions - body.skeleton.rest_positions[body.body_root]
+    is_aside = np.abs(place[:, 0]) > MIN_HIP_OFFSET_M
+    first = [j for j in np.flatnonzero(is_aside & (place[:, 1] <= 0)) if not is_aside[body.parents[j]]]
+    return tuple(int(j) for j in first if place[j, 0] > 0), tuple(int(j) for j in first if place[j, 0] < 0)

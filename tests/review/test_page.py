@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -424,7 +425,7 @@ def test_an_estimate_of_a_gap_is_taken_by_a_number_and_is_what_the_next_cleaning
     texts = page.locator("#fills button").all_text_contents()
     assert all(text.startswith(f"{n} ") and name in text for n, (name, text) in enumerate(zip(names, texts, strict=True), 1))
     assert [" mm" in text for text in texts].count(True) == page.evaluate("review.app.curves.estimates.length") > 3
-    assert page.evaluate("review.app.scene.ghosts.geometry.drawRange.count") > 2  # in the middle of the gap
+    assert page.evaluate("review.app.scene.people[0].layers.estimates.geometry.drawRange.count") > 2  # in the middle of the gap
     expect(page.locator("#fills button").nth(2)).to_be_disabled()
     page.keyboard.press("3")  # there is no rigid group
     expect(page.locator("#status")).to_contain_text("gives no estimate")
@@ -724,6 +725,159 @@ def test_keys_filters_and_views(page: Page) -> None:
         page.keyboard.press(key)
     page.wait_for_function("review.getState().frame > 0")  # it plays
     page.keyboard.press("Space")
+
+
+def get_joint(page: Page, name: str, frame: int) -> np.ndarray:
+    """Return the position of a joint as the page has it."""
+    place = "([name, frame]) => review.app.samples.getPosition('joints', frame, review.app.take.joints.indexOf(name))"
+    return np.array(page.evaluate(place, [name, frame]))
+
+
+def get_view_direction(page: Page) -> np.ndarray:
+    """Return the level unit vector from what is looked at to the camera."""
+    eye = "review.app.scene.camera.position.clone().sub(review.app.scene.controls.target).setY(0).normalize().toArray()"
+    return np.array(page.evaluate(eye))
+
+
+@pytest.mark.parametrize("is_by_mouse", [False, True])
+def test_front_and_side_are_those_of_the_performer(page: Page, is_by_mouse: bool) -> None:
+    page.wait_for_function("review.getState().isComplete")
+    for frame in (20, 220):
+        page.evaluate("frame => review.app.playback.moveTo(frame)", frame)
+        left = (get_joint(page, "LeftUpLeg", frame) - get_joint(page, "RightUpLeg", frame)) * [1, 0, 1]
+        left /= np.linalg.norm(left)
+        for key, button, expected in (("1", "#view-front", np.cross(left, [0, 1, 0])), ("2", "#view-side", left)):
+            page.locator(button).click() if is_by_mouse else page.keyboard.press(key)
+            np.testing.assert_allclose(get_view_direction(page), expected, atol=1e-3)
+
+
+def list_cut_joints(page: Page) -> int:
+    """Return how many joints and cleaned markers are outside the view, or behind its bar."""
+    return page.evaluate(
+        """() => { const { scene, samples } = review.app, bar = document.querySelector("#view-bar").getBoundingClientRect();
+        const { left, width } = scene.labelledPicture, top = bar.bottom - scene.canvas.getBoundingClientRect().top;
+        let cut = 0;
+        for (const layer of ["after", "joints"]) for (let m = 0; m < samples.counts[layer]; m++) {
+            if (!scene.projectTrajectory(layer, m)) continue;
+            const { x, y } = scene.point;
+            cut += x < left || x > left + width || y < top || y > scene.canvas.clientHeight;
+        }
+        return cut; }"""
+    )
+
+
+def test_the_whole_body_is_in_the_picture_after_every_jump(page: Page) -> None:
+    page.wait_for_function("review.getState().isComplete")
+    for size in ((1100, 700), (1440, 900), (2560, 1300)):
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.wait_for_function("Math.abs(review.app.scene.camera.aspect - scene.clientWidth / scene.clientHeight) < 1e-6")
+        for key in ("2", "Home", "End", "PageUp", "f", "Home", "5", "End", "5"):
+            page.keyboard.press(key)
+            if key != "f":
+                assert list_cut_joints(page) == 0, (size, key)
+    page.keyboard.press("f")
+    box = page.locator("#lanes").bounding_box()
+    assert box
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 6)
+    assert list_cut_joints(page) == 0
+
+
+def test_the_view_follows_the_performer_or_stays(page: Page) -> None:
+    page.wait_for_function("review.getState().isComplete")
+    eye = "review.app.scene.camera.position.toArray()"
+    page.keyboard.press("Home")
+    start, root = np.array(page.evaluate(eye)), get_joint(page, "Hips", 0)
+    for _ in range(9):
+        page.keyboard.press("Shift+ArrowRight")
+    moved = (get_joint(page, "Hips", 90) - root) * [1, 0, 1]
+    assert np.linalg.norm(moved) > 0.05
+    np.testing.assert_allclose(np.array(page.evaluate(eye)) - start, moved, atol=1e-4)
+    page.keyboard.press("4")
+    stays = page.evaluate(eye)
+    page.keyboard.press("End")
+    assert page.evaluate(eye) == stays
+    page.locator("#show-follow").check()
+    page.keyboard.press("Home")
+    assert page.evaluate(eye) != stays
+
+
+def test_before_is_shown_as_a_ghost_and_beside_after(page: Page) -> None:
+    page.wait_for_function("review.getState().isComplete")
+    count = "review.app.scene.people[0].layers.before.geometry.drawRange.count"
+    known = "review.app.take.labels.filter((_, m) => !isNaN(review.app.samples.getPosition('before', 0, m)[0])).length"
+    page.keyboard.press("Home")
+    markers = page.evaluate(known)
+    assert page.evaluate(count) < markers  # those that were changed only
+    for act in (lambda: page.keyboard.press("6"), lambda: page.locator("#show-ghost").uncheck()):
+        act()
+        is_shown = page.evaluate("review.app.scene.people[0].ghost.isVisible")
+        assert (page.evaluate(count) == markers) == is_shown
+    assert not is_shown
+    page.keyboard.press("5")
+    expect(page.locator("#picture-names span")).to_have_text(["before", "after"])
+    assert page.evaluate(count) == markers
+    stage = page.locator("#scene").bounding_box()
+    assert stage
+    assert page.evaluate("review.app.scene.projectMarker(0).x") > stage["width"] / 2  # the label stands in the picture of after
+    page.locator("#division").select_option("one")
+    expect(page.locator("#picture-names")).to_have_text("")
+    for key, name in (("7", "body"), ("8", "links"), ("9", "bones")):
+        page.keyboard.press(key)
+        assert not page.evaluate(f"review.app.scene.people[0].{name}.isVisible")
+
+
+def test_the_people_of_a_file_are_shown_together_and_beside_each_other(
+    browser: Browser, tmp_path: Path, problems: list[str]
+) -> None:
+    one, other = (compose_take(seed=seed, seconds=3.0, rate=60.0) for seed in (3, 4))
+    markers = np.concatenate([one.damaged_positions, other.damaged_positions + [1.6, 0.0, 0.3]], axis=1)
+    labels = (*(f"Ann:{label}" for label in one.labels), *(f"Bob:{label}" for label in other.labels))
+    write_c3d(tmp_path / "duo.c3d", Take(markers, labels, 60.0))
+    pipeline.clean(tmp_path / "duo.c3d", prior="none", is_fast=True).write(tmp_path / "duo.mocapfix")
+    with serve(tmp_path / "duo.mocapfix") as running:
+        page = open_page(browser, running, problems)
+        page.wait_for_function("review.app.scene.people.length === 2")
+        expect(page.locator('#division option[value="people"]')).to_be_enabled()
+        page.keyboard.press("5")
+        page.keyboard.press("5")
+        expect(page.locator("#picture-names span")).to_have_count(2)
+        names = [take["subject"] for take in page.evaluate("review.app.scene.people.map(each => each.take)")]
+        expect(page.locator("#picture-names span")).to_have_text(names)
+        assert sorted(names) == ["Ann", "Bob"]
+        assert list_cut_joints(page) == 0
+        page.context.close()
+    assert not problems
+
+
+# The colours that a person without one kind of cones sees, from linear RGB (Machado and others 2009, severity 1).
+COLOUR_VISION = {
+    "all cones": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+MIN_COLOUR_DISTANCE = 15.0  # in CIELAB; about 2 are just seen side by side
+
+
+def convert_to_lab(rgb: np.ndarray) -> np.ndarray:
+    """Return linear sRGB in CIELAB, white D65."""
+    xyz = rgb @ np.array([[0.4124, 0.2126, 0.0193], [0.3576, 0.7152, 0.1192], [0.1805, 0.0722, 0.9505]]) / [0.9505, 1.0, 1.089]
+    x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("vision", COLOUR_VISION)
+def test_the_colours_of_markers_differ_for_the_colour_blind(page: Page, theme: str, vision: str) -> None:
+    page.evaluate("theme => review.app.applyTheme(theme)", theme)
+    names = ["scene", "after", "estimated", "faulty", "relabelled", "unlabelled"]
+    colours = page.evaluate("names => names.map(each => review.app.scene.colours[each].toArray())", names)
+    seen = {
+        name: convert_to_lab(np.clip(COLOUR_VISION[vision] @ np.array(rgb), 0, 1))
+        for name, rgb in zip(names, colours, strict=True)
+    }
+    near = {(a, b): round(float(np.linalg.norm(seen[a] - seen[b]))) for a, b in combinations(names, 2)}
+    assert not {pair: distance for pair, distance in near.items() if distance < MIN_COLOUR_DISTANCE}
 
 
 def test_take_is_approved_by_keyboard(page: Page, running: RunningServer) -> None:

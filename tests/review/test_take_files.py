@@ -57,6 +57,23 @@ def test_unchanged_samples_are_measured_and_new_ones_filled(seed: int) -> None:
     np.testing.assert_array_equal(states, np.where(is_missing, SampleOutcome.FILLED, SampleOutcome.MEASURED))
 
 
+def test_sticks_join_the_nearest_markers_of_one_segment(cleaned_take: Path) -> None:
+    view = load_take_view(find_cleaned_takes(cleaned_take)[0])
+    rng = np.random.default_rng(0)
+    square = np.array([[0, 0, 0], [0.2, 0, 0], [0.2, 0.2, 0], [0, 0.2, 0]]) + rng.normal(size=(50, 1, 3))
+    apart = np.full((50, 1, 3), 9.0)
+    after = np.concatenate([square, square[:, 3:] + [0.0, 0.3, 0.0], apart], axis=1).astype(np.float32)
+    after[10:20, 2] = np.nan
+    sticks = replace(view, labels=tuple("abcdef"), after=after).sticks
+    assert sticks == [(0, 1), (0, 3), (1, 2), (2, 3), (3, 4)]  # no diagonals, and none to a marker that is far away
+
+
+def test_the_sides_of_the_pelvis_are_the_hip_joints(cleaned_take: Path) -> None:
+    view = load_take_view(find_cleaned_takes(cleaned_take)[0])
+    assert view.joint_names[view.root_joint] == "Hips"
+    assert [[view.joint_names[j] for j in side] for side in view.pelvis_sides] == [["LeftUpLeg"], ["RightUpLeg"]]
+
+
 def test_joints_are_those_of_the_solved_body(cleaned_take: Path) -> None:
     (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
     result = pipeline.clean(cleaned_take / "walk.c3d", prior="none")

@@ -17,7 +17,7 @@ export class CharacterView {
   constructor(model, clip) {
     this.clip = clip;
     this.group = new THREE.Group();
-    this.group.add(model, new THREE.HemisphereLight(0xffffff, 0x8a8f98, 2.5));
+    this.group.add(model);
     this.mixer = new THREE.AnimationMixer(model);
     this.mixer.clipAction(clip).play();
     const hips = clip.tracks.filter((each) => each.name.endsWith(".position")).at(-1);

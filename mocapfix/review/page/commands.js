@@ -3,8 +3,8 @@
 import * as api from "./api.js";
 import { isDialogOpen, showModal } from "./dialogs.js";
 
-const FRONT = [0, 0.1, 1], SIDE = [1, 0.1, 0], TOP = [0, 1, 0.001];
-const LARGE_STEP = 10;  // frames
+const FRONT = [0, 0.1, 1], SIDE = [1, 0.1, 0], TOP = [0, 1, 0.001];  // from the performer: left, up, front
+export const LARGE_STEP = 10;  // frames
 const find = (id) => document.getElementById(id);
 const isTyping = (target) => target.matches("input:not([type=checkbox]):not([type=range]), textarea, select");
 
@@ -51,16 +51,22 @@ function listCommands(app) {
     [["p"], "P", "approve, or withdraw the approval", () => app.approve(), "approve"],
     [["t"], "T", "list of takes", () => app.toggleTakes(), "takes-button"],
     [["n"], "N", "next take that is not approved", () => app.openNextTake()],
-    [["1"], "1", "view from the front", () => app.fills.choose(1) || look(FRONT), "view-front"],
-    [["2"], "2", "view from the side", () => app.fills.choose(2) || look(SIDE), "view-side"],
-    [["3"], "3", "view from above", () => app.fills.choose(3) || look(TOP), "view-top"],
-    [["4", "5", "6", "7"], "1–7", "take an estimate, while those of a gap are shown", (key) => app.fills.choose(Number(key))],
+    [["1"], "1", "view from in front of the performer", () => look(FRONT), "view-front"],
+    [["2"], "2", "view from the performer's left side", () => look(SIDE), "view-side"],
+    [["3"], "3", "view from above", () => look(TOP), "view-top"],
+    [["4"], "4", "follow the performer, or keep the view where it is", () => app.toggleLayer("follow")],
+    [["5"], "5", "one picture, before and after beside each other, or each person", () => app.changeDivision()],
+    [["6"], "6", "show or hide the ghost of before: all markers and the sticks between them", () => app.toggleLayer("ghost")],
+    [["7"], "7", "show or hide the body", () => app.toggleLayer("body")],
+    [["8"], "8", "show or hide sticks between markers", () => app.toggleLayer("sticks")],
+    [["9"], "9", "show or hide bones", () => app.toggleLayer("skeleton")],
+    [[], "1–7", "take an estimate, while those of a gap are shown", () => app.requestFill()],
     [["0"], "0", "the whole body", () => look(null), "view-all"],
     [["f"], "F", "the selected markers", () => app.frameSelected()],
     [["b"], "B", "show or hide markers before", () => app.toggleLayer("before")],
     [["v"], "V", "show or hide markers after", () => app.toggleLayer("after")],
     [["l"], "L", "show or hide labels", () => app.toggleLayer("labels")],
-    [["o"], "O", "show or hide trails", () => app.toggleLayer("trails")],
+    [["o"], "O", "show or hide the path of the marker", () => app.toggleLayer("trails")],
     [["d"], "D", "dark or light", () => app.switchTheme(), "theme"],
     [["Ctrl+k"], "Ctrl-K", "find a command", () => openPalette(), "palette-button"],
     [["?", "h"], "?", "all keys", () => showModal(find("dialog-help")), "help"],
@@ -95,7 +101,7 @@ export function connectCommands(app) {
     if (event.target.id === "limit" && key.startsWith("Arrow")) return;
     event.preventDefault();
     if (isTyping(event.target)) event.target.blur();
-    command.run(key);
+    if (!/^[1-7]$/.test(key) || !app.fills.choose(Number(key))) command.run();
   });
   find("help-list").replaceChildren(...commands.map((each) => buildItem(each, false)));
   find("dialog-help").addEventListener("click", () => find("dialog-help").close());

@@ -6,13 +6,14 @@ export function connectControls(app) {
   find("hint-close").addEventListener("click", () => { find("hint").hidden = true; });
   for (const id of ["filter-kind", "filter-decision", "sort"]) find(id).addEventListener("change", () => app.renderReview());
   find("filter-marker").addEventListener("input", () => app.renderReview());
-  for (const name of ["before", "after", "skeleton", "trails", "labels"]) {
+  for (const name of ["before", "after", "skeleton", "body", "sticks", "ghost", "trails", "labels", "follow"]) {
     find(`show-${name}`).addEventListener("change", (event) => {
       app.scene.shown[name] = event.target.checked;
       if (app.samples) app.showFrame(app.playback.frame);
     });
   }
   find("character").addEventListener("change", (event) => app.showCharacter(event.target.value));
+  find("division").addEventListener("change", (event) => app.scene.setDivision(event.target.value));
   const stage = find("stage");
   stage.addEventListener("pointermove", (event) => {
     if (!app.isReady || event.buttons) return;

@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { correctionActions, outputActions } from "./actions.js";
 import { CharacterView } from "./character.js";
 import { ChangeList, renderCorrections } from "./changes.js";
-import { connectCommands } from "./commands.js";
+import { connectCommands, LARGE_STEP } from "./commands.js";
 import { connectControls } from "./controls.js";
 import { CurveView } from "./curves.js";
 import * as dialogs from "./dialogs.js";
@@ -17,7 +17,7 @@ import { LimitBar } from "./limit.js";
 import { orderTakes, renderDetail, renderDifference, renderTakes } from "./panels.js";
 import { Playback } from "./playback.js";
 import { Samples } from "./samples.js";
-import { SceneView } from "./scene.js";
+import { FIRST_DIRECTION, SceneView } from "./scene.js";
 
 const find = (id) => document.getElementById(id);
 
@@ -100,14 +100,33 @@ class App {
     this.renderKinds();
     this.renderReview();
     this.offerCharacters(take);
+    find("division").value = "one";
+    this.scene.setDivision("one");
     const kept = isSame && this.list.rows.some((each) => each.id === this.selectedId) ? this.selectedId : this.list.rows[0]?.id ?? null;
     const entry = this.list.rows.find((each) => each.id === kept);
     const target = frame ?? (entry ? this.middleOf(entry.changes[0]) : 0);
     const load = this.samples.load(target, () => this.drawBlock(take, kept, target));
     this.isComplete = false;
-    load.then(() => { this.lanes.update(); this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
+    load.then(() => {
+      this.lanes.update();
+      this.isComplete = this.take === take;
+      return this.addOtherPeople(take);
+    }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
     renderDifference(find("difference"), take.difference);
+  }
+
+  // Shows the other people of the file in the view.
+  async addOtherPeople(take) {
+    const folder = take.id.slice(0, take.id.lastIndexOf("/") + 1);
+    const others = (this.session?.takes ?? []).filter((each) => each.id !== take.id && each.name === take.name && each.id.startsWith(folder) && !each.error);
+    for (const { id } of others) {
+      const other = await api.fetchTake(id), samples = new Samples(other);
+      await samples.load(this.playback.frame, () => {});
+      if (this.take !== take || samples.frameCount !== take.frame_count) return;
+      this.scene.addPerson(other, samples);
+      find("division").querySelector("[value=people]").disabled = false;
+    }
   }
 
   // Lists the written characters, and shows the first.
@@ -138,7 +157,7 @@ class App {
     this.isReady = true;
     this.lanes.update();
     this.playback.moveTo(frame);
-    this.scene.frameMarkers(null, [0.6, 0.35, 1]);
+    this.scene.frameMarkers(null, FIRST_DIRECTION);
     if (selectedId) this.select(selectedId);
     this.scene.renderIfNeeded();
     document.documentElement.dataset.ready = "1";
@@ -161,7 +180,7 @@ class App {
 
   showFrame(frame) {
     if (!this.samples) return;
-    if (this.playback.isPlaying && this.scene.frame !== undefined) this.scene.follow(this.scene.frame, frame);
+    this.scene.follow(this.scene.frame, frame, !this.playback.isPlaying && Math.abs(frame - this.scene.frame) > LARGE_STEP);
     const markers = this.marker === null ? [] : [this.marker, ...this.findMarkers(this.entry?.markers ?? [])];
     this.scene.showFrame(frame, markers);
     this.curves.setFrame(frame);
@@ -308,6 +327,12 @@ class App {
     box.dispatchEvent(new Event("change"));
   }
 
+  changeDivision() {
+    const select = find("division"), options = [...select.options].filter((each) => !each.disabled);
+    select.value = options[(options.indexOf(select.selectedOptions[0]) + 1) % options.length].value;
+    this.scene.setDivision(select.value);
+  }
+
   switchTheme() { this.applyTheme(this.isDark ? "light" : "dark"); }
 
   get isDark() {
@@ -318,7 +343,7 @@ class App {
   applyTheme(theme) {
     document.documentElement.dataset.theme = theme ?? "auto";
     if (theme) localStorage.setItem("theme", theme);
-    this.scene.setTheme(this.isDark);
+    this.scene.setTheme();
     if (this.samples && this.isReady) this.showFrame(this.playback.frame);
     this.curves.draw();
     this.lanes.draw();

@@ -1,88 +1,73 @@
-// The 3-D view: markers before and after cleaning, skeleton, trails and floor.
+// The 3-D view: the people, the floor and a character, in one picture or in two beside each other, and the camera.
 
 import { OrbitControls, THREE } from "./three.js";
-import { STATE } from "./samples.js";
+import { LAYER, Person } from "./person.js";
 
-const COLOURS = { before: 0x6b7480, faulty: 0xff4f4f, relabelled: 0xa98bff, estimated: 0x2fd07a, unlabelled: 0xe0a030 };
-const THEMES = { dark: { back: 0x101418, after: 0xc9d0d8, grid: 0x39424c, bone: 0x4f8fd6 },
-  light: { back: 0xe9edf1, after: 0x8d98a5, grid: 0xc3cad2, bone: 0x3f7fc4 } };
-const SIZES_M = { before: 0.04, after: 0.05, unlabelled: 0.034, estimate: 0.034 };
-const MAX_ESTIMATES = 7;
-const TRAIL_S = 0.5;
+const COLOUR_NAMES = ["scene", "before", "after", "faulty", "estimated", "relabelled", "unlabelled", "grid", "bone", "link", "body"];
+const FIELD_OF_VIEW_DEG = 32;
+const FLOOR_M = 10, FLOOR_TILES = 20;
 const PICK_RADIUS_PX = 14;
 const SLOW_RENDER_MS = 24;
-const HIDDEN = null;
+const MARGIN_M = 0.12, MARGIN_PX = 12;  // around what is framed
+const MAX_STRAY_M = 0.4;  // distance of faulty markers from the others up to which they are framed
+export const FIRST_DIRECTION = [0.45, 0.2, 1];  // of the view: to the left of the performer, up, in front
 
 export class SceneView {
   constructor(canvas) {
     this.canvas = canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
-    this.camera = new THREE.PerspectiveCamera(45, 1, 0.01, 200);
+    this.renderer.setScissorTest(true);
+    this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.01, 200);
     this.scene = new THREE.Scene();
+    this.sun = new THREE.DirectionalLight(0xffffff, 1.6);
+    this.sun.position.set(1, 3, 2);
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 1.9), this.sun);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.addEventListener("change", () => this.requestRender());
-    this.shown = { before: true, after: true, skeleton: true, trails: true };
-    this.layers = {};
+    this.shown = { before: true, after: true, skeleton: true, body: true, sticks: true, trails: true, ghost: false, follow: true };
+    this.people = [];
+    this.division = "one";  // or "states": before and after, or "people"
     this.selected = [];
     this.needsRender = true;
     this.renderMs = 0;
     this.afterRender = () => {};
-    this.colour = new THREE.Color();
     this.point = new THREE.Vector3();
-    this.texture = buildDiscTexture();
-    this.setTheme(false);
+    this.place = new THREE.Vector3();
+    this.setTheme();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
   }
 
-  setTheme(isDark) {
-    this.theme = THEMES[isDark ? "dark" : "light"];
-    this.scene.background = new THREE.Color(this.theme.back);
+  // Takes the colours of the page.
+  setTheme() {
+    const style = getComputedStyle(document.documentElement);
+    this.colours = Object.fromEntries(COLOUR_NAMES.map((name) => [name, new THREE.Color(style.getPropertyValue(`--${name}`).trim())]));
+    this.scene.background = this.colours.scene;
     if (this.grid) this.addFloor(this.floor);
-    if (this.bones) this.bones.material.color.set(this.theme.bone);
+    for (const person of this.people) person.setColours(this.colours);
     this.requestRender();
   }
 
   setTake(take, samples) {
-    this.take = take;
-    this.samples = samples;
-    this.character = null;
-    for (const child of [...this.scene.children]) {
-      this.scene.remove(child);
-      child.geometry?.dispose();
-    }
-    for (const name of ["unlabelled", "before", "after"]) this.layers[name] = this.addPoints(samples.counts[name], SIZES_M[name]);
-    this.estimates = [];
-    this.ghosts = this.addPoints(MAX_ESTIMATES, SIZES_M.estimate);
-    this.bones = this.addLines(take.bones.length * 2, this.theme.bone);
-    const trailPoints = 2 * (2 * Math.ceil(TRAIL_S * take.rate) + 1);
-    this.trails = ["before", "after"].map((name) => this.addLines(trailPoints, name === "before" ? COLOURS.faulty : COLOURS.estimated));
+    for (const person of this.people) person.dispose();
+    Object.assign(this, { take, samples, people: [] });
+    this.setCharacter(null);
+    this.addPerson(take, samples);
     this.addFloor(take.floor_m);
   }
 
-  addPoints(count, size) {
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(count * 3), 3).setUsage(THREE.DynamicDrawUsage));
-    geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(count * 3), 3).setUsage(THREE.DynamicDrawUsage));
-    const material = new THREE.PointsMaterial({ size, vertexColors: true, sizeAttenuation: true, map: this.texture, alphaTest: 0.5 });
-    const points = new THREE.Points(geometry, material);
-    points.frustumCulled = false;
-    this.scene.add(points);
-    return points;
-  }
-
-  addLines(count, colour) {
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(count * 3), 3).setUsage(THREE.DynamicDrawUsage));
-    const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: colour }));
-    lines.frustumCulled = false;
-    this.scene.add(lines);
-    return lines;
+  // Adds a person of the same file; the first is the one under review.
+  addPerson(take, samples) {
+    const person = new Person(take, samples, this.people.length === 0);
+    person.setColours(this.colours);
+    this.people.push(person);
+    this.scene.add(person.group);
+    if (this.people.length > 1) this.update();
   }
 
   addFloor(height) {
     if (this.grid) this.scene.remove(this.grid);
     this.floor = height;
-    this.grid = new THREE.GridHelper(10, 20, this.theme.grid, this.theme.grid);
+    this.grid = new THREE.GridHelper(FLOOR_M, FLOOR_TILES, this.colours.grid, this.colours.grid);
     this.grid.position.y = height;
     this.scene.add(this.grid);
   }
@@ -92,181 +77,149 @@ export class SceneView {
     if (this.character) this.scene.remove(this.character.group);
     this.character = character;
     if (character) this.scene.add(character.group);
-    if (this.frame !== undefined) this.showFrame(this.frame, this.selected);
+    this.update();
   }
 
-  // Shows a frame. `selected` are indices of markers whose trails are drawn.
+  // Shows the frame again, after a change of what is shown.
+  update() { if (this.frame !== undefined && this.people.length) this.showFrame(this.frame, this.selected); }
+
+  setDivision(division) {
+    this.division = division;
+    document.getElementById("picture-names").replaceChildren(...this.listPictures().map(([, , name]) => Object.assign(document.createElement("span"), { textContent: name })));
+    this.resize();
+    this.update();
+    this.frameMarkers(null);
+  }
+
+  // Shows a frame. `selected` are indices of markers, of which the path of the first is drawn.
   showFrame(frame, selected) {
-    this.frame = frame;
-    this.selected = selected;
-    this.updatePoints("before", frame, (m) => this.chooseInputColour(frame, m));
-    this.updatePoints("after", frame, (m) => this.chooseOutputColour(frame, m));
-    this.updatePoints("unlabelled", frame, () => COLOURS.unlabelled);
-    this.updateGhosts(frame);
-    this.updateBones(frame);
-    this.updateTrails(frame, selected[0]);
-    const root = this.samples.counts.joints * 3 * frame;
-    const time = (frame - this.take.motion_start) / this.take.rate;
-    this.character?.show(time, this.samples.joints.subarray(root, root + 3), this.take.motion_floor_m);
-    this.requestRender();
-  }
-
-  chooseInputColour(frame, m) {
-    const state = this.samples.state[frame * this.samples.counts.after + m];
-    if ([STATE.replaced, STATE.suspect, STATE.empty, STATE.rejected].includes(state)) return COLOURS.faulty;
-    if (state === STATE.measured) return this.shown.after ? HIDDEN : COLOURS.before;
-    return COLOURS.relabelled;
-  }
-
-  chooseOutputColour(frame, m) {
-    const state = this.samples.state[frame * this.samples.counts.after + m];
-    if (state === STATE.filled || state === STATE.replaced) return COLOURS.estimated;
-    if (state === STATE.rejected) return COLOURS.faulty;
-    return state === STATE.relabelled ? COLOURS.relabelled : this.theme.after;
-  }
-
-  updatePoints(name, frame, choose) {
-    const layer = this.layers[name], count = this.samples.counts[name], values = this.samples[name];
-    const position = layer.geometry.attributes.position, colours = layer.geometry.attributes.color;
-    layer.visible = name === "unlabelled" ? this.shown.before : this.shown[name];
-    if (!layer.visible) return;
-    let shown = 0;
-    for (let m = 0, at = frame * count * 3; m < count; m++, at += 3) {
-      if (Number.isNaN(values[at])) continue;
-      const colour = choose(m);
-      if (colour === HIDDEN) continue;
-      position.array.set(values.subarray(at, at + 3), shown * 3);
-      this.colour.set(colour);
-      colours.array.set([this.colour.r, this.colour.g, this.colour.b], shown * 3);
-      shown++;
+    Object.assign(this, { frame, selected });
+    const hasWholeInput = this.division === "states" || this.shown.ghost || !this.shown.after;
+    for (const person of this.people) person.showFrame(frame, selected[0], this.shown, hasWholeInput);
+    if (this.character) {
+      const start = this.people[0].startOf(frame) + this.take.root_joint * 3;
+      this.character.show((frame - this.take.motion_start) / this.take.rate, this.samples.joints.subarray(start, start + 3), this.take.motion_floor_m);
     }
-    layer.geometry.setDrawRange(0, shown);
-    position.needsUpdate = colours.needsUpdate = true;
+    this.requestRender();
   }
 
   // Shows estimates of a marker beside it: [x, y, z] of each from a frame on, with its colour.
   setEstimates(estimates) {
-    this.estimates = estimates;
-    if (this.frame !== undefined) this.updateGhosts(this.frame);
-    this.requestRender();
+    this.people[0].estimates = estimates;
+    this.update();
   }
 
-  updateGhosts(frame) {
-    const { position, color } = this.ghosts.geometry.attributes;
-    const shown = this.estimates.map((each) => ({ ...each, at: (frame - each.from) * 3 })).filter(({ layer, at }) => at > 2 && at < layer.values.length - 3 && !Number.isNaN(layer.values[at]));
-    shown.forEach(({ layer, at, colour, isActive }, n) => {
-      position.array.set(layer.values.subarray(at, at + 3), n * 3);
-      this.colour.set(isActive ? 0xffffff : colour).toArray(color.array, n * 3);
-    });
-    this.ghosts.geometry.setDrawRange(0, shown.length);
-    position.needsUpdate = color.needsUpdate = true;
+  // Returns the pictures beside each other: the layers of each, its person, and its name.
+  listPictures() {
+    if (this.division === "states") return [[LAYER.before, this.people[0], "before"], [LAYER.after, this.people[0], "after"]];
+    if (this.division === "people") return this.people.map((person) => [null, person, person.take.subject]);
+    return [[null, this.people[0], ""]];
   }
 
-  updateBones(frame) {
-    const { bones } = this, position = bones.geometry.attributes.position, values = this.samples.joints;
-    const start = frame * this.samples.counts.joints * 3;
-    bones.visible = this.shown.skeleton;
-    let shown = 0;
-    for (const pair of this.take.bones) {
-      const [parent, child] = pair.map((joint) => start + joint * 3);
-      if (Number.isNaN(values[parent]) || Number.isNaN(values[child])) continue;
-      position.array.set(values.subarray(parent, parent + 3), shown++ * 3);
-      position.array.set(values.subarray(child, child + 3), shown++ * 3);
-    }
-    bones.geometry.setDrawRange(0, shown);
-    position.needsUpdate = true;
+  // The picture in which labels stand and markers are picked: { left, width } in pixels.
+  get labelledPicture() {
+    const { length } = this.listPictures(), width = this.canvas.clientWidth / length;
+    return { left: this.division === "states" ? width : 0, width };
   }
 
-  updateTrails(frame, marker) {
-    const reach = Math.ceil(TRAIL_S * this.take.rate);
-    ["before", "after"].forEach((name, n) => {
-      const lines = this.trails[n], position = lines.geometry.attributes.position;
-      lines.visible = this.shown.trails && this.shown[name] && marker !== undefined;
-      if (!lines.visible) return;
-      let shown = 0, last = null;
-      const end = Math.min(frame + reach, this.samples.frameCount - 1);
-      for (let t = Math.max(frame - reach, 0); t <= end; t++) {
-        const here = this.samples.getPosition(name, t, marker);
-        const isKnown = !Number.isNaN(here[0]);
-        if (isKnown && last) {
-          position.array.set(last, shown++ * 3);
-          position.array.set(here, shown++ * 3);
-        }
-        last = isKnown ? here : null;
-      }
-      lines.geometry.setDrawRange(0, shown);
-      position.needsUpdate = true;
-    });
-  }
-
-  // Returns the centre and radius of the markers (all by default) in the frame, or null.
-  measureExtent(markers) {
-    const box = new THREE.Box3();
-    const { after, before } = this.samples.counts, indices = markers ?? [...Array(after).keys()];
-    for (const [layer, count] of [["after", after], ["before", before]]) {
+  // Returns the box of the markers (all by default) and the body in the frame; faulty ones enlarge it a little only.
+  measureBox(markers) {
+    const box = new THREE.Box3(), { samples } = this, { after, before, joints } = samples.counts;
+    const add = (layer, indices, limits = null) => {
       for (const m of indices) {
-        if (m >= count) continue;
-        const [x, y, z] = this.samples.getPosition(layer, this.frame, m);
-        if (!Number.isNaN(x)) box.expandByPoint(this.point.set(x, y, z));
+        this.point.fromArray(samples[layer], (this.frame * samples.counts[layer] + m) * 3);
+        if (!Number.isNaN(this.point.x)) box.expandByPoint(limits ? this.point.clamp(limits.min, limits.max) : this.point);
       }
-    }
-    if (box.isEmpty()) return null;
-    return { centre: box.getCenter(new THREE.Vector3()), radius: box.getSize(new THREE.Vector3()).length() / 2 };
+    };
+    add("after", markers ?? Array(after).keys());
+    if (!markers) add("joints", Array(joints).keys());
+    const limits = markers || box.isEmpty() ? null : box.clone().expandByScalar(MAX_STRAY_M);
+    add("before", markers?.filter((m) => m < before) ?? Array(before).keys(), limits);
+    return box.isEmpty() ? null : box.expandByScalar(MARGIN_M);
   }
 
-  // Moves the view so that the markers (all by default) fill it; keeps its direction, or takes the one given.
-  frameMarkers(markers, direction, minRadius = 0.35) {
-    const extent = this.measureExtent(markers);
-    if (!extent) return;
-    const towards = direction ? new THREE.Vector3(...direction) : this.camera.position.clone().sub(this.controls.target);
-    if (towards.lengthSq() < 1e-9) towards.set(0.6, 0.35, 1);
-    const distance = Math.max(extent.radius, minRadius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180)) / Math.min(1, this.camera.aspect);
-    this.controls.target.copy(extent.centre);
-    this.camera.position.copy(extent.centre).addScaledVector(towards.normalize(), 1.1 * distance);
+  // Returns a direction from the performer, [left, up, front], in the world.
+  turn([left, up, front]) {
+    const [x, , z] = this.people[0].side;
+    return [left * x - front * z, up, left * z + front * x];
+  }
+
+  // The share of the picture's half height and half width that is free of boxes: above, below, beside the middle.
+  measureFreeShares() {
+    const { clientHeight: height } = this.canvas, { width } = this.labelledPicture, bar = document.getElementById("view-bar").offsetHeight;
+    return [[bar + MARGIN_PX, height], [MARGIN_PX, height], [MARGIN_PX, width]].map(([used, size]) => Math.max(0.3, 1 - (2 * used) / size));
+  }
+
+  // Moves the view so that the markers (all by default) fill it; keeps its direction, or takes the one given: see `turn`.
+  frameMarkers(markers, direction) {
+    const box = this.measureBox(markers);
+    if (!box) return;
+    const towards = direction ? new THREE.Vector3(...this.turn(direction)) : this.camera.position.clone().sub(this.controls.target);
+    if (towards.lengthSq() < 1e-9) towards.set(...this.turn(FIRST_DIRECTION));
+    towards.normalize();
+    const right = new THREE.Vector3(0, 1, 0).cross(towards).normalize(), up = towards.clone().cross(right);
+    const slope = Math.tan((this.camera.fov / 2) * (Math.PI / 180)), [above, below, beside] = this.measureFreeShares();
+    const [top, bottom, side] = [slope * above, slope * below, slope * this.camera.aspect * beside];
+    // The planes of the free part of the picture, each moved outwards to the outermost corner.
+    const reach = (axis, sign, tangent) => Math.max(...listCorners(box).map((corner) => sign * corner.dot(axis) + tangent * corner.dot(towards)));
+    const edges = [reach(right, 1, side), reach(right, -1, side), reach(up, 1, top), reach(up, -1, bottom)];
+    const distance = Math.max((edges[0] + edges[1]) / (2 * side), (edges[2] + edges[3]) / (top + bottom));
+    const x = (edges[0] - edges[1]) / 2, y = (edges[2] - top * distance + bottom * distance - edges[3]) / 2;
+    const centre = box.getCenter(new THREE.Vector3());
+    this.camera.position.set(0, 0, 0).addScaledVector(right, x).addScaledVector(up, y).addScaledVector(towards, distance);
+    this.controls.target.copy(this.camera.position).addScaledVector(towards, centre.dot(towards) - distance);
     this.controls.update();
+    this.camera.updateMatrixWorld();
     this.requestRender();
   }
 
-  // Moves the view along with the markers, from one frame to another.
-  follow(fromFrame, toFrame) {
-    const [from, to] = [fromFrame, toFrame].map((frame) => this.averagePosition(frame));
-    if (!from || !to) return;
-    to.sub(from).setY(0);
-    this.controls.target.add(to);
-    this.camera.position.add(to);
-    this.camera.updateMatrixWorld();
+  // Moves the view along with the performer from one frame to another; after a jump the whole body is in the picture.
+  follow(fromFrame, toFrame, isJump) {
+    const [person] = this.people;
+    this.frame = toFrame;
+    if (!this.shown.follow || fromFrame === undefined) return;
+    if (person.locate(fromFrame, this.point) && person.locate(toFrame, this.place)) {
+      this.place.sub(this.point).setY(0);
+      this.controls.target.add(this.place);
+      this.camera.position.add(this.place);
+      this.camera.updateMatrixWorld();
+    }
+    if (isJump && !this.isWholeBodyShown()) this.frameMarkers(null);
   }
 
-  averagePosition(frame) {
-    const count = this.samples.counts.after, values = this.samples.after, sum = new THREE.Vector3();
-    let known = 0;
-    for (let m = 0, at = frame * count * 3; m < count; m++, at += 3) {
-      if (Number.isNaN(values[at])) continue;
-      sum.add(this.point.set(values[at], values[at + 1], values[at + 2]));
-      known++;
-    }
-    return known ? sum.divideScalar(known) : null;
+  isWholeBodyShown() {
+    const box = this.measureBox(null), [above, below, beside] = this.measureFreeShares();
+    return !box || listCorners(box.expandByScalar(-MARGIN_M)).every((corner) => {
+      const { x, y, z } = corner.project(this.camera);
+      return z < 1 && Math.abs(x) <= beside && y <= above && y >= -below;
+    });
+  }
+
+  // Sets `point` to a place in the canvas in pixels; returns whether the trajectory is shown there.
+  projectTrajectory(layer, m, picture = this.labelledPicture) {
+    const { point } = this;
+    point.fromArray(this.samples[layer], (this.frame * this.samples.counts[layer] + m) * 3);
+    if (Number.isNaN(point.x)) return false;
+    point.project(this.camera);
+    point.x = picture.left + ((point.x + 1) / 2) * picture.width;
+    point.y = ((1 - point.y) / 2) * this.canvas.clientHeight;
+    return point.z < 1;
   }
 
   // Returns {x, y} of a marker after cleaning (or before) in the canvas, null where it is not shown.
   projectMarker(m, layer = "after") {
-    const [x, y, z] = this.samples.getPosition(layer, this.frame, m);
-    if (Number.isNaN(x)) return layer === "after" && m < this.samples.counts.before ? this.projectMarker(m, "before") : null;
-    this.point.set(x, y, z).project(this.camera);
-    if (this.point.z > 1) return null;
-    return { x: ((this.point.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - this.point.y) / 2) * this.canvas.clientHeight };
+    if (this.projectTrajectory(layer, m)) return { x: this.point.x, y: this.point.y };
+    return layer === "after" && this.projectTrajectory("before", m) ? { x: this.point.x, y: this.point.y } : null;
   }
 
   // Returns {layer, index} of the trajectory nearest to a place in the canvas, null if none is near.
   findTrajectory(x, y) {
     let best = null, nearest = PICK_RADIUS_PX;
+    const picture = this.labelledPicture;
     for (const layer of ["after", "before", "unlabelled"]) {
       for (let m = 0; m < this.samples.counts[layer]; m++) {
-        const [px, py, pz] = this.samples.getPosition(layer, this.frame, m);
-        if (Number.isNaN(px)) continue;
-        this.point.set(px, py, pz).project(this.camera);
-        const dx = ((this.point.x + 1) / 2) * this.canvas.clientWidth - x, dy = ((1 - this.point.y) / 2) * this.canvas.clientHeight - y;
-        const distance = Math.hypot(dx, dy);
+        if (!this.projectTrajectory(layer, m, picture)) continue;
+        const distance = Math.hypot(this.point.x - x, this.point.y - y);
         if (distance < nearest) [best, nearest] = [{ layer, index: m }, distance];
       }
     }
@@ -277,7 +230,7 @@ export class SceneView {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     this.renderer.setPixelRatio(this.renderMs > SLOW_RENDER_MS ? 1 : Math.min(window.devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
-    this.camera.aspect = width / Math.max(1, height);
+    this.camera.aspect = width / this.listPictures().length / Math.max(1, height);
     this.camera.updateProjectionMatrix();
     this.requestRender();
   }
@@ -287,20 +240,26 @@ export class SceneView {
   renderIfNeeded() {
     if (!this.needsRender || !this.take) return;
     this.needsRender = false;
-    const start = performance.now();
-    this.renderer.render(this.scene, this.camera);
+    const start = performance.now(), pictures = this.listPictures(), { clientHeight: height } = this.canvas;
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    for (const person of this.people) person.scaleMarkers(distance, height);
+    pictures.forEach((picture, n) => this.renderPicture(picture, (n * this.canvas.clientWidth) / pictures.length, this.canvas.clientWidth / pictures.length));
     this.renderMs = 0.9 * this.renderMs + 0.1 * (performance.now() - start);
     this.afterRender();
   }
+
+  renderPicture([layer, person], left, width) {
+    const { camera, canvas, people, frame } = this;
+    this.renderer.setViewport(left, 0, width, canvas.clientHeight);
+    this.renderer.setScissor(left, 0, width, canvas.clientHeight);
+    if (layer) camera.layers.set(0);
+    for (const each of Object.values(LAYER)) if (!layer || each === layer) camera.layers.enable(each);
+    const isOther = person !== people[0] && people[0].locate(frame, this.point) && person.locate(frame, this.place);
+    if (isOther) camera.position.add(this.place.sub(this.point));
+    this.renderer.render(this.scene, camera);
+    if (isOther) camera.position.sub(this.place);
+    if (isOther) camera.updateMatrixWorld();  // labels are placed with it
+  }
 }
 
-function buildDiscTexture() {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 32;
-  const context = canvas.getContext("2d");
-  context.fillStyle = "#fff";
-  context.beginPath();
-  context.arc(16, 16, 15, 0, 2 * Math.PI);
-  context.fill();
-  return new THREE.CanvasTexture(canvas);
-}
+const listCorners = ({ min, max }) => [...Array(8).keys()].map((n) => new THREE.Vector3(n & 1 ? max.x : min.x, n & 2 ? max.y : min.y, n & 4 ? max.z : min.z));
