@@ -24,7 +24,7 @@ MIN_TILT_PLACES = 6
 MIN_TILT_EXTENT_M = 1.5  # number of places, and their extent in a direction, from which a tilt is estimated
 MIN_TILT_RAD = np.deg2rad(0.3)  # smallest tilt that is distinguished from a level floor
 MIN_RAMP_RAD = np.deg2rad(1.5)  # the same where the places extend in one direction only: few of them then decide
-MAX_TILT_RAD = np.deg2rad(12.0)  # largest tilt of a floor, that of steep ramps; stairs rise by 20 degrees or more
+MAX_TILT_RAD = np.deg2rad(17.0)  # largest tilt of a floor, beyond that of steep ramps; stairs rise by 20 degrees or more
 MAX_TILT_RESIDUAL_M = 0.03  # largest deviation of nine of ten places from a tilted floor; otherwise it has levels
 
 
@@ -46,9 +46,13 @@ class Floor:
         """The angle between the floor and the horizontal."""
         return float(np.degrees(np.arctan(np.hypot(self.slope_x, self.slope_z))))
 
+    def remove_slope(self, position: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, "*T"]:
+        """Return the heights in metres that positions have after the floor is turned level about the origin."""
+        return position[..., 1] - self.slope_x * position[..., 0] - self.slope_z * position[..., 2]
+
     def compute_height_above(self, position: Float[np.ndarray, "*T 3"]) -> Float[np.ndarray, "*T"]:
         """Return the height in metres above the highest level that is not more than MAX_LEVEL_DEVIATION_M above a position."""
-        height = position[..., 1] - self.slope_x * position[..., 0] - self.slope_z * position[..., 2]
+        height = self.remove_slope(position)
         above = np.array(height - self.height_m)
         for level in self.level_heights_m[1:]:
             above = np.where(height - level > -MAX_LEVEL_DEVIATION_M, height - level, above)

@@ -23,6 +23,7 @@ from mocapfix.contacts.contacts import (
     CONTACT_JOINTS,
     FOOT_JOINTS,
     MAX_LEVEL_DEVIATION_M,
+    MAX_SUPPORT_ABOVE_OTHER_M,
     NO_FLOOR,
     OTHER_CONTACT_JOINTS,
     TOE_HEIGHT_M,
@@ -184,25 +185,40 @@ def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarra
             joined[:, c] = detect_standing(speed[:, c], rate, is_certain) | is_certain
     toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
     floor = estimate_floor(position[:, toes], joined[:, toes], rate)
-    for c in range(len(CONTACT_JOINTS)):
-        is_near = find_frames_near_floor(position[:, c], joined[:, c], floor)
-        joined[:, c] = remove_short_runs(joined[:, c] & (is_near | ~is_known[:, c]), rate)
+    joined &= find_frames_near_floor(position, joined, floor) | ~is_known
+    joined = np.stack([remove_short_runs(each, rate) for each in joined.T], axis=1)
     return BodyContacts(CONTACT_JOINTS, joined, is_known, floor, rate)
 
 
 def find_frames_near_floor(
-    position: Float[np.ndarray, "T 3"], is_standing: Bool[np.ndarray, " T"], floor: Floor
-) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which a joint is about as high above a level of the floor as it is where it stands lowest.
+    position: Float[np.ndarray, "T C 3"], is_standing: Bool[np.ndarray, "T C"], floor: Floor
+) -> Bool[np.ndarray, "T C"]:
+    """Return the frames in which each of CONTACT_JOINTS is about as high above its foot's level as where it stands lowest.
 
-    Each joint is compared with itself: an ankle is higher where a person stands on the toes of that foot alone.
+    Each joint is compared with itself: an ankle is higher where a person stands on the toes of that foot alone. The level is that
+    below the toes. A foot that bears weight off all levels, as on uneven ground, is compared with its own lowest place there.
     """
-    if not is_standing.any() or not floor.level_heights_m:
-        return np.zeros(len(position), bool)
-    height = floor.compute_height_above(position)
-    low = height[is_standing & (height > -TOE_HEIGHT_M)]
-    base = float(np.percentile(low, BASE_PERCENTILE)) if len(low) else 0.0
-    return height < base + MAX_LEVEL_DEVIATION_M
+    if not floor.level_heights_m:
+        return np.zeros(is_standing.shape, bool)
+    feet, stands = (each.reshape(len(position), len(FOOT_JOINTS), 2, *each.shape[2:]) for each in (position, is_standing))
+    height, is_near = floor.remove_slope(feet), np.zeros(stands.shape, bool)
+    above = height - height[..., 1:] + floor.compute_height_above(feet[..., 1:, :])
+    for foot, joint in np.ndindex(stands.shape[1:]):
+        low = above[stands[:, foot, joint] & (above[:, foot, 1] > -TOE_HEIGHT_M), foot, joint]
+        base = float(np.percentile(low, BASE_PERCENTILE)) if len(low) else 0.0
+        is_near[:, foot, joint] = above[:, foot, joint] < base + MAX_LEVEL_DEVIATION_M
+    for foot, is_flat in enumerate(np.all(stands, axis=2).T):  # an ankle is lowered to the toes of a foot that stands flat
+        height[:, foot, 0] -= np.median(-np.diff(height[is_flat, foot])) if is_flat.any() else 0.0
+    sole = np.where(stands, height, np.inf).min(2)
+    is_support = sole <= sole.min(1, keepdims=True) + MAX_SUPPORT_ABOVE_OTHER_M
+    for foot in range(len(FOOT_JOINTS)):
+        for first, last in find_runs(np.isfinite(sole[:, foot])):
+            span = slice(first, last + 1)
+            place = float(np.percentile(sole[span, foot], BASE_PERCENTILE))
+            from_level_m = np.abs(place - TOE_HEIGHT_M - np.array(floor.level_heights_m)).min()
+            if is_support[span, foot].mean() > 0.5 and from_level_m > MAX_SUPPORT_ABOVE_OTHER_M:
+                is_near[span, foot] |= height[span, foot] < place + MAX_LEVEL_DEVIATION_M
+    return (is_near & stands).reshape(is_standing.shape)
 
 
 def find_other_contacts(position: Float[np.ndarray, "T N 3"], floor: Floor, rate: float) -> Bool[np.ndarray, "T N"]:

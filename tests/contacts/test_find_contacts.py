@@ -55,11 +55,28 @@ def test_stairs_are_levels_with_contacts_on_each(step_height_m):
     assert (contacts.is_contact == true)[inner].mean() > 0.97
 
 
-def test_tilted_floor():
+@pytest.mark.parametrize("step_height_m", [0.08, -0.08])
+def test_steps_that_are_too_low_for_levels_have_contacts(step_height_m):
+    stances = walk(step_height_m)
+    contacts = find(make_feet(stances, SECONDS, 120.0), 120.0)
+    true = np.repeat(np.stack([find_true_stances(foot, SECONDS, 120.0) for foot in stances], axis=1), 2, axis=1)
+    inner = slice(round(1.1 * 120), round(3.6 * 120))
+    assert (contacts.is_contact == true)[inner].mean() > 0.97
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_uneven_ground_has_contacts(seed):
+    rng = np.random.default_rng(seed)
+    stances = tuple([(first, last, (x, y + rng.uniform(-0.1, 0.1), z)) for first, last, (x, y, z) in foot] for foot in walk())
+    assert compute_agreement(find(make_feet(stances, SECONDS, 120.0), 120.0), stances, 120.0) > 0.97
+
+
+@pytest.mark.parametrize("tilt_deg", [3.0, 8.0, 15.0])
+def test_tilted_floor(tilt_deg):
     stances = walk()
-    contacts = find(tilt(make_feet(stances, SECONDS, 120.0), 3.0), 120.0)
+    contacts = find(tilt(make_feet(stances, SECONDS, 120.0), tilt_deg), 120.0)
     assert compute_agreement(contacts, stances, 120.0) > 0.96
-    assert contacts.floor.tilt_deg == pytest.approx(3.0, abs=0.1)
+    assert contacts.floor.tilt_deg == pytest.approx(tilt_deg, abs=0.1)
 
 
 @pytest.mark.parametrize("sd_m", [0.0002, 0.0005])
@@ -82,14 +99,37 @@ def test_the_same_foot_hidden_while_it_stands_is_in_contact():
     assert contacts.is_known[:, 2:].all()
 
 
-def test_a_raised_foot_is_not_near_the_floor():
-    path = np.zeros((200, 3))
-    path[:, 1] = 0.03
-    path[100:, 1] = 0.2
-    is_near = find_frames_near_floor(path, np.arange(200) < 100, Floor(0.0, 0.0, (0.0,)))
-    assert is_near[:100].all()
-    assert not is_near[100:].any()
-    assert not find_frames_near_floor(path, np.zeros(200, bool), Floor(0.0, 0.0, (0.0,))).any()
+def stand_and_raise(right_ankle_m: float, right_toe_m: float) -> np.ndarray:
+    """Return feet (200, 4, 3) that stand, the right one with these heights after 140 frames."""
+    feet = np.zeros((200, 4, 3))
+    feet[..., 1] = 0.08, 0.025, 0.08, 0.025
+    feet[140:, 2:, 1] = right_ankle_m, right_toe_m
+    return feet
+
+
+@pytest.mark.parametrize(
+    ("ankle_m", "toe_m", "is_left_standing", "is_near"),
+    [
+        (0.28, 0.225, True, (False, False)),  # held in the air
+        (0.18, 0.025, True, (False, True)),  # on its toes
+        (0.18, 0.125, False, (True, True)),  # on a low step
+        (0.28, 0.125, False, (False, True)),  # on its toes on a low step
+        (0.08, 0.1, False, (True, False)),  # on its heel
+    ],
+)
+def test_a_foot_is_near_the_floor_or_bears_weight_where_it_stands(ankle_m, toe_m, is_left_standing, is_near):
+    is_standing = np.ones((200, 4), bool)
+    is_standing[140:, :2] = is_left_standing
+    is_standing[139, 2:] = False
+    found = find_frames_near_floor(stand_and_raise(ankle_m, toe_m), is_standing, Floor(0.0, 0.0, (0.0,)))
+    assert found[:139].all()
+    assert (found[140:, 2:] == is_near).all()
+
+
+def test_without_a_floor_or_a_stance_nothing_is_near():
+    feet, nothing = stand_and_raise(0.08, 0.025), np.zeros((200, 4), bool)
+    assert not find_frames_near_floor(feet, nothing, Floor(0.0, 0.0, (0.0,))).any()
+    assert not find_frames_near_floor(feet, ~nothing, NO_FLOOR).any()
 
 
 @pytest.mark.parametrize(("height_m", "speed_m_s", "is_contact"), [(0.06, 0.0, True), (0.06, 0.5, False), (0.5, 0.0, False)])
