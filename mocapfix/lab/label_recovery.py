@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.capture import read_capture
-from mocapfix.labels.labeller import label_people, label_points, separate_people
+from mocapfix.labels.labeller import label_people, separate_people
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, find_tracklets
 from mocapfix.model.animation import Animation
 from mocapfix.model.marker_set import MarkerSet
@@ -302,7 +302,7 @@ def score_labels(kind: UnlabelledKind, take: LabelledMarkers, seed: int, name: s
     unlabelled = remove_labels(kind, take.markers, take.rate, seed)
     start_s = process_time()
     points = find_tracklets(unlabelled.points, take.rate)
-    labels, _ = separate_people(label_people(points, take.marker_set, label_points), take.marker_set.labels)
+    labels, _ = separate_people(label_people(points, take.marker_set), take.marker_set.labels)
     seconds_per_second = (process_time() - start_s) * take.rate / len(take.markers)
     is_marker, is_labelled = unlabelled.marker_indices >= 0, labels.marker_indices >= 0
     right = count_right_labels(np.append(take.set_indices, -1)[unlabelled.marker_indices], labels, len(take.marker_set.labels))

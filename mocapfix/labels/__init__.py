@@ -2,8 +2,7 @@
 
 - `tracklets`: trajectories without labels, linked to tracklets, and how they get labels
 - `requested_labels`: the labels of a take without any: by a named set, a labelled take, or the set that fits
-- `set_comparison`: which marker set fits
-- `labeller`: by bodies that are fitted to key frames; body_search
+- `labeller`: by bodies that are fitted to key frames, and which marker set fits; body_search
 - `reference_labeller`: by a labelled take of the same person
 - `label_swaps`, `mislabelled`, `fragments`: errors of labels in a labelled take, and their correction; trajectory_segments
 - `subject_exchanges`: labels that two subjects exchanged

@@ -24,9 +24,14 @@ from mocapfix.io.files import make_scratch_folder
 from mocapfix.io.points import NUMBERED_POINT_NAME
 from mocapfix.io.source_file import build_truncated_error, open_source
 from mocapfix.labels.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
-from mocapfix.labels.labeller import find_labelled_body, label_people, label_points, separate_people
+from mocapfix.labels.labeller import (
+    assume_marker_set,
+    describe_better_set,
+    label_people,
+    label_points,
+    separate_people,
+)
 from mocapfix.labels.reference_labeller import build_reference_markers, join_trajectories, label_points_like
-from mocapfix.labels.set_comparison import assume_marker_set, describe_better_set
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, are_points_unordered, find_tracklets
 from mocapfix.model.animation import Animation
 from mocapfix.model.marker_set import MarkerSet, fold_label
@@ -290,7 +295,7 @@ def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) ->
             )
         return labelled or replace(take, notes=(*take.notes, reason))
     if request.subject is None:
-        labels = label_people(tracklets, request.marker_set, label_points)
+        labels = label_people(tracklets, request.marker_set)
     else:
         labels = label_points(tracklets, request.marker_set, request.subject)
     if not (labels.marker_indices >= 0).any() or labels.evidence_per_marker < MIN_NAMED_SET_EVIDENCE:
@@ -301,7 +306,7 @@ def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) ->
     labelled = _apply_labels_of_set(take, points, labels, request.marker_set)
     if request.subject is None and not labels.subject_indices.size:
         candidates = _load_candidates()
-        if warning := describe_better_set(tracklets, labels, request.marker_set, candidates, find_labelled_body):
+        if warning := describe_better_set(tracklets, labels, request.marker_set, candidates):
             return replace(labelled, notes=(warning, *labelled.notes))
     return labelled
 
@@ -337,7 +342,7 @@ def label_take_like(take: Take, path: Path, options: ReadOptions) -> Take | None
 
 def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPoints) -> tuple[Take | None, str]:
     """Return the take with the labels of the shipped set that fits its points clearly, None if there is none, and the reason."""
-    marker_set, reason = assume_marker_set(tracklets, _load_candidates(), find_labelled_body)
+    marker_set, reason = assume_marker_set(tracklets, _load_candidates())
     if marker_set is None:
         return None, reason
     labels = label_points(tracklets, marker_set)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from mocapfix.lab.label_recovery import remove_labels
-from mocapfix.labels.labeller import find_labelled_body, label_points
-from mocapfix.labels.set_comparison import (
+from mocapfix.labels.labeller import (
     SetComparison,
     assume_marker_set,
     compute_agreement,
     compute_place_agreement,
     describe_better_set,
+    label_points,
 )
 from mocapfix.labels.tracklets import find_tracklets
 from mocapfix.subject.library import load_marker_set
@@ -31,12 +31,12 @@ def find_points(markers, rate):
 def test_set_of_other_markers_is_not_assumed(take):
     """The markers of each section are elsewhere on it: no set has them."""
     markers = take.marker_positions + np.random.default_rng(0).normal(scale=0.12, size=(1, take.marker_positions.shape[1], 3))
-    assert assume_marker_set(find_points(markers, take.rate), MARKER_SETS, find_labelled_body)[0] is None
+    assert assume_marker_set(find_points(markers, take.rate), MARKER_SETS)[0] is None
 
 
 def test_points_of_an_object_have_no_set():
     positions = np.random.default_rng(1).uniform(0, 1.5, (1, 40, 3)).repeat(60, 0)
-    assumed = assume_marker_set(find_tracklets(positions, 100.0), MARKER_SETS, find_labelled_body)
+    assumed = assume_marker_set(find_tracklets(positions, 100.0), MARKER_SETS)
     assert assumed[0] is None
     assert "fit" in assumed[1]
 
@@ -56,8 +56,8 @@ def test_agreement_compares_names_of_markers():
 def test_a_set_that_fits_clearly_better_than_the_named_one_is_stated(take):
     points, right = find_points(take.marker_positions, take.rate), load_marker_set("cmu41")
     wrong = load_marker_set("optitrack-baseline41")
-    warning = describe_better_set(points, label_points(points, wrong), wrong, MARKER_SETS, find_labelled_body)
+    warning = describe_better_set(points, label_points(points, wrong), wrong, MARKER_SETS)
     assert warning.startswith("The points fit cmu41 clearly better than optitrack-baseline41")
     labels = label_points(points, right)
     assert labels.evidence_per_marker > 2.2
-    assert not describe_better_set(points, labels, right, MARKER_SETS, find_labelled_body)
+    assert not describe_better_set(points, labels, right, MARKER_SETS)

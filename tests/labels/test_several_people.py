@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.lab.label_recovery import TwoPersonTake, UnlabelledKind, UnlabelledTake, place_two_people, remove_labels
-from mocapfix.labels.labeller import assign_to_people, label_people, label_points, separate_people
+from mocapfix.labels.labeller import assign_to_people, label_people, separate_people
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, find_tracklets
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import compose_take
@@ -34,13 +34,13 @@ def compute_f1(take: UnlabelledTake, people: TwoPersonTake, labels: PointLabels)
 @pytest.mark.parametrize("kind", ["ghosts", "cloud"])
 def test_two_people_who_cross_are_labelled(people: TwoPersonTake, kind: UnlabelledKind) -> None:
     take = remove_labels(kind, people.markers, RATE, seed=1)
-    labels = label_people(find_tracklets(take.points, RATE), MARKER_SET, label_points)
+    labels = label_people(find_tracklets(take.points, RATE), MARKER_SET)
     assert compute_f1(take, people, labels) > 0.995
 
 
 def test_one_person_with_ghosts_is_one_person(people: TwoPersonTake) -> None:
     take = remove_labels("ghosts", people.markers[:, : people.first_count], RATE, seed=2)
-    assert not label_people(find_tracklets(take.points, RATE), MARKER_SET, label_points).subject_indices.size
+    assert not label_people(find_tracklets(take.points, RATE), MARKER_SET).subject_indices.size
 
 
 def test_labels_of_several_people_have_their_names() -> None:
