@@ -4,6 +4,7 @@ A subject is identified in the same way as for a cleaning: by the options, by th
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from mocapfix.detect.loop import detect_on_trajectories
 from mocapfix.errors import TakeError, join_names
 from mocapfix.io.capture import read_capture
-from mocapfix.labels.multi_subject import choose_subject, split_known_subjects
+from mocapfix.labels.multi_subject import choose_subject_file, split_known_subjects
 from mocapfix.labels.requested_labels import label_take
 from mocapfix.model.animation import Animation
 from mocapfix.model.faults import FaultReview
@@ -113,7 +114,9 @@ def survey_subject(body: BodyToCalibrate, options: CleanOptions, take_id: str) -
 
 def identify_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     """Return the subject and the marker set of one subject's take. Raises TakeError if the given marker set does not fit it."""
-    choice = resolve_subject(take, choose_subject(take, options))
+    if isinstance(options.subject, tuple):
+        options = replace(options, subject=choose_subject_file(take, options.subject))
+    choice = resolve_subject(take, options)
     if choice.marker_set is None and not options.known_sets_only:
         from mocapfix.subject.learning import find_own_marker_set
 

@@ -5,7 +5,6 @@
 - `labeller`: by bodies that are fitted to key frames, and which marker set fits; body_search
 - `reference_labeller`: by a labelled take of the same person
 - `label_swaps`, `mislabelled`, `fragments`: errors of labels in a labelled take, and their correction; trajectory_segments
-- `subject_exchanges`: labels that two subjects exchanged
-- `multi_subject`: several subjects in one file
+- `multi_subject`: several subjects in one file, and labels that two of them exchanged
 - `label_summary`: what labelling did, for reports
 """

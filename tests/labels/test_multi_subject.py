@@ -13,8 +13,8 @@ from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.io.capture import read_take
 from mocapfix.io.changes_file import NO_REVIEW, read_changes_files
 from mocapfix.labels import multi_subject
+from mocapfix.labels.multi_subject import SubjectExchanges, correct_subject_labels
 from mocapfix.labels.requested_labels import label_take
-from mocapfix.labels.subject_exchanges import SubjectExchanges, correct_subject_labels
 from mocapfix.model.changes import UnfilledRun
 from mocapfix.model.faults import Fault, Faults, Fragment
 from mocapfix.model.stage_timer import StageTimer, omit_stage_times

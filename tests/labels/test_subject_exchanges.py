@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mocapfix.lab.label_recovery import place_two_people
-from mocapfix.labels import subject_exchanges
-from mocapfix.labels.subject_exchanges import (
+from mocapfix.labels import multi_subject
+from mocapfix.labels.multi_subject import (
     SubjectSamples,
     assign_persons,
     is_exchange_possible,
@@ -45,7 +45,7 @@ def measure_subjects(take: Take, *names: str) -> list[SubjectSamples]:
 
 def detect_subject_exchanges(take: Take, first: str, second: str) -> list[Fault]:
     one, two = measure_subjects(take, first, second)
-    faults = subject_exchanges.detect_subject_exchanges((one, two))
+    faults = multi_subject.detect_subject_exchanges((one, two))
     assert not faults or is_exchange_possible(one, two)
     return faults
 
