@@ -21,10 +21,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.lock_feet import SlidingFeet, lock_feet
-from mocapfix.animations.repair import repair_animation
+from mocapfix.animations.repair import apply_repairs, repair_animation
 from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
 from mocapfix.characters.bone_mapping import map_joints, map_joints_by_shape
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS

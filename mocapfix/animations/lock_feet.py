@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.animations.apply_repairs import RepairedAnimation
+from mocapfix.animations.repair import RepairedAnimation
 from mocapfix.characters.alignment import SkeletonAlignment
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.contacts.foot_displacements import Lock, compute_foot_displacements, compute_step_displacements

@@ -1,4 +1,4 @@
-"""Repair of an animation's faults, keeping what each kind of fault leaves of the original motion.
+"""Repair of an animation's faults, keeping what each kind of fault leaves of the original motion, and which repairs are applied.
 
 The methods are those of `repair_methods`; lost joints are inferred from neighbouring frames, from frames with a similar body
 state and from a trained pose model (`solve.occluded_joints`). Such a method is not always better than interpolation between the
@@ -7,21 +7,31 @@ its own error. Where the estimate differs from the interpolation by no more than
 interpolated (`is_different`). The error that is predicted for a lost joint may be too small. So the same damage is done to sound
 frames elsewhere in the take, with similar motion before and after, and repaired by each method, and the one with the smallest
 errors there is used in the fault (`choose_estimate`).
+
+Applied are the repairs that the options allow and that are certain enough (`apply_repairs`); all else is unchanged.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations import repair_methods as methods
-from mocapfix.animations.repair_methods import FrameSpan, RepairMethod, SpanEstimate
+from mocapfix.animations.repair_methods import REPAIR_DESCRIPTIONS, FrameSpan, RepairMethod, SpanEstimate
+from mocapfix.fill.gap_filling import compute_gap_durations, explain_unfilled_samples
 from mocapfix.fill.gap_windows import find_stretches
+from mocapfix.io.changes_file import ReviewedChange
 from mocapfix.kernels import lie
-from mocapfix.model.faults import Fault, build_fault_mask
+from mocapfix.model import changes
+from mocapfix.model.animation import Animation, build_joint_take, build_tip_take, compute_joint_point_sd
+from mocapfix.model.changes import Change, UnfilledRun, compute_editable_mask, find_unfilled_runs
+from mocapfix.model.faults import Fault, Faults, build_fault_mask
 from mocapfix.model.skeleton import compose_transforms, find_ancestor
+from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.solve import occluded_joints
 from mocapfix.solve.motion_prior import GapContext, combine_rotations, compute_combined_variance, compute_prediction_weight
 from mocapfix.solve.occluded_joints import RECORDED_ROTATION_KERNEL, KnownMotion, infer_gap_joints
@@ -29,6 +39,7 @@ from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import DENSE_TRAINING_MARGIN_S, find_runs, group_gaps
 
+LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
 MIN_STEADY_FRAMES = 3  # frames without jitter that the smoothing requires
 EXACT_VARIANCE_RAD2 = 1e-8  # variance of rotations without a fault
 MIN_JOINT_MOTION_RAD = 1e-3  # range of a rotation matrix's entries above which a joint counts as moving
@@ -60,7 +71,7 @@ def repair_animation(
     shape = (len(root_position), local_rotations.shape[1] + 1)
     if not faults:
         return AnimationRepair(root_position, local_rotations, np.zeros(shape), np.zeros(shape, int))
-    is_lost = build_fault_mask([fault for fault in faults if fault.kind in ("gap", "stuck")], shape)
+    is_lost = build_fault_mask([fault for fault in faults if fault.kind in LOST_KINDS], shape)
     is_finite = np.column_stack([np.isfinite(local_rotations).all((2, 3)), np.isfinite(root_position).all(1)])
     stays_missing = ~is_finite & ~is_lost
     is_lost |= stays_missing
@@ -365,3 +376,99 @@ def _combine_body(body: methods.InterpolatedBody, context: GapContext, condition
     root = body.root_position + weight[:, None] * (prediction.root_position - body.root_position)
     root_variance = compute_combined_variance(body.root_variance, prediction.root_variance, weight)
     return methods.InterpolatedBody(root, rotations, root_variance, rotation_variance)
+
+
+UNAPPLIED_CHANGE_REASON = "its change was not applied"  # not among the kinds to repair, or rejected by a reviewer
+
+
+@dataclass(frozen=True)
+class RepairedAnimation:
+    """A cleaned animation, and its changes."""
+
+    animation: Animation  # cleaned
+    # tips_before, tips_after: takes of the joint tips of the input and of the cleaned animation, without values that are lost
+    tips_before: Take
+    tips_after: Take
+    joint_take: Take  # joint positions of the cleaned animation, with standard deviations
+    faults: Faults
+    changes: tuple[Change, ...]
+    unfilled: tuple[UnfilledRun, ...]
+
+
+def apply_repairs(
+    animation: Animation,
+    repair: AnimationRepair,
+    faults: Sequence[Fault],
+    options: CleanOptions,
+    reviewed: Sequence[ReviewedChange],
+) -> RepairedAnimation:
+    """Apply repairs of faults to an animation and leave all other values unchanged.
+
+    Decides by the options of detection (the kinds to repair) and of filling, and by the reviewed changes of an earlier cleaning.
+    """
+    tips = build_tip_take(animation)
+    is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
+    before = tips.masked(~is_absent)
+    is_rejected = [any(each.rejects(fault) for each in reviewed) for fault in faults]
+    kinds = options.detect.repair_kinds or {fault.kind for fault in faults}
+    selected = [fault for fault, rejected in zip(faults, is_rejected, strict=True) if fault.kind in kinds and not rejected]
+    editable = compute_editable_mask(before, options.fill)
+    editable[:, -1] &= editable[:, animation.moving_joint]  # to keep the joint that moves the figure also keeps its position
+    editable &= build_fault_mask(selected, is_absent.shape) & (repair.method != RepairMethod.UNCHANGED)
+    rejection_reasons = _find_rejection_reasons(animation, before, repair, faults, editable, options.fill)
+    is_repaired = editable & (rejection_reasons == "")
+    repaired = insert_repairs(animation, repair, is_repaired)
+    variance = np.where(is_repaired, repair.variance, 0.0)
+    after = build_tip_take(repaired)
+    after = _add_sd(repaired, after, variance, is_repaired | ~before.visible).masked(is_repaired | ~is_absent)
+    joint_take = build_joint_take(repaired)
+    joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
+    # a change covers the joints of its fault and not those below them
+    own_points = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
+    repaired_faults = [fault for fault in selected if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
+    methods = np.where(is_repaired, np.array([REPAIR_DESCRIPTIONS[method] for method in RepairMethod], object)[repair.method], "")
+    applied = [each for each, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]
+    unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
+    return RepairedAnimation(
+        repaired, before, after, joint_take, Faults(tuple(faults)), (*applied, *(each.to_change() for each in reviewed)), unfilled
+    )
+
+
+def insert_repairs(animation: Animation, repair: AnimationRepair, is_repaired: Bool[np.ndarray, "T N"]) -> Animation:
+    """Return the animation with the repaired values of the N = J + 1 tracks where `is_repaired`."""
+    for joint in np.flatnonzero(is_repaired[:, :-1].any(0)):
+        frames = np.flatnonzero(is_repaired[:, joint])
+        animation = animation.replace_rotations(np.array([joint]), frames, repair.local_rotations[frames, joint][:, None])
+    frames = np.flatnonzero(is_repaired[:, -1])
+    if not len(frames):
+        return animation
+    return animation.replace_positions(np.array([animation.moving_joint]), frames, repair.root_position[frames][:, None])
+
+
+def _find_rejection_reasons(
+    animation: Animation,
+    before: Take,
+    repair: AnimationRepair,
+    faults: Sequence[Fault],
+    editable: Bool[np.ndarray, "T N"],
+    fill_options: FillOptions,
+) -> Shaped[np.ndarray, "T N"]:
+    """Return why lost values are not filled, "" elsewhere. If one value of a gap is rejected, the whole gap is."""
+    lost_faults = [fault for fault in faults if fault.kind in LOST_KINDS]
+    is_lost = build_fault_mask(lost_faults, editable.shape)
+    fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
+    sd = compute_joint_point_sd(fully_repaired, build_tip_take(fully_repaired), repair.variance)
+    sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
+    reasons = explain_unfilled_samples(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
+    for fault in lost_faults:
+        if found := [reason for reason in reasons[fault.frame_slice][:, list(fault.markers)].ravel() if reason]:
+            reasons[fault.frame_slice, list(fault.markers)] = found[0]
+    return reasons
+
+
+def _add_sd(
+    animation: Animation, points: Take, variance: Float[np.ndarray, "T N"], is_estimated: Bool[np.ndarray, "T M"]
+) -> Take:
+    """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
+    sd = compute_joint_point_sd(animation, points, variance)
+    return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
