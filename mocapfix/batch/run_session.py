@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
+from mocapfix.batch.job_files import BatchTake
 from mocapfix.batch.jobs import (
     CLEAN_FUNCTION,
     CleanRequest,
@@ -39,7 +40,6 @@ from mocapfix.batch.records import (
     resolve_option_files,
     write_people_file,
 )
-from mocapfix.batch.take_list import BatchTake
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.io.files import make_output_folder, replace_atomically
 from mocapfix.io.shipped import get_version

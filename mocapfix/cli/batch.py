@@ -29,8 +29,8 @@ from mocapfix.options import CleanOptions
 
 SESSION_SUFFIXES = (".yaml", ".yml")
 if TYPE_CHECKING:
+    from mocapfix.batch.job_files import Session
     from mocapfix.batch.records import TakeRecord
-    from mocapfix.batch.take_list import Session
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,9 @@ def run_batch(
     cluster = ClusterOptions(run.workers, run.scheduler, run.slurm, split_names([run.ssh]))
     check_dask_installed(cluster)
     from mocapfix.batch.child_process import JobLimits
+    from mocapfix.batch.job_files import read_session_file
     from mocapfix.batch.run_session import BatchSettings, knows_people, run_session
     from mocapfix.batch.session_page import write_session_page
-    from mocapfix.batch.take_list import read_session_file
     from mocapfix.subject.library import load_requested_subject
 
     is_session = len(takes) == 1 and Path(takes[0]).suffix.lower() in SESSION_SUFFIXES
@@ -138,7 +138,7 @@ def run_batch(
 
 def list_session(names: Sequence[str], output_folder: Path, options: CleanOptions) -> "Session":
     """Return the takes in folders and patterns as a session, and print which files are left out."""
-    from mocapfix.batch.take_list import Session, find_takes
+    from mocapfix.batch.job_files import Session, find_takes
 
     listed = find_takes(names, output_folder)
     for path in listed.unreadable:

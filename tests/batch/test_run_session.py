@@ -11,10 +11,10 @@ import pytest
 from mocapfix.batch import cluster
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions
+from mocapfix.batch.job_files import find_takes
 from mocapfix.batch.jobs import CleanRequest, try_to_hash
 from mocapfix.batch.records import TakeRecord, write_record
 from mocapfix.batch.run_session import BatchSettings, check_same_inputs, run_session
-from mocapfix.batch.take_list import find_takes
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.lab.batches import FAULTY_FUNCTION
 from mocapfix.options import CleanOptions

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.take_list import read_session_file
+from mocapfix.batch.job_files import read_session_file
 from mocapfix.errors import SceneError
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.take_list import build_take_list, find_takes
+from mocapfix.batch.job_files import build_take_list, find_takes
 from mocapfix.errors import ReadError
 
 

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions
+from mocapfix.batch.job_files import find_takes
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.run_session import BatchSettings, run_session
-from mocapfix.batch.take_list import find_takes
 from mocapfix.errors import MocapfixError
 from mocapfix.lab.batches import hash_outputs
 from mocapfix.options import CleanOptions
