@@ -27,7 +27,6 @@ from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
 from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly
-from mocapfix.subject.grouped_markers import guess_from_rigid_groups
 from mocapfix.subject.label_words import guess_marker_set_from_words, names_object
 from mocapfix.subject.library import (
     UNASSIGNED_SUBJECT,
@@ -40,7 +39,7 @@ from mocapfix.subject.library import (
 )
 from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.subject.props import find_props
-from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud
+from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud, guess_from_rigid_groups
 
 MAX_LEARNED_MEAN_RESIDUAL_M = 0.009  # from the body of a correct set; with a wrong side or segment it is larger
 MIN_LEARNED_SIZE_RATIO = 0.5  # to the average body: a child of three

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.subject.grouped_markers import build_moving_group, estimate_functional_joint
+from mocapfix.subject.unlabelled_markers import build_moving_group, estimate_functional_joint
 
 FRAMES, NOISE_M = 120, 0.0005
 JOINT = np.array([0.1, -0.4, 0.05])

@@ -6,7 +6,7 @@ import pytest
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.subject.grouped_markers import guess_from_rigid_groups
+from mocapfix.subject.unlabelled_markers import guess_from_rigid_groups
 from mocapfix.synthetic import compose_take
 
 SKELETON = load_cmu31_body().skeleton
