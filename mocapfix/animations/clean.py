@@ -30,9 +30,9 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTAC
 from mocapfix.contacts.find_contacts import estimate_slide, find_contacts, replace_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
 from mocapfix.errors import SceneError, TakeError
-from mocapfix.io.animation_inference import estimate_height
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.contact_files import read_contacts
+from mocapfix.io.conventions import estimate_height
 from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation, build_joint_take, build_tip_take

@@ -2,7 +2,7 @@
 
 - `capture`: read any format
 - `conventions`: unit, up axis and handedness of a file: by the options, the file, and the person in it (body_evidence)
-- `coordinates`: units, axes and codes of missing points; frame_rate; animation_inference, what animation files do not give
+- `coordinates`: units, axes and codes of missing points; frame_rate
 - `c3d`, `c3d_parameters`, `c3d_blocks`, `c3d_events`, `force_plates`, `points`
 - `marker_table`: what text tables of markers share: trc_csv, and vendor_tables of Motive, Nexus and Qualisys
 - `bvh`, `asf_amc`, `keypoint_json`, `npz`, `usd`, `gltf`; gltf_mesh, the meshes of a glTF

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError, WriteError, format_name_list
-from mocapfix.io.animation_inference import infer_conventions
+from mocapfix.io.conventions import infer_conventions
 from mocapfix.io.file_content import (
     BYTE_ORDER_MARK,
     MAX_QUOTED_CHARACTERS,

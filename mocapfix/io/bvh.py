@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError, WriteError, format_name_list
-from mocapfix.io.animation_inference import infer_conventions
+from mocapfix.io.conventions import infer_conventions
 from mocapfix.io.file_content import (
     COMMENT_LINE_PATTERN,
     MAX_QUOTED_CHARACTERS,

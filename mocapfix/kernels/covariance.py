@@ -8,9 +8,8 @@ import numpy as np
 from mocapfix.kernels import low_rank, sweep
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
-from mocapfix.kernels.normal_equations import linearise_terms
+from mocapfix.kernels.normal_equations import allocate_workspace, linearise_terms, load_pose
 from mocapfix.kernels.small_matrices import clear_array
-from mocapfix.kernels.workspace import allocate_workspace, load_pose
 
 
 @compile_inner_kernel

@@ -12,9 +12,8 @@ from numba import njit
 from mocapfix.kernels import low_rank, sweep
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics
-from mocapfix.kernels.normal_equations import linearise_terms
+from mocapfix.kernels.normal_equations import allocate_workspace, copy_pose, linearise_terms, load_pose, store_pose
 from mocapfix.kernels.small_matrices import copy_array
-from mocapfix.kernels.workspace import allocate_workspace, copy_pose, load_pose, store_pose
 from mocapfix.model.motion import FrameStatus
 
 # Numba compiles these as plain integers.

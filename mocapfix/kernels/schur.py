@@ -16,7 +16,7 @@ from mocapfix.kernels import sweep
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
-from mocapfix.kernels.normal_equations import linearise_terms
+from mocapfix.kernels.normal_equations import allocate_workspace, linearise_terms, load_pose
 from mocapfix.kernels.small_matrices import (
     clear_array,
     copy_array,
@@ -26,7 +26,6 @@ from mocapfix.kernels.small_matrices import (
     transpose_matrix,
 )
 from mocapfix.kernels.terms.contract import compute_robust_loss
-from mocapfix.kernels.workspace import allocate_workspace, load_pose
 
 COLUMNS = 96  # swept at a time: shorter loops take longer to begin than to run
 

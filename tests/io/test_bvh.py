@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
 from mocapfix.io import bvh, capture
-from mocapfix.io.animation_inference import estimate_height, infer_up_axis
+from mocapfix.io.conventions import estimate_height, infer_up_axis
 from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.model import windows
 from mocapfix.model.animation import Animation

@@ -6,9 +6,8 @@ from mocapfix.kernels.compilation import compile_kernel
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_forward_kinematics
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
-from mocapfix.kernels.normal_equations import NormalEquations, linearise_terms
+from mocapfix.kernels.normal_equations import NormalEquations, SolveWorkspace, allocate_workspace, linearise_terms
 from mocapfix.kernels.terms import count_rows
-from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
 from mocapfix.solve import parallel
 from mocapfix.solve.parallel import run_over_frames
 from tests.kernels.dense_oracle import Frame

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.kernels.levenberg_marquardt import compute_direction
-from mocapfix.kernels.workspace import allocate_workspace
+from mocapfix.kernels.normal_equations import allocate_workspace
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import build_workspace
 
