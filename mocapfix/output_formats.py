@@ -25,7 +25,7 @@ from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
 from mocapfix.io.resampling import resample_motion
 from mocapfix.io.source_file import append_computed_points
-from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.model.changes import Change
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton

@@ -14,7 +14,7 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io import capture
-from mocapfix.io.trc_csv import write_trc
+from mocapfix.io.text_tables import write_trc
 from mocapfix.model.take import TableLayout
 from mocapfix.options import RIG_NAMES, OutputOptions, build_clean_options
 from mocapfix.output_formats import OPTIONAL_FORMATS, list_output_formats

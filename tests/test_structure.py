@@ -19,7 +19,7 @@ MAX_IMPORT_LAYERS = 23
 MAX_POSITIONAL_PARAMETERS = 7
 MAX_TUPLE_RESULTS = 3
 FOLDERS_THAT_USE_KERNELS = {"animations", "batch", "cli", "detect", "io", "kernels", "lab", "labels", "model", "solve", "stats"}
-SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "low_rank", "schur")
+SOLVER_KERNELS = ("levenberg_marquardt", "normal_equations", "sweep", "covariance", "schur")
 """the kernels of which a minimisation consists"""
 
 

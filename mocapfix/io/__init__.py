@@ -1,10 +1,10 @@
 """Files: one module for each format, reading and writing.
 
 - `capture`: read any format
-- `conventions`: unit, up axis and handedness of a file: by the options, the file, and the person in it (body_evidence)
-- `coordinates`: units, axes and codes of missing points; frame_rate
+- `conventions`: unit, up axis and handedness of a file: by the options, the file, and the person in it
+- `coordinates`: units, codes of missing points, and axes, by what the labelled markers show of a body; frame_rate
 - `c3d`, `c3d_parameters`, `c3d_blocks`, `c3d_events`, `force_plates`, `points`
-- `marker_table`: what text tables of markers share: trc_csv, and vendor_tables of Motive, Nexus and Qualisys
+- `text_tables`: TRC, plain CSV, and the tables of Motive, Nexus and Qualisys; marker_table, what they share
 - `bvh`, `asf_amc`, `keypoint_json`, `npz`, `usd`, `gltf`; gltf_mesh, the meshes of a glTF
 - `changes_file`: the changes of a take, with a decision for each; contact_files, contacts and events of gait
 - `source_file`: what an output takes from its source; patches, in which only changed samples differ; resampling

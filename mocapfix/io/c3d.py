@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError, WriteError
-from mocapfix.io.body_evidence import inspect_points
 from mocapfix.io.c3d_blocks import locate_samples
 from mocapfix.io.c3d_parameters import (
     FLOAT_TYPE,
@@ -31,7 +30,7 @@ from mocapfix.io.c3d_parameters import (
     read_c3d_parameters,
 )
 from mocapfix.io.conventions import DeclaredConvention, decide_convention
-from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, find_valid_points, get_metres_per_unit
+from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, find_valid_points, get_metres_per_unit, inspect_points
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, choose_rate
 from mocapfix.io.points import (

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocapfix.errors import ReadError, TakeError
-from mocapfix.io import asf_amc, bvh, c3d, keypoint_json, trc_csv, vendor_tables
+from mocapfix.io import asf_amc, bvh, c3d, keypoint_json, text_tables
 from mocapfix.io.file_content import BYTE_ORDER_MARK, LEADING_COMMENTS_PATTERN, decode_text, read_file_bytes
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
@@ -36,12 +36,12 @@ class FileFormat(NamedTuple):
 # A file is read as the first format that matches.
 FILE_FORMATS = (
     FileFormat("C3D", c3d.is_c3d, c3d.read_c3d),
-    FileFormat("TRC", trc_csv.is_trc, trc_csv.read_trc),
-    FileFormat("Motive CSV", vendor_tables.is_motive_csv, vendor_tables.read_motive_csv),
-    FileFormat("Motive CSV 1.1", vendor_tables.is_motive_rows_csv, vendor_tables.read_motive_rows_csv),
-    FileFormat("Nexus CSV", vendor_tables.is_nexus_csv, vendor_tables.read_nexus_csv),
-    FileFormat("Qualisys TSV", vendor_tables.is_qualisys_tsv, vendor_tables.read_qualisys_tsv),
-    FileFormat("plain CSV", trc_csv.is_plain_csv, trc_csv.read_plain_csv),
+    FileFormat("TRC", text_tables.is_trc, text_tables.read_trc),
+    FileFormat("Motive CSV", text_tables.is_motive_csv, text_tables.read_motive_csv),
+    FileFormat("Motive CSV 1.1", text_tables.is_motive_rows_csv, text_tables.read_motive_rows_csv),
+    FileFormat("Nexus CSV", text_tables.is_nexus_csv, text_tables.read_nexus_csv),
+    FileFormat("Qualisys TSV", text_tables.is_qualisys_tsv, text_tables.read_qualisys_tsv),
+    FileFormat("plain CSV", text_tables.is_plain_csv, text_tables.read_plain_csv),
     FileFormat("JSON of 3-D keypoints", keypoint_json.is_keypoint_json, keypoint_json.read_keypoint_json),
     FileFormat("BVH", bvh.is_bvh, bvh.read_bvh),
     FileFormat("ASF/AMC", asf_amc.is_asf_or_amc, asf_amc.read_amc_motion),

@@ -14,16 +14,19 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.errors import ReadError
-from mocapfix.io.body_evidence import BodyEvidence, InspectedPoints, collect_body_evidence, measure_handedness
 from mocapfix.io.coordinates import (
     METRES_PER_UNIT,
     ROTATIONS_TO_Y_UP,
+    BodyEvidence,
+    InspectedPoints,
     PointSample,
+    collect_body_evidence,
     estimate_sign,
     estimate_up_axis,
     find_standing_axis,
     format_length,
     is_on_floor_along,
+    measure_handedness,
     sample_points,
 )
 from mocapfix.model.animation import FOOT_JOINT_PATTERN, HEAD_JOINT_PATTERN, Animation

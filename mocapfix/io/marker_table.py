@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
-from mocapfix.io.body_evidence import inspect_points
 from mocapfix.io.conventions import Convention, DeclaredConvention, decide_convention
-from mocapfix.io.coordinates import METRES_PER_UNIT, find_valid_points, get_metres_per_unit
+from mocapfix.io.coordinates import METRES_PER_UNIT, find_valid_points, get_metres_per_unit, inspect_points
 from mocapfix.io.file_content import NOT_A_NUMBER_PATTERN, TextDocument
 from mocapfix.io.frame_rate import FrameTimes, find_frames, parse_time
 from mocapfix.io.points import DeclaredPoints, add_other_points, check_point_types, classify_points, find_computed_markers

@@ -3,7 +3,7 @@
 - `compilation`: how kernels are compiled and kept
 - `small_matrices`, `lie`, `euler_angles`, `forward_kinematics`: matrices, rotations and positions
 - `terms`: the residual terms
-- `normal_equations`: one frame's quadratic model; sweep and low_rank, its step; workspace, its memory
+- `normal_equations`: one frame's quadratic model; sweep, its step
 - `levenberg_marquardt`: the solve of a frame, and of many
 - `covariance`: pose uncertainty; schur, unknowns that all frames share
 - `hybrik`, `joint_registration`, `rigid_registration`, `pose_transfer`, `belief_propagation`: first poses

@@ -5,7 +5,7 @@ Exact to second order at the pose, in time linear in joints and markers.
 
 import numpy as np
 
-from mocapfix.kernels import low_rank, sweep
+from mocapfix.kernels import sweep
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.normal_equations import allocate_workspace, linearise_terms, load_pose
@@ -89,10 +89,10 @@ def add_shared_covariance(tree, work, covariance, rotation_variance):
 
 @compile_inner_kernel
 def subtract_row_information(tree, work, responses, covariance, rotation_variance):
-    """Subtract the reduction of the covariance by the rows (Woodbury, as in low_rank): Y (L L')^-1 Y', Y the row responses."""
+    """Subtract the reduction of the covariance by the rows (Woodbury, as in sweep): Y (L L')^-1 Y', Y the row responses."""
     if responses is None:
         return
-    low_rank.compute_row_responses(tree, work.equations, work.factors, work.g, responses)
+    sweep.compute_row_responses(tree, work.equations, work.factors, work.g, responses)
     cholesky = responses.capacitance
     for m in range(len(responses.twist)):
         twist, joint_turn = responses.twist[m], responses.joint_turn[m]

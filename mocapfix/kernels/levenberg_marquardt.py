@@ -9,7 +9,7 @@ import math
 
 from numba import njit
 
-from mocapfix.kernels import low_rank, sweep
+from mocapfix.kernels import sweep
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics
 from mocapfix.kernels.normal_equations import allocate_workspace, copy_pose, linearise_terms, load_pose, store_pose
@@ -80,10 +80,10 @@ def compute_direction(tree, work, damping):
     copy_array(equations.g, g)
     copy_array(equations.g_joint, g_joint)
     copy_array(equations.g_shared, step.shared)
-    low_rank.add_row_gradient(equations, work.row_responses, g, g_joint)
+    sweep.add_row_gradient(equations, work.row_responses, g, g_joint)
     sweep.solve_tree(tree, equations, work.factors, g, g_joint, step)
-    low_rank.apply_rows(tree, equations, work.factors, work.row_responses, g, step)
-    decrease = low_rank.compute_row_decrease(equations, work.row_responses, step)
+    sweep.apply_rows(tree, equations, work.factors, work.row_responses, g, step)
+    decrease = sweep.compute_row_decrease(equations, work.row_responses, step)
     decrease -= (
         compute_array_dot(equations.g, step.twist)
         + compute_array_dot(equations.g_joint, step.joint_turn)

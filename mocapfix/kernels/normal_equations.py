@@ -7,9 +7,8 @@ from numba import literal_unroll
 
 from mocapfix.kernels.compilation import compile_inner_kernel
 from mocapfix.kernels.forward_kinematics import FramePose, allocate_pose
-from mocapfix.kernels.low_rank import RowResponses, allocate_row_responses
 from mocapfix.kernels.small_matrices import clear_array, copy_array
-from mocapfix.kernels.sweep import PoseStep, SweepFactors, allocate_factors, allocate_step
+from mocapfix.kernels.sweep import PoseStep, RowResponses, SweepFactors, allocate_factors, allocate_row_responses, allocate_step
 from mocapfix.kernels.terms.contract import add_term
 
 

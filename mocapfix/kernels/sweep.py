@@ -1,6 +1,6 @@
 """The Gauss-Newton direction of a tree of joints in time linear in joints and measurements.
 
-SCOPE's Algorithm 1 as an articulated-body sweep. A body's twist (w, v) is its rotation and the velocity of its point at a
+SCOPE's Algorithm 1 as an articulated-body  A body's twist (w, v) is its rotation and the velocity of its point at a
 common origin, both in world axes. So a child's twist is its parent's plus its own joint's rotation:
 
     twist_i = twist_parent + S_i turn_i,    S_i = [I; [d_i]x],    d_i = joint position - origin
@@ -10,6 +10,10 @@ from its body's quadratic, which leaves a quadratic of 6 + P in its parent's twi
 prior's latent code); from the root to the leaves the rotations follow by substitution. `factorise_tree` does the first half once;
 `solve_tree` uses it for one gradient, `covariance.propagate_covariance` for all bodies. (Blocks of 6 + P take half the time of
 6 + P right-hand sides and a Schur complement at P = 10, a third at P = 32.)
+
+Residuals that couple several bodies are a few rows on top of the  With the tree's curvature H and M rows U, the
+Sherman-Morrison-Woodbury formula (Hager 1989) solves (H + U'U) x = -f by one sweep for f and one for each row:
+x = x0 + Y (I - U Y)^-1 U x0, where x0 = -H^-1 f and Y = -H^-1 U'. So the sweep stays exact, and the cost is O(M J).
 """
 
 from typing import NamedTuple
@@ -256,3 +260,101 @@ def solve_root(factors, g, step):
             twist[0, a] -= root_gain[a, c] * shared[c]
     for a in range(3):
         step.joint_turn[0, a] = 0.0
+
+
+class RowResponses(NamedTuple):
+    """The body's response to each of M rows, Y = -H^-1 U', and the capacitance matrix I - U Y."""
+
+    twist: np.ndarray  # (M, J, 6)
+    joint_turn: np.ndarray  # (M, J, 3)
+    shared: np.ndarray  # (M, P)
+    capacitance: np.ndarray  # (M, M), its Cholesky factor
+    row_product: np.ndarray  # (M,) working memory: the rows times a step
+
+
+@compile_inner_kernel
+def allocate_row_responses(joints, unknowns, rows):
+    """Return arrays for the responses to so many rows; None for no rows."""
+    if rows is None:
+        return None
+    return RowResponses(
+        np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)),
+        np.empty(rows),
+    )  # fmt: skip
+
+
+@compile_inner_kernel
+def multiply_row(equations, m, twist, joint_turn):
+    """Return the product of row m and a step."""
+    total = 0.0
+    for j in range(len(joint_turn)):
+        for a in range(6):
+            total += equations.row_twist[m, j, a] * twist[j, a]
+        for a in range(3):
+            total += equations.row_joint[m, j, a] * joint_turn[j, a]
+    return total
+
+
+@compile_inner_kernel
+def add_row_gradient(equations, responses, g, g_joint):
+    """Add the rows' gradient to g (J, 6) and g_joint (J, 3)."""
+    if responses is None:
+        return
+    for m in range(len(equations.row_residual)):
+        for j in range(len(g)):
+            for a in range(6):
+                g[j, a] += equations.row_residual[m] * equations.row_twist[m, j, a]
+            for a in range(3):
+                g_joint[j, a] += equations.row_residual[m] * equations.row_joint[m, j, a]
+
+
+@compile_inner_kernel
+def compute_row_responses(tree, equations, factors, spare_g, responses):
+    """Write the response to each row, after `factorise_tree`; spare_g (J, 6) is overwritten."""
+    rows = len(equations.row_residual)
+    for m in range(rows):
+        step = PoseStep(responses.twist[m], responses.joint_turn[m], responses.shared[m])
+        clear_array(step.shared)
+        copy_array(equations.row_twist[m], spare_g)
+        solve_tree(tree, equations, factors, spare_g, equations.row_joint[m], step)
+    for m in range(rows):
+        for n in range(rows):
+            product = multiply_row(equations, m, responses.twist[n], responses.joint_turn[n])
+            responses.capacitance[m, n] = (1.0 if m == n else 0.0) - product
+    factor_cholesky(responses.capacitance)
+
+
+@compile_inner_kernel
+def correct_step(equations, responses, step):
+    """Correct a step that includes the rows' gradient but not their curvature, so that it includes both."""
+    product = responses.row_product
+    for m in range(len(product)):
+        product[m] = multiply_row(equations, m, step.twist, step.joint_turn)
+    solve_cholesky(responses.capacitance, product)
+    for m in range(len(product)):
+        for j in range(len(step.joint_turn)):
+            for a in range(6):
+                step.twist[j, a] += product[m] * responses.twist[m, j, a]
+            for a in range(3):
+                step.joint_turn[j, a] += product[m] * responses.joint_turn[m, j, a]
+        for c in range(len(step.shared)):
+            step.shared[c] += product[m] * responses.shared[m, c]
+
+
+@compile_inner_kernel
+def apply_rows(tree, equations, factors, responses, spare_g, step):
+    """Include the rows' curvature in the sweep's step; spare_g (J, 6) is overwritten."""
+    if responses is None:
+        return
+    compute_row_responses(tree, equations, factors, spare_g, responses)
+    correct_step(equations, responses, step)
+
+
+@compile_inner_kernel
+def compute_row_decrease(equations, responses, step):
+    """Return the decrease of the cost along a step that the rows' gradient predicts."""
+    total = 0.0
+    if responses is not None:
+        for m in range(len(equations.row_residual)):
+            total -= equations.row_residual[m] * multiply_row(equations, m, step.twist, step.joint_turn)
+    return total

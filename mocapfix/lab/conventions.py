@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import MocapfixError, ReadError
-from mocapfix.io.body_evidence import InspectedPoints
 from mocapfix.io.capture import read_take
 from mocapfix.io.conventions import DeclaredConvention, decide_convention
+from mocapfix.io.coordinates import InspectedPoints
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import ReadOptions
 

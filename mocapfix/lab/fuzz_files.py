@@ -19,7 +19,7 @@ from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import Review, locate_correction, write_changes_file
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.model.changes import Change, SampleState
 from mocapfix.model.motion import Motion

@@ -26,7 +26,7 @@ from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import read_changes_file
 from mocapfix.io.shipped import read_yaml
-from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.keypoints.keypoint_scene import read_keypoint_scene
 from mocapfix.lab.fuzz_files import SEED_FRAME_COUNT, SEED_RATE_HZ, SeedFile, choose_mutations, list_seed_files
 from mocapfix.lab.fuzz_process import FuzzLimits

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import TakeError, format_name_list
-from mocapfix.io import patches, trc_csv
+from mocapfix.io import patches, text_tables
 from mocapfix.io.c3d_parameters import read_c3d_parameters, replace_point_parameters
 from mocapfix.io.capture import read_capture, read_capture_bytes
 from mocapfix.io.conventions import change_convention
@@ -146,7 +146,7 @@ def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labe
     """Return the bytes of a new text table: a TRC for a TRC, else a plain CSV. Positions are in metres, Y up."""
     nothing = {"unlabelled": None, "computed_points": None, "point_columns": np.zeros(0, int)}
     labelled = replace(take, markers=positions, labels=labels, **nothing)
-    write = trc_csv.write_trc if take.path and take.path.suffix.lower() == ".trc" else trc_csv.write_csv
+    write = text_tables.write_trc if take.path and take.path.suffix.lower() == ".trc" else text_tables.write_csv
     with make_scratch_folder() as folder:
         path = folder / "labelled"
         write(path, labelled)

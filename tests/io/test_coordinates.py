@@ -6,15 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.io import capture
-from mocapfix.io.body_evidence import InspectedPoints, classify_label_height, collect_body_evidence, split_subjects_off
 from mocapfix.io.coordinates import (
     AXIS_NAMES,
     METRES_PER_UNIT,
     ROTATIONS_TO_Y_UP,
+    InspectedPoints,
+    classify_label_height,
+    collect_body_evidence,
     estimate_up_axis,
     find_free_fall,
     get_metres_per_unit,
     sample_points,
+    split_subjects_off,
 )
 from mocapfix.options import ReadOptions
 from mocapfix.report.notes import describe_up_axis

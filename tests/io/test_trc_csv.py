@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
-from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.model.take import TableLayout, Take
 from tests.text_files import LABELS, STANDING, assert_refused, trc
 

@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
-from mocapfix.io.vendor_tables import EXPECTED_MARKERS_NOTE
+from mocapfix.io.text_tables import EXPECTED_MARKERS_NOTE
 from tests.text_files import LABELS, STANDING, assert_refused, motive, motive_rows, nexus, qualisys, workstation
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000

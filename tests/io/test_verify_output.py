@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mocapfix.contacts.contacts import GaitEvent
 from mocapfix.errors import WriteError
-from mocapfix.io import c3d_events, patches, trc_csv
+from mocapfix.io import c3d_events, patches, text_tables
 from mocapfix.io.c3d_events import add_c3d_events
 from mocapfix.io.capture import read_take
 from mocapfix.io.patches import check_c3d_copy, check_table_copy, patch_c3d, patch_table
@@ -138,7 +138,7 @@ def test_added_events_change_nothing_else(tmp_path, monkeypatch):
 def prepare_table(folder: Path, kind: str) -> tuple[Take, Take, Path]:
     path, target = folder / f"before.{kind}", folder / f"after.{kind}"
     take = Take(XYZ[..., [1, 2, 0]] / 1000, ("LFHD", "RFHD", "LANK", "RANK"), 120.0)
-    (trc_csv.write_trc if kind == "trc" else trc_csv.write_csv)(path, take)
+    (text_tables.write_trc if kind == "trc" else text_tables.write_csv)(path, take)
     before = read_take(path, ReadOptions(up_axis="Z"))
     markers = before.markers.copy()
     markers[CHANGED] += 0.05

@@ -9,7 +9,7 @@ from mocapfix import pipeline
 from mocapfix.errors import TakeError
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_take
-from mocapfix.io.trc_csv import write_csv, write_trc
+from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.lab.label_recovery import remove_labels
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import OutputOptions, build_clean_options

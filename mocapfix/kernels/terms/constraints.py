@@ -1,7 +1,7 @@
 """Terms that measure nothing: tracking of a pose, a prior about a mean pose, joint limits, distances, a function of all joints.
 
 Those on joints' own rotations come first. Those after them couple several bodies: each residual adds a row on top of the sweep
-(see `low_rank`).
+(see `sweep`).
 """
 
 import math
