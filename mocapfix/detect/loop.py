@@ -16,8 +16,7 @@ from mocapfix.detect.keypoints import detect_on_keypoints
 from mocapfix.detect.noise import RoundMemory
 from mocapfix.errors import TakeError
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
-from mocapfix.labels.label_swaps import detect_label_swaps, undo_label_exchanges
-from mocapfix.labels.mislabelled import detect_mislabelled
+from mocapfix.labels.label_swaps import detect_label_swaps, detect_mislabelled, undo_label_exchanges
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.detected import Detected, find_namesakes
 from mocapfix.model.faults import (

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.labels import mislabelled
+from mocapfix.labels import label_swaps
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.subject.average_body import (
     build_average_subject,
@@ -17,7 +17,7 @@ RESTING = compute_rest_marker_positions(CMU41)
 
 def fitted(markers):
     size = estimate_body_size_ratio(CMU41, markers, min_frames=1)
-    return mislabelled.fit_markers(build_posed_body(build_average_subject(CMU41, size)), markers)
+    return label_swaps.fit_markers(build_posed_body(build_average_subject(CMU41, size)), markers)
 
 
 def test_rest_markers_are_symmetric_in_a_t_pose():
@@ -58,4 +58,4 @@ def test_missing_markers_are_predicted():
 def test_misfit_is_half_a_squared_sd_and_bounded():
     at = np.array([[0.003, 0, 0], [0, 0.1, 0], [1e3, 0, 0], [np.nan, np.nan, np.nan]])
     worst = 0.5 * 0.1**2 / 0.03**2
-    np.testing.assert_allclose(mislabelled.compute_marker_misfit(at, np.zeros(3)), [0.005, worst / 2, worst, 0], rtol=2e-3)
+    np.testing.assert_allclose(label_swaps.compute_marker_misfit(at, np.zeros(3)), [0.005, worst / 2, worst, 0], rtol=2e-3)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.labels.trajectory_segments import TrajectorySegment, compute_join_cost, is_smoother, measure_join_error
+from mocapfix.labels.fragments import TrajectorySegment, compute_join_cost, is_smoother, measure_join_error
 
 RATE = 120.0
 FRAMES = np.arange(240)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mocapfix.io import capture
-from mocapfix.labels import mislabelled
-from mocapfix.labels.label_swaps import find_permutation_cycles
-from mocapfix.labels.mislabelled import select_fullest_frames
+from mocapfix.labels import label_swaps
+from mocapfix.labels.label_swaps import find_permutation_cycles, select_fullest_frames
 from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.model.take import Take
 from mocapfix.subject.library import build_subject_marker_set, choose_marker_set
@@ -26,7 +25,7 @@ def undone(take, found):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_correct_labels_of_subjects_off_the_average(seed):
-    assert mislabelled.detect_mislabelled(compose_person(seed), CMU41) == []
+    assert label_swaps.detect_mislabelled(compose_person(seed), CMU41) == []
 
 
 @pytest.mark.parametrize(
@@ -37,7 +36,7 @@ def test_correct_labels_of_subjects_off_the_average(seed):
 def test_exchange_is_found_in_the_right_direction(cycle):
     sound = compose_person()
     take = relabelled(sound, *cycle)
-    (fault,) = mislabelled.detect_mislabelled(take, CMU41)
+    (fault,) = label_swaps.detect_mislabelled(take, CMU41)
     assert set(fault.markers) == set(columns(take, *cycle))
     assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frame_count - 1)
     np.testing.assert_array_equal(undone(take, [fault]).markers, sound.markers)
@@ -49,7 +48,7 @@ def test_exchange_is_found_in_the_right_direction(cycle):
 def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
     sound = compose_person(1)
     take = mirrored(sound, *labels)
-    found = mislabelled.detect_mislabelled(take, CMU41)
+    found = label_swaps.detect_mislabelled(take, CMU41)
     assert sorted(fault.markers for fault in found) == sorted(columns(take, f"L{label}", f"R{label}") for label in labels)
     np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
     (reason,) = {fault.reason for fault in found}
@@ -60,8 +59,8 @@ def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
 def test_exchange_on_both_sides_is_a_naming_convention():
     sound = compose_person(1)
     convention = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
-    assert mislabelled.detect_mislabelled(convention, CMU41) == []
-    (fault,) = mislabelled.detect_mislabelled(relabelled(convention, "LWRA", "LFIN"), CMU41)
+    assert label_swaps.detect_mislabelled(convention, CMU41) == []
+    (fault,) = label_swaps.detect_mislabelled(relabelled(convention, "LWRA", "LFIN"), CMU41)
     assert set(fault.markers) == set(columns(sound, "LWRA", "LFIN"))
 
 
@@ -69,14 +68,14 @@ def test_absent_markers_are_not_exchanged():
     take = mirrored(compose_person(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
     kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
     take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
-    found = mislabelled.detect_mislabelled(take, CMU41)
+    found = label_swaps.detect_mislabelled(take, CMU41)
     assert {fault.markers for fault in found} == {columns(take, f"L{b}", f"R{b}") for b in ("UPA", "ELB", "FRM", "WRA", "WRB")}
 
 
 def test_several_exchanges_are_found_despite_gaps():
     take = relabelled(relabelled(compose_person(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
     take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
-    found = mislabelled.detect_mislabelled(take, CMU41)
+    found = label_swaps.detect_mislabelled(take, CMU41)
     assert {frozenset(fault.markers) for fault in found} == {
         frozenset(columns(take, "LTOE", "LMT5")),
         frozenset(columns(take, "RWRA", "RWRB", "RFIN")),
@@ -87,15 +86,15 @@ def test_labels_wrong_for_most_of_the_take_are_mislabelled():
     sound = compose_person()
     markers = relabelled(sound, "LKNE", "LANK").markers.copy()
     markers[70:] = sound.markers[70:]
-    (fault,) = mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41)
+    (fault,) = label_swaps.detect_mislabelled(sound.replace_markers(markers), CMU41)
     assert (fault.first, fault.last) == (0, sound.frame_count - 1)
     markers[25:] = sound.markers[25:]
-    assert mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41) == []
+    assert label_swaps.detect_mislabelled(sound.replace_markers(markers), CMU41) == []
 
 
 def test_reason_names_labels_and_distances():
     take = relabelled(compose_person(), "LKNE", "LANK")
-    (fault,) = mislabelled.detect_mislabelled(take, CMU41)
+    (fault,) = label_swaps.detect_mislabelled(take, CMU41)
     start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"
     assert fault.reason.startswith(f"{start} the marker set's positions on the body, and ")
     assert fault.severity > 0.15
@@ -105,8 +104,8 @@ def test_reason_names_labels_and_distances():
 def test_small_and_large_subjects(scale):
     take = compose_person(3)
     take = take.replace_markers(take.markers * scale)
-    assert mislabelled.detect_mislabelled(take, CMU41) == []
-    assert len(mislabelled.detect_mislabelled(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
+    assert label_swaps.detect_mislabelled(take, CMU41) == []
+    assert len(label_swaps.detect_mislabelled(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
 
 
 def test_known_subject_replaces_the_average_body():
@@ -115,8 +114,8 @@ def test_known_subject_replaces_the_average_body():
     subject = replace(truth.subject, skeleton=small, marker_offsets=truth.subject.marker_offsets * 0.6)
     child = Take(truth.marker_positions * 0.6, truth.labels, 30.0)
     marker_set = build_subject_marker_set(subject)
-    assert mislabelled.detect_mislabelled(child, marker_set, subject) == []
-    (fault,) = mislabelled.detect_mislabelled(relabelled(child, "LBWT", "RBWT"), marker_set, subject)
+    assert label_swaps.detect_mislabelled(child, marker_set, subject) == []
+    (fault,) = label_swaps.detect_mislabelled(relabelled(child, "LBWT", "RBWT"), marker_set, subject)
     assert fault.markers == columns(child, "LBWT", "RBWT")
     assert "mm from the marker set's positions" in fault.reason
 
@@ -124,14 +123,14 @@ def test_known_subject_replaces_the_average_body():
 def test_other_markers_with_the_same_labels_are_not_judged():
     take = compose_person()
     elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
-    assert mislabelled.detect_mislabelled(take.replace_markers(elsewhere), CMU41) == []
+    assert label_swaps.detect_mislabelled(take.replace_markers(elsewhere), CMU41) == []
 
 
 def test_rarely_visible_markers_are_not_judged():
     take = relabelled(compose_person(), "LTOE", "LMT5")
-    assert mislabelled.detect_mislabelled(without(take, "LTOE", "LMT5", first=5), CMU41) == []
-    assert mislabelled.detect_mislabelled(take.replace_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
-    assert mislabelled.detect_mislabelled(take.replace_markers(take.markers[:0]), CMU41) == []
+    assert label_swaps.detect_mislabelled(without(take, "LTOE", "LMT5", first=5), CMU41) == []
+    assert label_swaps.detect_mislabelled(take.replace_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
+    assert label_swaps.detect_mislabelled(take.replace_markers(take.markers[:0]), CMU41) == []
 
 
 def test_fullest_frames_are_selected():
@@ -157,4 +156,4 @@ def test_captures_have_correct_labels(name):
     take = capture.read_take(CAPTURES / f"{name}.c3d")
     marker_set = choose_marker_set(take.labels).marker_set
     assert marker_set is not None
-    assert mislabelled.detect_mislabelled(take, marker_set) == []
+    assert label_swaps.detect_mislabelled(take, marker_set) == []

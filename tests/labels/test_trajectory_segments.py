@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.labels.trajectory_segments import find_loose_segments, split_trajectory
+from mocapfix.labels.fragments import find_loose_segments, split_trajectory
 from mocapfix.model.detected import find_namesakes
 from mocapfix.model.faults import overlap_in_time
 from mocapfix.model.take import Take

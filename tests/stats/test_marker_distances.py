@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.label_evidence import compute_contradiction, compute_own_contradictions
-from mocapfix.labels.trajectory_segments import RigidSignatures, compute_plane_heights
+from mocapfix.labels.fragments import RigidSignatures, compute_plane_heights
 from mocapfix.stats import marker_distances
 from mocapfix.stats.marker_distances import MarkerDistances
 from tests.detect.bodies import hidden, turning
