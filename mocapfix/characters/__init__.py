@@ -5,5 +5,5 @@
 - `bone_mapping`: which joint or bone is which part of a body, by its name or by the shape of the skeleton (bone_geometry)
 - `alignment`: rotations of one skeleton as those of another with the same parts: animations, and rigs of programs
 - `retarget_motion`: pose a character of other proportions like a body: body_frames, kept_positions, limb_fit
-- `character_files`: write its motion; root_motion and clips, what engines need; fbx, and fbx_export, which Blender runs
+- `character_files`: write its motion; clips, what engines need; fbx, and fbx_export, which Blender runs
 """

@@ -29,11 +29,10 @@ from mocapfix.characters.character import (
     convert_motion,
 )
 from mocapfix.characters.character_yaml import write_mapping_file
-from mocapfix.characters.clips import close_loop, name_whole_stride
+from mocapfix.characters.clips import carry_path, close_loop, list_source_joints, name_whole_stride, prepare_root_bone
 from mocapfix.characters.fbx import write_fbx
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.retarget_motion import retarget_motion
-from mocapfix.characters.root_motion import carry_path, list_source_joints, prepare_root_bone
 from mocapfix.contacts.contacts import BodyContacts, build_no_contacts
 from mocapfix.errors import WriteError
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree

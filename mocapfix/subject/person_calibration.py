@@ -30,8 +30,14 @@ from mocapfix.stats.sequences import compute_known_medians
 from mocapfix.subject import refinement
 from mocapfix.subject.average_body import build_average_subject
 from mocapfix.subject.calibration import CalibrationFrames, select_varied_poses
-from mocapfix.subject.parameters import CalibratedBody, CalibrationParameters, add_hip_regression, build_calibration_parameters
-from mocapfix.subject.refinement import RefinementState, estimate_residual_sd
+from mocapfix.subject.refinement import (
+    CalibratedBody,
+    CalibrationParameters,
+    RefinementState,
+    add_hip_regression,
+    build_calibration_parameters,
+    estimate_residual_sd,
+)
 
 TAKE_DISTANCE_S = 1e3  # distance in time at which frames of different takes are treated: their errors are independent
 MAX_JOINT_ROUNDS = 20  # steps of the shared unknowns

@@ -15,9 +15,9 @@ import pytest
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
 from mocapfix.characters.character_files import write_character_bvh, write_character_glb
+from mocapfix.characters.clips import carry_path, prepare_root_bone
 from mocapfix.characters.fbx import BLENDER_VARIABLE, write_fbx
 from mocapfix.characters.load_character import load_character_preset, read_character_skeletons
-from mocapfix.characters.root_motion import carry_path, prepare_root_bone
 from mocapfix.io.gltf import GlbContent, GltfBuffer, add_animation, build_glb, parse_glb
 from mocapfix.options import CHARACTER_PRESETS, ROOT_BONE
 from tests.characters.character_files import (

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from mocapfix.characters.character import compute_character_poses
-from mocapfix.characters.clips import close_loop, find_trimmed_frames, name_whole_stride
-from mocapfix.characters.root_motion import carry_path, find_root_bone, prepare_root_bone
+from mocapfix.characters.clips import (
+    carry_path,
+    close_loop,
+    find_root_bone,
+    find_trimmed_frames,
+    name_whole_stride,
+    prepare_root_bone,
+)
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import ROOT_BONE
 from tests.characters.walking_body import RATE, build_contacts, load_walk

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import CharacterMotion, compute_character_poses
 from mocapfix.characters.character_files import write_character_bvh, write_character_glb
-from mocapfix.characters.load_character import load_character_preset
-from mocapfix.characters.root_motion import (
+from mocapfix.characters.clips import (
     FloorPath,
     carry_path,
     find_root_bone,
@@ -19,6 +18,7 @@ from mocapfix.characters.root_motion import (
     smooth_floor_path,
     turn_about_vertical,
 )
+from mocapfix.characters.load_character import load_character_preset
 from mocapfix.io.bvh import read_bvh
 from mocapfix.options import ROOT_BONE, ROOT_HIPS, ROOT_IN_PLACE
 from tests.characters.character_files import build_figure_character, build_motion, build_vrm, edit_glb, split_glb

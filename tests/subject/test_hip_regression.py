@@ -11,7 +11,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.subject.average_body import scale_subject
 from mocapfix.subject.library import load_marker_set
-from mocapfix.subject.parameters import (
+from mocapfix.subject.refinement import (
     HIP_REGRESSION_SD_M,
     CalibrationParameters,
     add_hip_regression,

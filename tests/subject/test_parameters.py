@@ -7,7 +7,7 @@ import numpy as np
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import mean_pose
-from mocapfix.subject import parameters
+from mocapfix.subject import refinement
 from mocapfix.subject.library import load_marker_set
 
 BODY, MARKER_SET = load_cmu31_body(), load_marker_set("cmu41")
@@ -15,7 +15,7 @@ START = Subject(
     BODY.skeleton, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, MARKER_SET.marker_spread
 )
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
-FREE = parameters.build_calibration_parameters(START, BODY, MEAN)
+FREE = refinement.build_calibration_parameters(START, BODY, MEAN)
 TURNING = np.flatnonzero(BODY.free_joints)[1:]
 SHIFTS = slice(-MARKER_SET.marker_offsets.size - 3 * len(TURNING), -3 * len(TURNING))
 BONES = parameters.list_bones(BODY.skeleton)
@@ -65,14 +65,14 @@ def test_marker_shifts_are_in_joint_axes():
 
 def test_bone_parameter_scales_with_the_starting_body():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
-    offsets, *_ = parameters.build_calibration_parameters(tall, BODY, MEAN).compute_body(unknowns(RightFoot=0.05))
+    offsets, *_ = refinement.build_calibration_parameters(tall, BODY, MEAN).compute_body(unknowns(RightFoot=0.05))
     shin = BODY.skeleton.find_joint("RightFoot")
     np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
 
 
 def test_every_bone_occurs_once_and_the_thorax_carries_three_joints():
     np.testing.assert_array_equal(
-        (BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > parameters.MIN_SCALED_BONE_LENGTH_M
+        (BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > refinement.MIN_SCALED_BONE_LENGTH_M
     )
     assert ((BONES != 0).any(2).sum(0) <= 1).all()
     thorax = BONES[BONES[:, BODY.skeleton.find_joint("Neck")].any(1)][0]
@@ -85,7 +85,7 @@ def test_shape_is_a_sum_of_components_at_body_size():
     offsets, places, _ = FREE.compute_body(unknowns(shape=weights))
     np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shape_components, 1), atol=1e-15)
     np.testing.assert_array_equal(places, MARKER_SET.marker_offsets)
-    tall = parameters.build_calibration_parameters(
+    tall = refinement.build_calibration_parameters(
         replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY, MEAN
     )
     np.testing.assert_allclose(tall.compute_body(unknowns(shape=weights))[0], 1.2 * offsets)
@@ -94,8 +94,8 @@ def test_shape_is_a_sum_of_components_at_body_size():
 def test_size_is_practically_free_and_other_parameters_have_their_sd():
     information = np.diag(FREE.information)
     assert information[0] < 1e-5
-    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], parameters.BONE_GROUP_SD**-2.0)
-    np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], parameters.INDIVIDUAL_BONE_LENGTH_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], refinement.BONE_GROUP_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], refinement.INDIVIDUAL_BONE_LENGTH_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
     np.testing.assert_allclose(information[SHIFTS], np.repeat(MARKER_SET.marker_spread**-2.0, 3))
 
@@ -107,11 +107,11 @@ def test_mean_pose_has_information_for_free_joints_only():
     assert not np.delete(found, TURNING, 0).any()
     covariance = np.linalg.inv(FREE.information[SHIFTS.stop :, SHIFTS.stop :])
     np.testing.assert_allclose(
-        covariance[:3, :3], MEAN.between_take_covariance[TURNING[0]] + parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9
+        covariance[:3, :3], MEAN.between_take_covariance[TURNING[0]] + refinement.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9
     )
     clavicle = 3 * list(TURNING).index(BODY.skeleton.find_joint("LeftShoulder"))
     its = slice(clavicle, clavicle + 3)
-    np.testing.assert_allclose(covariance[its, its], parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(covariance[its, its], refinement.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)
 
 
 def test_a_leaning_bone_keeps_its_length_and_carries_what_it_carries():
@@ -127,11 +127,11 @@ def test_a_leaning_bone_keeps_its_length_and_carries_what_it_carries():
 
 def test_people_vary_more_in_what_the_fit_holds_firmly():
     held = FREE.variance_ratio > 1
-    assert held.sum() == 2 * len(parameters.FIRM_BONES)
+    assert held.sum() == 2 * len(refinement.FIRM_BONES)
     assumed = 1 / np.diag(FREE.information)[held]
     actual = np.diag(FREE.gradient_covariance)[held] * assumed**2  # of an estimate that stays at 0
-    np.testing.assert_allclose(assumed, parameters.FIRM_BONE_LEAN_SD_RAD**2)
-    np.testing.assert_allclose(actual, parameters.PEOPLE_LEAN_SD_RAD**2)
+    np.testing.assert_allclose(assumed, refinement.FIRM_BONE_LEAN_SD_RAD**2)
+    np.testing.assert_allclose(actual, refinement.PEOPLE_LEAN_SD_RAD**2)
     np.testing.assert_array_equal(FREE.gradient_covariance[~held][:, ~held], FREE.information[~held][:, ~held])
 
 
