@@ -1,6 +1,6 @@
 """The Gauss-Newton direction of a tree of joints in time linear in joints and measurements.
 
-SCOPE's Algorithm 1 as an articulated-body  A body's twist (w, v) is its rotation and the velocity of its point at a
+SCOPE's Algorithm 1 as an articulated-body sweep. A body's twist (w, v) is its rotation and the velocity of its point at a
 common origin, both in world axes. So a child's twist is its parent's plus its own joint's rotation:
 
     twist_i = twist_parent + S_i turn_i,    S_i = [I; [d_i]x],    d_i = joint position - origin
@@ -11,7 +11,7 @@ prior's latent code); from the root to the leaves the rotations follow by substi
 `solve_tree` uses it for one gradient, `covariance.propagate_covariance` for all bodies. (Blocks of 6 + P take half the time of
 6 + P right-hand sides and a Schur complement at P = 10, a third at P = 32.)
 
-Residuals that couple several bodies are a few rows on top of the  With the tree's curvature H and M rows U, the
+Residuals that couple several bodies are a few rows on top of the sweep. With the tree's curvature H and M rows U, the
 Sherman-Morrison-Woodbury formula (Hager 1989) solves (H + U'U) x = -f by one sweep for f and one for each row:
 x = x0 + Y (I - U Y)^-1 U x0, where x0 = -H^-1 f and Y = -H^-1 U'. So the sweep stays exact, and the cost is O(M J).
 """

@@ -18,7 +18,7 @@ MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 FREE = refinement.build_calibration_parameters(START, BODY, MEAN)
 TURNING = np.flatnonzero(BODY.free_joints)[1:]
 SHIFTS = slice(-MARKER_SET.marker_offsets.size - 3 * len(TURNING), -3 * len(TURNING))
-BONES = parameters.list_bones(BODY.skeleton)
+BONES = refinement.list_bones(BODY.skeleton)
 
 
 def unknowns(**parts):
@@ -116,7 +116,7 @@ def test_mean_pose_has_information_for_free_joints_only():
 
 def test_a_leaning_bone_keeps_its_length_and_carries_what_it_carries():
     skeleton = BODY.skeleton
-    leans = parameters.list_bone_leans(skeleton, ("Neck",))
+    leans = refinement.list_bone_leans(skeleton, ("Neck",))
     assert leans.shape == (2, len(skeleton.names), 3)
     moved = np.flatnonzero((leans != 0).any((0, 2)))
     assert [skeleton.names[j] for j in moved] == ["Neck", "LeftShoulder", "RightShoulder"]
