@@ -230,16 +230,6 @@ class AnimationBody:
     parents: np.ndarray
     alignment: SkeletonAlignment
 
-    def build_pose_conditioner(
-        self, load_pose_model: Callable[[], PoseModel] | None, prior_scale: float
-    ) -> MappedPriorConditioner | None:
-        """Build the pose prior that predicts lost joints; None if no prior is used."""
-        if load_pose_model is None:
-            return None
-        return MappedPriorConditioner(
-            load_pose_model, prior_scale, predict_shipped_gap, parents=self.parents, alignment=self.alignment
-        )
-
     def compute_motion(self, animation: Animation, joint_take: Take) -> tuple[Subject, Motion] | None:
         """Compute the motion of the 31-joint skeleton; None if the animation lacks values that it needs.
 
@@ -313,6 +303,10 @@ def clean_animation(
         body, mapping_note = find_body(animation, options.subject.hierarchy)
         faults = [fault for fault in detect_animation_faults(animation) if not any(each.keeps(fault) for each in review.declined)]
     with timer("solve"):
+        conditioner = None  # the pose prior that predicts lost joints
+        if body and load_pose_model:
+            model = load_pose_model, options.solve.prior_scale, predict_shipped_gap
+            conditioner = MappedPriorConditioner(*model, parents=body.parents, alignment=body.alignment)
         repair = repair_animation(
             animation.parents,
             animation.compute_local_positions()[:, animation.moving_joint],
@@ -320,7 +314,7 @@ def clean_animation(
             list_rotation_orders(animation),
             faults,
             animation.rate,
-            body.build_pose_conditioner(load_pose_model, options.solve.prior_scale) if body else None,
+            conditioner,
         )
     with timer("fill"):
         repaired = apply_repairs(animation, repair, faults, options, review.declined)

@@ -179,6 +179,8 @@ POLL_INTERVAL_S = 0.02
 COUNT_INTERVAL_S = 1.0  # between two looks at the number of workers
 MAX_CONNECTION_LOSS_S = 5.0  # after which the scheduler counts as ended
 MAX_SUBMISSIONS = 3  # of a task that Dask gave up because its workers ended
+WORKER_LOSSES = ("KilledWorker", "CancelledError", "FutureCancelledError", "FuturesCancelledError", "TimeoutError")
+"""names of the exceptions that Dask then gives as results"""
 
 
 @dataclass(frozen=True)
@@ -237,7 +239,7 @@ def run_tasks(
             result = get_result(each.future)
             if client.status != "running" and isinstance(result, Exception):
                 continue  # it is unknown how the task ended
-            if is_worker_loss(result) and each.submissions < MAX_SUBMISSIONS:
+            if type(result).__name__ in WORKER_LOSSES and each.submissions < MAX_SUBMISSIONS:
                 each.submissions += 1
                 each.future = submit_task(client, function, each.task)
                 continue
@@ -266,17 +268,6 @@ def get_result(future: Any) -> Any:
         return future.result(timeout=1)
     except Exception as error:  # whatever ended the task is its result
         return error
-
-
-def is_worker_loss(result: object) -> bool:
-    """Return whether a task ended because its workers did."""
-    return type(result).__name__ in (
-        "KilledWorker",
-        "CancelledError",
-        "FutureCancelledError",
-        "FuturesCancelledError",
-        "TimeoutError",
-    )
 
 
 class BatchProgress:

@@ -47,15 +47,13 @@ class SubjectFigures(StrictModel):
     notes: tuple[str, ...] = ()  # sentences of the report on what else needs attention
 
 
-def measure_result(result: "CleaningResult") -> list[SubjectFigures]:
+def measure_result(result: CleaningResult) -> list[SubjectFigures]:
     """Return the figures of each subject of a cleaned take or animation."""
     return [measure_subject(each) for each in result.subject_results or (result,)]
 
 
-def measure_subject(result: "CleaningResult") -> SubjectFigures:
+def measure_subject(result: CleaningResult) -> SubjectFigures:
     """Return the figures of a take of at most one subject, with the picture of its worst moment."""
-    # Drawing needs the solver's kernels; what reads records does not.
-
     report, take = result.subject_report, result.input_take
     fill, solve = report["fill"], report["solve"]
     frame, worst = result.comparison.worst_moment if take.visible.size else (None, None)

@@ -30,12 +30,8 @@ MIN_SIDE_SINE = 1e-3
 """sine of the angle between a bone and the direction of its second axis, below which that direction determines no rotation"""
 
 
-def _wrap_name(value: object) -> object:
-    return (value,) if isinstance(value, str) else value
-
-
 OwnAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
-BoneNames = Annotated[tuple[str, ...], BeforeValidator(_wrap_name)]
+BoneNames = Annotated[tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)]
 Position = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 AngleRange = tuple[FiniteFloat, FiniteFloat]
 Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from types import FrameType
 
 from mocapfix.cli import console
 from mocapfix.errors import OptionError, describe_error
@@ -21,11 +20,6 @@ from mocapfix.options import UP_AXES, parse_arguments
 
 DEBUG_FLAG = "--debug"
 LAB_PACKAGES = ("sklearn", "torch")  # what only the commands that measure and train import: the extra `train`
-
-
-def _stop(_number: int, _frame: FrameType | None) -> None:
-    """End the command when the system asks for it, as an interrupt from the keyboard does."""
-    raise KeyboardInterrupt
 
 
 def run_command_line(arguments: list[str] | None = None) -> None:
@@ -67,7 +61,7 @@ def run_command(arguments: list[str]) -> int:
         return console.EXIT_DONE
     if threading.current_thread() is threading.main_thread():
         for number in get_system().stop_signals:
-            signal.signal(number, _stop)
+            signal.signal(number, signal.default_int_handler)  # ends the command as an interrupt from the keyboard does
     try:
         if command := parse_plain_command(*arguments):
             return command()

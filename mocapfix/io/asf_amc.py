@@ -65,11 +65,6 @@ class AsfBone:
     parent: str = ""  # name of the bone at whose end it begins, "" for the root
 
     @property
-    def tip_offset(self) -> Float[np.ndarray, " 3"]:
-        """Vector from its beginning to its end in the rest pose, in file units and world axes."""
-        return self.direction * self.length
-
-    @property
     def amc_columns(self) -> list[int]:
         """Index of each of its channels among its values in the AMC. The outermost rotation is the first rotation channel."""
         rotations = [i for i, name in enumerate(self.degrees_of_freedom) if name[0] == "r"]
@@ -319,7 +314,7 @@ def _build_animation(
     """Return the animation of a skeleton with inferred unit and up axis. The values are in the order of its channels."""
     names = tuple(bone.name for bone in skeleton.bones)
     parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in skeleton.bones])
-    tips = np.array([bone.tip_offset for bone in skeleton.bones])
+    tips = np.array([bone.direction * bone.length for bone in skeleton.bones])  # from their beginnings
     is_leaf = [joint not in parents for joint in range(len(names))]
     offsets, channels = np.vstack([skeleton.root_position, tips[parents[1:]]]), tuple(bone.channels for bone in skeleton.bones)
     end_sites = tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, is_leaf, strict=True))

@@ -234,7 +234,7 @@ def _parse_timing(path: Path, data: bytes, start: int, options: ReadOptions) -> 
     if not frames or not time:
         problem = "there is no Frames: and Frame Time: with a number each after MOTION"
         raise ReadError(f"{path}, line {line_number}: {problem}.")
-    frames_text, time_text = _decode_word(frames[1]), _decode_word(time[1])
+    frames_text, time_text = (match[1].decode("utf-8", "replace") for match in (frames, time))
     try:
         declared, stated = int(frames[1]), read_frame_time(time_text.replace(",", "."))
     except ValueError as error:
@@ -250,10 +250,6 @@ def _parse_timing(path: Path, data: bytes, start: int, options: ReadOptions) -> 
     frame_time = parse_number(time_text)
     is_right = abs(frame_time * rate - 1) < (MAX_RATE_ROUNDING if options.rate_hz is None else MAX_RATE_CONTRADICTION)
     return _Timing(declared, rate, time.end(), notes, None if is_right else time.span(1))
-
-
-def _decode_word(word: bytes) -> str:
-    return word.decode("utf-8", "replace")
 
 
 def _count_frames(path: Path, tokens: TextTokens, width: int) -> int:

@@ -120,10 +120,6 @@ class C3dHead:
             return tuple(value / 4 for value in struct.unpack(f"<{len(data) // 4}f", _swap_words(data)))
         return struct.unpack(f"{self._get_byte_order()}{len(data) // kind}{CODES[kind]}", data)
 
-    def find_group(self, name: str) -> int | None:
-        """Return the number of a group; None if there is none."""
-        return next((-each.group for each in self.records if each.group < 0 and each.name == name), None)
-
     def read_texts(self, name: str) -> list[str]:
         """Return the texts of a parameter, without blanks around them; none if it is missing."""
         parameter = self.parameters.get(name)
@@ -176,7 +172,7 @@ class C3dHead:
         """
         numbers, added = dict[str, int](), list[ParameterRecord]()
         for name in dict.fromkeys(("POINT", group)):
-            number = self.find_group(name)
+            number = next((-each.group for each in self.records if each.group < 0 and each.name == name), None)
             if number is None:
                 used = {abs(each.group) for each in (*self.records, *added)}
                 number = next(k for k in range(1, LARGEST_GROUP) if k not in used)

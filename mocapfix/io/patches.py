@@ -488,18 +488,12 @@ def _build_edits(layout: TableLayout, lines: list[str], before: Take, after: Tak
     stored_texts = [missing if lost else sample for lost, sample in zip(is_lost, texts, strict=True)]
     add(frames, before.point_columns[markers], stored_texts)
     relabelled_frames, relabelled_markers = np.nonzero(relabelled)
-    source_texts = _read_field_texts(layout, lines, relabelled_frames, after.source_points[relabelled])
+    source_texts: list[list[str]] = []
+    for frame, point in zip(relabelled_frames, after.source_points[relabelled], strict=True):
+        cells = lines[layout.line_indices[frame]].rstrip("\r").split(layout.delimiter)
+        source_texts.append([_split_padding(cells[field])[1] for field in layout.field_indices[point]])
     add(relabelled_frames, before.point_columns[relabelled_markers], source_texts)
     return edits, [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
-
-
-def _read_field_texts(
-    layout: TableLayout, lines: list[str], frames: Int[np.ndarray, " n"], points: Int[np.ndarray, " n"]
-) -> Iterator[list[str]]:
-    """Yield the texts of the coordinates of points in the file."""
-    for frame, point in zip(frames, points, strict=True):
-        cells = lines[layout.line_indices[frame]].rstrip("\r").split(layout.delimiter)
-        yield [_split_padding(cells[field])[1] for field in layout.field_indices[point]]
 
 
 def _is_storable(layout: TableLayout, xyz: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

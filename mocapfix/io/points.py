@@ -48,18 +48,6 @@ def strip_subject_prefix(label: str) -> str:
     return label.rsplit(":", 1)[-1].strip()
 
 
-def find_model_outputs(labels: Sequence[str], listed: Set[str]) -> Bool[np.ndarray, " P"]:
-    """Return which points are outputs of models that are no positions: angles, forces, moments, powers, scalars.
-
-    Args:
-        labels: Labels of the P points, without blanks around them.
-        listed: Labels that the file lists as such outputs.
-    """
-    return np.array(
-        [label in listed or MODEL_OUTPUT_PATTERN.fullmatch(strip_subject_prefix(label)) is not None for label in labels], bool
-    )
-
-
 def find_named_computed_points(labels: Sequence[str], descriptions: Sequence[str], listed: Set[str]) -> Bool[np.ndarray, " P"]:
     """Return which points are positions that a program computed, by their names, their descriptions or the file's lists.
 
@@ -161,7 +149,8 @@ def classify_points(
         residual_words: Cameras in the high byte, residual in the low byte.
     """
     labels, notes = tuple(declared.labels), tuple[str, ...]()
-    is_output = find_model_outputs(labels, declared.model_outputs)
+    listed, pattern = declared.model_outputs, MODEL_OUTPUT_PATTERN
+    is_output = np.array([each in listed or pattern.fullmatch(strip_subject_prefix(each)) is not None for each in labels], bool)
     is_unlabelled_point = np.array([is_unlabelled(label) for label in labels], bool)
     if (is_unlabelled_point | is_output).all():
         is_unlabelled_point &= [QUALISYS_NEW_PATTERN.fullmatch(strip_subject_prefix(label)) is None for label in labels]

@@ -54,7 +54,9 @@ def write_usd(target: Path, glb_path: Path, rate: float) -> str | None:
     inverse_bind = np.linalg.inv(rest_rigid[0]) @ rest[0]
     inverse_bind = inverse_bind[slot_joints] @ mesh.inverse_bind
     bind[slot_joints[::-1]] = np.linalg.inv(inverse_bind)[::-1]  # that of the first skin
-    corners = _move_to_bind(mesh, bind[slot_joints] @ inverse_bind)
+    # the corners, moved as the slot that they follow most is moved from its skin to the bind pose
+    used = (bind[slot_joints] @ inverse_bind)[mesh.strongest]
+    corners = np.einsum("vij,vj->vi", used[:, :3, :3], mesh.positions) + used[:, :3, 3]
 
     stage = usd.Stage.CreateInMemory()
     usd_geom.SetStageUpAxis(stage, usd_geom.Tokens.y)
@@ -132,9 +134,3 @@ def _compute_local(rigid: Float[np.ndarray, "T J 4 4"], parents: Int[np.ndarray,
     local = rigid.copy()
     local[..., :3, 3], local[..., :3, :3] = decompose_transforms(rigid[..., :3, 3], rigid[..., :3, :3], parents)
     return local
-
-
-def _move_to_bind(mesh: GltfMesh, moves: Float[np.ndarray, "S 4 4"]) -> Float[np.ndarray, "V 3"]:
-    """Return the corners moved as the slot that they follow most is moved from its skin to the bind pose."""
-    used = moves[mesh.strongest]
-    return np.einsum("vij,vj->vi", used[:, :3, :3], mesh.positions) + used[:, :3, 3]
