@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
@@ -62,17 +62,11 @@ MEMORY_SUFFIX = ".memory.safetensors"
 
 
 @dataclass(frozen=True)
-class SurveyRequest:
-    """A take to be surveyed."""
+class TakeRequest:
+    """A take to be surveyed; or with the subjects of its people, of whom it is to be remembered how they move in it."""
 
     take: CleanRequest
-
-
-@dataclass(frozen=True)
-class MemoryRequest:
-    """A take, with the subjects of its people, of which it is to be remembered how they move."""
-
-    take: CleanRequest
+    kind: Literal["survey", "memory"]
 
 
 @dataclass(frozen=True)
@@ -115,7 +109,7 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
         try:
             found = surveys.find_bodies_to_calibrate(request.path, request.options)
             if any(body.is_learned or body.take.labelled_file is not None for body in found):
-                survey = SurveyRequest(request)
+                survey = TakeRequest(request, "survey")
                 _use_record(*locate_record(survey), lambda survey_key: _write_surveys(survey, survey_key, found))
         except MocapfixError as error:
             return {"key": key, "files": [], "bodies": [], "error": str(error)}
@@ -125,7 +119,7 @@ def measure_recorded_take(request: CleanRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), measure)
 
 
-def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
+def survey_recorded_take(request: TakeRequest) -> dict[str, Any]:
     """Write the calibration frames of each subject in a take, unless they are there; return their files. Run in a child.
 
     A take whose frames do not suffice has no files, and the sentence on it.
@@ -141,7 +135,7 @@ def survey_recorded_take(request: SurveyRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), survey)
 
 
-def _write_surveys(request: SurveyRequest, key: str, bodies: "Sequence[BodyToCalibrate]") -> dict[str, Any]:
+def _write_surveys(request: TakeRequest, key: str, bodies: "Sequence[BodyToCalibrate]") -> dict[str, Any]:
     """Write the calibration frames of the subjects of a take; return the record. Raises MocapfixError."""
     from mocapfix import surveys
     from mocapfix.subject.calibration import write_calibration_frames
@@ -183,7 +177,7 @@ def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), calibrate)
 
 
-def remember_recorded_take(request: MemoryRequest) -> dict[str, Any]:
+def remember_recorded_take(request: TakeRequest) -> dict[str, Any]:
     """Write the memory of each subject in a take, unless it is there; return their files. Run in a child."""
     from mocapfix import pipeline
     from mocapfix.solve.person_memory import write_memory
@@ -202,12 +196,11 @@ def remember_recorded_take(request: MemoryRequest) -> dict[str, Any]:
     return _use_record(*locate_record(request), remember)
 
 
-def locate_record(request: CleanRequest | SurveyRequest | MemoryRequest | PersonRequest) -> tuple[Path, str]:
+def locate_record(request: CleanRequest | TakeRequest | PersonRequest) -> tuple[Path, str]:
     """Return the file with the result of a job, and the key of what the result depends on."""
     if isinstance(request, PersonRequest):
         return locate_records(request.output_folder) / f"{request.name}.json", f"{request.key} {request.basis}"
-    take = request if isinstance(request, CleanRequest) else request.take
-    kind = "bodies" if isinstance(request, CleanRequest) else "survey" if isinstance(request, SurveyRequest) else "memory"
+    take, kind = (request, "bodies") if isinstance(request, CleanRequest) else (request.take, request.kind)
     key = f"{try_to_hash(take.path)} {hash_options(take.options)} {get_version()}"
     return locate_records(take.output_folder) / "takes" / f"{take.take}.{kind}.json", key
 
@@ -269,7 +262,7 @@ def assign_subjects(
     measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)
     people = group_people([BodyMeasurements(**body) for found in measured.values() for body in found["bodies"]], names)
     shared = {body.take for person in people if len(person.takes) >= MIN_PERSON_TAKES for body in person.takes}
-    to_survey = {take: SurveyRequest(request) for take, request in by_id.items() if take in shared}
+    to_survey = {take: TakeRequest(request, "survey") for take, request in by_id.items() if take in shared}
     surveyed = _run_stage(connect, SURVEY_STAGE, SURVEY_FUNCTION, to_survey, limits, progress)
     to_calibrate = {
         request.name: request
@@ -343,7 +336,7 @@ def _add_memories(
     from mocapfix.solve.person_memory import join_memories, read_memory, write_memory
 
     skeleton, shared = load_cmu31_body().skeleton, {take for person in people for take in person.takes}
-    to_remember = {request.take: MemoryRequest(request) for request in requests if request.take in shared}
+    to_remember = {request.take: TakeRequest(request, "memory") for request in requests if request.take in shared}
     found = _run_stage(connect, REMEMBER_STAGE, REMEMBER_FUNCTION, to_remember, limits, progress)
     files: dict[str, dict[str, Path]] = {}
     for person in people:
