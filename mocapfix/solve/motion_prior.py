@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Float32, Int
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
@@ -27,6 +26,7 @@ from safetensors.numpy import load_file, save_file
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.kernels import lie
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.stats.rigid_alignment import multiply_quaternions, scale_rotations
 
@@ -321,12 +321,8 @@ def _sample_motion(
     lower = np.floor(frames).astype(int)
     upper = np.ceil(frames).astype(int)
     share = (frames - lower)[:, None]
-    below, above = (
-        scipy.spatial.transform.Rotation.from_matrix(local_rotations[each][:, joints].reshape(-1, 3, 3))
-        .as_quat()
-        .reshape(len(frames), -1, 4)
-        for each in (lower, upper)
-    )
+    both, known = local_rotations[np.r_[lower, upper]], np.ones(2 * len(lower), bool)
+    below, above = np.split(np.stack([lie.extract_joint_quaternions(both, j, known) for j in joints], axis=1), 2)
     above = np.where((below * above).sum(-1, keepdims=True) < 0, -above, above)
     quaternions = below + share[..., None] * (above - below)
     quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
@@ -358,13 +354,27 @@ def _interpolate_tokens(
     knots, known = token_frames[used], quaternions[used].astype(float)
     products = (known[1:] * known[:-1]).sum(axis=-1, keepdims=True)
     known[1:] *= np.cumprod(np.where(products < 0, -1.0, 1.0), axis=0)
-    between = scipy.interpolate.CubicSpline(knots, known)(frames).reshape(-1, 4)
-    rotations = scipy.spatial.transform.Rotation.from_quat(between).as_matrix()
+    at = (frames - knots[0]) / (knots[1] - knots[0])
+    between = interpolate_evenly(known.reshape(len(knots), -1), at).reshape(len(at), -1, 4)
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
     edge = np.zeros((1, sd.shape[1]))
     all_sd = np.concatenate([edge, sd, edge])
     frame_sd = np.stack([np.interp(frames, knots, values) for values in all_sd.T], axis=1)
-    root_position = scipy.interpolate.CubicSpline(knots, position[used].astype(float))(frames)
-    return PredictedGap(rotations.reshape(len(frames), -1, 3, 3), frame_sd[:, :-1], root_position, frame_sd[:, -1])
+    root_position = interpolate_evenly(position[used].astype(float), at)
+    return PredictedGap(compute_quaternion_matrices(between), frame_sd[:, :-1], root_position, frame_sd[:, -1])
+
+
+def interpolate_evenly(values: Float[np.ndarray, "K Q"], at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n Q"]:
+    """Return the cubic spline through values at 0 to K - 1, as scipy's CubicSpline, which takes long to import."""
+    count = len(values)
+    system = 4 * np.eye(count) + np.eye(count, k=1) + np.eye(count, k=-1)
+    system[[0, -1]] = 0.0
+    system[0, :3] = system[-1, -3:] = 1.0, -2.0, 1.0  # the third derivative is continuous at the second and last but one value
+    bend = np.linalg.solve(system, 6 * np.pad(np.diff(values, 2, axis=0), ((1, 1), (0, 0))))
+    first = np.clip(np.floor(at).astype(int), 0, count - 2)
+    share = (at - first)[:, None]
+    terms = ((1 - share) ** 3 - (1 - share)) * bend[first] + (share**3 - share) * bend[first + 1]
+    return (1 - share) * values[first] + share * values[first + 1] + terms / 6
 
 
 @cache

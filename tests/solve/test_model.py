@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
@@ -61,6 +62,11 @@ def test_outputs_of_zero_give_the_interpolation(interpolating_prior):
     np.testing.assert_allclose(gap.root_position, position[80:131], atol=1e-4)
     np.testing.assert_allclose(gap.local_rotations, rotations[80:131][:, JOINTS], atol=1e-3)
     assert gap.rotation_sd_rad[25].min() > 2 * gap.rotation_sd_rad[0].max() > 0
+
+
+def test_even_values_are_interpolated_as_by_scipy():
+    values, at = np.random.default_rng(0).normal(size=(18, 5)), np.linspace(-0.5, 17.5, 100)
+    np.testing.assert_allclose(motion_prior.interpolate_evenly(values, at), CubicSpline(np.arange(18), values)(at), atol=1e-12)
 
 
 def test_known_joints_keep_their_rotations(prior):
