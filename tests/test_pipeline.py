@@ -517,7 +517,8 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
 def test_progress_is_reported_in_the_order_of_the_stages(brief):
     stages = []
     pipeline.clean(brief.path, progress=stages.append)
-    assert stages == ["read", "label", "detect", "calibrate", "initialise", "solve", "detect", "solve", "fill"]
+    before, after = ["read", "label", "detect/trajectories", "calibrate", "initialise"], ["solve/limbs and feet", "fill"]
+    assert stages == [*before, "solve/poses", "detect/body", *after]
 
 
 def test_an_unknown_initialisation_method_is_an_error_before_the_file_is_read():

@@ -37,20 +37,21 @@ class StageTimer:
 
     # seconds by stage, rounded to milliseconds, and their sum as "total"; a stage that runs again adds to its time
     stage_seconds: dict[str, float] = field(default_factory=dict)
-    report_progress: ProgressCallback | None = None  # called with the name of each stage when it starts; None makes no calls
+    report_progress: ProgressCallback | None = None  # called with the name of each part when it starts; None makes no calls
     part_times: dict[str, PartTime] = field(default_factory=dict)  # by "stage/part", or stage where it is one part
 
     @contextmanager
     def __call__(self, stage: str, part: str = "") -> Generator[None]:
         """Time the enclosed block as a stage, or as a part of one."""
+        name = f"{stage}/{part}" if part else stage
         if self.report_progress:
-            self.report_progress(stage)
+            self.report_progress(name)
         start, processor_start = perf_counter(), process_time()
         yield
         if not _are_times_kept.get():
             self.stage_seconds["total"] = 0.0
             return
-        seconds, name = perf_counter() - start, f"{stage}/{part}" if part else stage
+        seconds = perf_counter() - start
         self.add_part_times("", {name: {"seconds": seconds, "processor_seconds": process_time() - processor_start}})
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + seconds, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)

@@ -2,8 +2,7 @@
 
 import base64
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ from mocapfix.report.change_figures import (
 )
 from mocapfix.report.contact_sheet import ContactSheet
 from mocapfix.report.notes import MAX_RELIABLE_FILL_SD_M
-from mocapfix.report.report import ErrorSummary, Report, SolveSection
+from mocapfix.report.report import Report
 from mocapfix.report.sample_states import (
     AMBER,
     BLUE,
@@ -41,7 +40,7 @@ from mocapfix.report.sample_states import (
     classify_input_samples,
     find_estimated_samples,
 )
-from mocapfix.report.stick_figures import CM_PER_M, build_moving_figures
+from mocapfix.report.stick_figures import build_moving_figures
 from mocapfix.report.terms import FAULT_GROUPS, format_fault_counts, format_frame_range, format_number, get_fault_group
 from mocapfix.report.timeline import build_contact_part, build_fault_rows, build_residual_plot, build_time_ticks
 
@@ -66,21 +65,11 @@ def _load_environment() -> Environment:
 
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption
-MIN_BAR_SCALE = 1e-9  # mm or m; avoids a division by zero if all values are zero
-
-
-@dataclass(frozen=True)
-class BarRow:
-    """A row of bars: name, bars (CSS class and share of the width, the longest first) and value."""
-
-    name: str
-    shares: tuple[tuple[str, float], ...]
-    value: str
 
 
 def write_html_report(target: Path, report: Report, comparison: CleaningComparison, sheets: Sequence[ContactSheet] = ()) -> None:
     """Write the HTML report of a take, with the contact sheets of its characters."""
-    take, solve, subject = comparison.input_take, report["solve"], report["subject"]
+    take = comparison.input_take
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
     notes = [("Note", note) for note in report["notes"]]
@@ -111,10 +100,6 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         unchanged=[fault for fault in comparison.unchanged_faults if fault.kind not in MISSING_KINDS],
         review_file=review_file,
         review_command=shlex.join(["mocapfix", "clean", name, "--changes", review_file, "--overwrite"]),
-        residual_bars=_build_error_bars(solve["marker_residual_mm"]["by_marker"]) if solve else [],
-        joint_bars=_build_error_bars(solve["joint_deviation_mm"]) if solve else [],
-        solve_text=_describe_solve(solve) if solve else "",
-        bone_bars=_build_bone_bars(subject["bones_m"]) if subject else [],
     )
 
 
@@ -192,39 +177,3 @@ def _list_markers(state: str, mask: Bool[np.ndarray, " M"], take: Take) -> str:
     labels = [take.labels[m] for m in np.flatnonzero(mask)]
     more = f" and {len(labels) - MAX_CAPTION_MARKERS} more" if len(labels) > MAX_CAPTION_MARKERS else ""
     return f"{len(labels)} {state}: {', '.join(labels[:MAX_CAPTION_MARKERS])}{more}. " if labels else ""
-
-
-def _describe_solve(solve: SolveSection) -> str:
-    """Return sentences on the iterations, on what occluded limbs are estimated from, and on the joints that markers show."""
-    prior = ""
-    if each := solve["prior"]:
-        scale = "" if each["scale"] == 1 else f", standard deviations multiplied by {each['scale']:g}"
-        prior = f" and the pose prior {each['name']}{scale}"
-    return (
-        f"{format_number(solve['iterations_mean'])} iterations per frame on average; initial poses: {solve['start']}. "
-        f"Occluded limbs are estimated from the motion in the rest of the take{prior}. "
-        f"Joints that the markers show: {len(solve['solved_joints'])} of {len(solve['joint_deviation_mm'])}."
-    )
-
-
-def _build_error_bars(summaries: Mapping[str, ErrorSummary]) -> list[BarRow]:
-    """Return rows of mean and 95th percentile, the largest mean first; rows without finite values are left out."""
-    known: list[tuple[str, float, float]] = []
-    for name, summary in summaries.items():
-        mean, p95 = summary["mean"], summary["p95"]
-        if mean is not None and p95 is not None and np.isfinite(mean):
-            known.append((name, mean, p95))
-    limit_mm = max([p95 for _, _, p95 in known] + [MIN_BAR_SCALE])
-    return [
-        BarRow(name, (("high", p95 / limit_mm), ("middle", mean / limit_mm)), f"{format_number(mean)} / {format_number(p95)}")
-        for name, mean, p95 in sorted(known, key=lambda item: -item[1])
-    ]
-
-
-def _build_bone_bars(bones_m: Mapping[str, float]) -> list[BarRow]:
-    limit_m = max([*bones_m.values(), MIN_BAR_SCALE])
-    return [
-        BarRow(name, (("high", length / limit_m),), f"{format_number(CM_PER_M * length)} cm")
-        for name, length in bones_m.items()
-        if length > 0
-    ]

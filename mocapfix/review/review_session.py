@@ -26,13 +26,14 @@ from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionMode
 from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, CleanOptions, format_arguments
+from mocapfix.options import OPTION_BY_NAME, CleanOptions, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
 from mocapfix.solve.parallel import begin_second_process
 from mocapfix.stats.sequences import find_runs
 
+EXPORT_OPTIONS = ("extra_formats", "rigs", "characters", "output_rate_hz", "trim")
 MAX_MESSAGE_LENGTH = 1000
 END_LIMIT_S = 5.0
 
@@ -43,6 +44,7 @@ class RunStatus:
 
     state: Literal["idle", "running", "done", "failed"] = "idle"
     stage: str = ""  # that it is in, while it runs
+    percent: int = 0  # of the time of the cleaning before
     message: str = ""  # the sentence of its error
 
 
@@ -50,14 +52,15 @@ class CleaningRun:
     """A running `mocapfix clean`, which replaces the outputs when it has written all of them.
 
     Attributes:
+        take: The take that is cleaned; the progress is estimated from the times of its last cleaning.
         report: Called with each new status, in a thread.
     """
 
-    def __init__(self, command: Sequence[str], folder: os.PathLike[str], report: Callable[[RunStatus], None]) -> None:
-        self._report, self._is_cancelled = report, False
+    def __init__(self, command: Sequence[str], take: take_files.CleanedTake, report: Callable[[RunStatus], None]) -> None:
+        self._report, self._is_cancelled, self._times = report, False, take.report.get("times", {})
         self._process = subprocess.Popen(
             command,
-            cwd=folder,
+            cwd=take.folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -80,10 +83,13 @@ class CleaningRun:
 
     def _follow(self) -> None:
         assert self._process.stderr is not None
-        messages: list[str] = []
+        messages, percent = list[str](), 0
+        seconds = [0.0, *(each["seconds"] for each in self._times.values())]
+        starts = dict(zip(self._times, (100 * np.cumsum(seconds) / max(sum(seconds), 1e-3)).astype(int).tolist(), strict=False))
         for line in self._process.stderr:
             if stage := parse_stage_line(line):
-                self._report(RunStatus("running", stage))
+                percent = max(percent, starts.get(stage, 0))  # a part may run again
+                self._report(RunStatus("running", stage, percent))
             elif line.strip():
                 messages.append(line.strip())
         if not self._process.wait():
@@ -95,16 +101,29 @@ class CleaningRun:
             self._report(RunStatus("failed", message=text or "The cleaning ended without a message; the outputs are unchanged."))
 
 
+def change_output(take: take_files.CleanedTake, export: Mapping[str, object]) -> dict[str, Any]:
+    """Return the output options of an export, whose formats, programs and characters are written besides those of the take.
+
+    Args:
+        export: Texts by the name of the option, as after its flag; "" for the default. Raises SceneError if one does not fit.
+    """
+    choices, values = take.export_choices, dict[str, Any]()
+    for name, text in export.items():
+        if name not in EXPORT_OPTIONS or not isinstance(text, str):
+            raise SceneError(f"{name}: cannot be chosen for an export; choose of {', '.join(EXPORT_OPTIONS)}.")
+        values[name] = OPTION_BY_NAME[name].parse([text]) if text else OPTION_BY_NAME[name].default
+        if name in choices:
+            if unknown := [each for each in values[name] if each not in choices[name]]:
+                raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(choices[name])}.")
+            values[name] = tuple(dict.fromkeys((*getattr(take.options.output, name), *values[name])))
+    return values
+
+
 def build_clean_command(
-    take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake], formats: Sequence[str], rigs: Sequence[str]
+    take: take_files.CleanedTake, subjects: Sequence[take_files.CleanedTake], export: Mapping[str, object]
 ) -> list[str]:
     """Return the command that cleans a take in its folder in full, with the changes files of all its subjects."""
-    for names, known in ((formats, EXTRA_FORMAT_NAMES), (rigs, RIG_NAMES)):
-        if unknown := [name for name in names if name not in known]:
-            raise SceneError(f"{unknown[0]}: cannot be exported; choose of {', '.join(known)}.")
-    output = take.options.output
-    extra_formats, rigs = (tuple(dict.fromkeys(each)) for each in ((*output.extra_formats, *formats), (*output.rigs, *rigs)))
-    options = take.options.change(extra_formats=extra_formats, rigs=rigs, is_fast=False)
+    options = take.options.change(**change_output(take, export), is_fast=False)
     command = [sys.executable, "-P", "-m", "mocapfix", "clean", take.arguments[0], *format_arguments(options)]
     command += [argument for each in subjects for argument in ("--changes", each.changes_path.name)]
     return [*command, "--out", ".", "--overwrite"]
@@ -194,8 +213,8 @@ class OpenTake:
         with self.lock:
             self.store.refresh()
             view, reason = self.view, explain_why_not(self.take)
-            output = self.take.options.output
-            written = [*output.extra_formats, *map(str, output.rigs)]
+            output, choices = self.take.options.output, self.take.export_choices
+            written = {name: list(map(str, getattr(output, name))) for name in choices}
             return {
                 "id": self.take.id,
                 "name": self.take.name,
@@ -217,7 +236,7 @@ class OpenTake:
                 "notes": [*view.notes, *self.take.report.get("notes", [])],
                 "run": asdict(self.status),
                 "difference": self._difference,
-                "export": {"formats": EXTRA_FORMAT_NAMES, "rigs": RIG_NAMES, "written": written},
+                "export": {"choices": choices, "written": written, "output_rate_hz": output.output_rate_hz, "trim": output.trim},
                 "can_clean": not reason,
                 "can_correct": not self.take.report["take"].get("animation"),
                 "cannot_clean_reason": reason,
@@ -284,13 +303,13 @@ class OpenTake:
             self.take.approval_path.unlink(missing_ok=True)
             return self._describe_state()
 
-    def start_cleaning(self, formats: Sequence[str], rigs: Sequence[str], report: Callable[[RunStatus], None]) -> RunStatus:
+    def start_cleaning(self, export: Mapping[str, object], report: Callable[[RunStatus], None]) -> RunStatus:
         """Clean the take again in the background, and report every change of its status. Raises SceneError, WriteError."""
         with self.lock:
             self.check_not_running()
             if reason := explain_why_not(self.take):
                 raise SceneError(reason)
-            command = build_clean_command(self.take, self.subjects, formats, rigs)
+            command = build_clean_command(self.take, self.subjects, export)
             before_run = (self.view, [change.id for change in self.store.file.changes])
 
             def note_status(status: RunStatus) -> None:
@@ -301,7 +320,7 @@ class OpenTake:
                 report(status)
 
             try:
-                self._run = CleaningRun(command, self.take.folder, note_status)
+                self._run = CleaningRun(command, self.take, note_status)
             except OSError as error:
                 problem = error.strerror or error
                 raise WriteError(
@@ -501,7 +520,7 @@ class ReviewSession:
             self._fills = {**dict(list(self._fills.items())[1 - MAX_KEPT_FILLS :]), key: fills}
         return self._fills[key]
 
-    def start_cleaning(self, name: str, formats: Sequence[str], rigs: Sequence[str]) -> RunStatus:
+    def start_cleaning(self, name: str, export: Mapping[str, object]) -> RunStatus:
         """Clean a take again in the background. Raises as `OpenTake.start_cleaning`."""
         opened = self.open_take(name)
         others = [each.id for each in opened.subjects if each.id != name]
@@ -517,7 +536,7 @@ class ReviewSession:
             if status.state in ("done", "failed"):
                 self.announce({"type": "session"})
 
-        return opened.start_cleaning(formats, rigs, report)
+        return opened.start_cleaning(export, report)
 
     def approve(self, name: str, by: str) -> dict[str, Any]:
         """Approve a take. Raises as `OpenTake.approve`."""

@@ -215,9 +215,8 @@ class ReviewServer:
             return JSONResponse({"error": str(error), "take": await run_in_threadpool(opened.describe_review)}, 409)
 
     async def _clean(self, request: Request) -> Response:
-        body = await _read_body(request)
-        formats, rigs = (_read_names(body, key) for key in ("formats", "rigs"))
-        status = await run_in_threadpool(self.session.start_cleaning, request.path_params["take"], formats, rigs)
+        export = await _read_body(request)
+        status = await run_in_threadpool(self.session.start_cleaning, request.path_params["take"], export)
         return JSONResponse(asdict(status), 202)
 
     async def _cancel(self, request: Request) -> Response:
@@ -303,13 +302,6 @@ async def _read_body(request: Request) -> dict[str, Any]:
     if not isinstance(body, dict):
         raise SceneError("The request must be a JSON object.")
     return cast("dict[str, Any]", body)
-
-
-def _read_names(body: dict[str, Any], key: str) -> list[str]:
-    names = body.get(key, [])
-    if not isinstance(names, list) or not all(isinstance(each, str) for each in cast("list[object]", names)):
-        raise SceneError(f"{key} must be a list of names.")
-    return cast("list[str]", names)
 
 
 def _read_number(request: Request, key: str) -> int:

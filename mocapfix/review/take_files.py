@@ -28,11 +28,13 @@ from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionMode
 from mocapfix.model.animation import Animation, build_tip_take
 from mocapfix.model.faults import Decision
 from mocapfix.model.take import Take
-from mocapfix.options import CleanOptions, ReadOptions, parse_arguments
+from mocapfix.options import CHARACTER_PRESETS, RIG_NAMES, CleanOptions, ReadOptions, parse_arguments
+from mocapfix.output_formats import OPTIONAL_FORMATS
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.stats.sequences import sample_evenly
 
-KEPT_REPORT_KEYS = ("take", "arguments", "notes")
+MARKER_FORMATS = ("c3d", "trc", "csv")
+KEPT_REPORT_KEYS = ("take", "arguments", "notes", "times")
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,14 @@ class CleanedTake:
         names = sorted(path.name[len(beginning) : -len(end)] for path in self.folder.glob(f"{glob.escape(beginning)}*{end}"))
         paths = [(name, self.get_path(f"{name}.{suffix}")) for name in names for suffix in ("glb", "vrm")]
         return {name: path for name, path in paths if path.is_file()}
+
+    @property
+    def export_choices(self) -> dict[str, list[str]]:
+        """The formats, programs and characters that fit: without a body there is no motion, and joints are no markers."""
+        has_body, is_animation = self.get_path("bvh").is_file(), bool(self.report["take"].get("animation"))
+        fitting = [name for name, each in OPTIONAL_FORMATS.items() if has_body or not each.needs_body]
+        formats = [name for name in fitting if not (is_animation and name in MARKER_FORMATS)]
+        return {"extra_formats": formats, "rigs": [*RIG_NAMES] * has_body, "characters": [*CHARACTER_PRESETS] * has_body}
 
     @property
     def changes_path(self) -> Path:

@@ -209,6 +209,42 @@ def test_a_take_is_reviewed_by_keyboard_and_cleaned_again(page: Page, running: R
             assert (running.folder / name).read_bytes() == (expected / name).read_bytes(), name
 
 
+def test_character_rate_and_frames_are_chosen_for_an_export(page: Page, running: RunningServer) -> None:
+    take = get_take(page)
+    page.keyboard.press("e")
+    first, last = page.locator("#export-first"), page.locator("#export-last")
+    expect(first).to_be_disabled()  # frames are those of a character
+    page.locator('#dialog-export input[value="mixamo"]').check()
+    expect(first).to_be_enabled()
+    expect(last).to_have_value(str(take["first_frame"] + take["frame_count"] - 1))
+    first.fill(str(take["first_frame"] + 5))
+    last.fill(str(take["first_frame"] + 24))
+    page.locator("#export-rate").fill("30")
+    percents = page.evaluate_handle("window.percents = []")
+    page.evaluate(
+        "new MutationObserver(() => window.percents.push(document.getElementById('progress').value))"
+        ".observe(document.getElementById('progress'), { attributes: true })"
+    )
+    page.locator("#dialog-export").press("Enter")
+    expect(page.locator("#status")).to_have_text("Cleaned again. Written: mixamo.")
+    shown = percents.json_value()
+    rising = shown[: shown.index(max(shown)) + 1]
+    assert rising == sorted(rising)
+    assert rising[-1] > 50
+    expect(page.locator("#progress")).to_be_hidden()
+    assert (running.folder / "walk.mixamo.glb").is_file()
+    assert get_take(page)["export"]["output_rate_hz"] == 30
+    assert get_take(page)["export"]["trim"] == [take["first_frame"] + 5, take["first_frame"] + 24]
+    wait_until_ready(page)
+    page.keyboard.press("e")
+    expect(page.locator("#export-rate")).to_have_value("30")
+    expect(first).to_have_value(str(take["first_frame"] + 5))
+    expect(page.locator('#dialog-export input[value="mixamo"]')).to_be_checked()
+    page.locator("#export-rate").fill("3")  # the browser refuses it
+    page.locator("#dialog-export button.primary").click()
+    expect(page.locator("#dialog-export")).to_be_visible()
+
+
 def test_events_are_decided_by_keyboard(page: Page, running: RunningServer) -> None:
     event = next(each for each in list_events(page) if len(each["changes"]) > 2)
     ids = {each["id"] for each in event["changes"]}

@@ -218,15 +218,15 @@ def test_cleaning_again_writes_what_the_command_line_writes(running: RunningServ
     command = ["clean", str(running.folder.parent / "walk.c3d"), "--prior", "none", "--out", str(expected), "--overwrite"]
     command += ["--changes", str(expected / "walk.changes.yaml"), "--also", "gltf"]
     subprocess.run([sys.executable, "-m", "mocapfix", *command], check=True, stdout=subprocess.DEVNULL)
-    assert fetch(running, "takes/walk/clean", {"formats": ["gltf"], "rigs": []})["state"] == "running"
+    assert fetch(running, "takes/walk/clean", {"extra_formats": "gltf"})["state"] == "running"
     status, data, _ = request(
         f"{running.address}/api/takes/walk/edit",
         body={"revision": take["revision"], "action": {"type": "undo"}},
     )
     assert (status, b"is being cleaned" in data) == (423, True)
-    assert wait_for_run(running) == {"state": "done", "stage": "", "message": ""}
+    assert wait_for_run(running) == {"state": "done", "stage": "", "percent": 0, "message": ""}
     again = fetch(running, "takes/walk")
-    assert again["export"]["written"] == ["gltf"]
+    assert again["export"]["written"] == {"extra_formats": ["gltf"], "rigs": [], "characters": []}
     assert {each["label"] for each in again["difference"]["markers"]} >= {*rejected["markers"], other}
     names = {path.name for path in expected.iterdir()} - {".review.lock"}
     assert {path.name for path in running.folder.iterdir()} - {".review.lock"} == names

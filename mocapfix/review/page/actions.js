@@ -49,19 +49,18 @@ export const correctionActions = {
 };
 
 export const outputActions = {
-  async clean(formats = [], rigs = []) {
+  async clean(options = {}) {
     if (!this.allows("clean")) return;
     await this.edits.last;
-    await this.report(async () => this.showRun(await api.startCleaning(this.take.id, formats, rigs)));
+    await this.report(async () => this.showRun(await api.startCleaning(this.take.id, options)));
   },
 
   async export() {
     if (!this.allows("export")) return;
-    const chosen = await dialogs.askExport(this.take.export);
-    if (chosen && (chosen.formats.length || chosen.rigs.length)) {
-      this.exported = [...chosen.formats, ...chosen.rigs];
-      await this.clean(chosen.formats, chosen.rigs);
-    }
+    const chosen = await dialogs.askExport(this.take);
+    if (!chosen) return;
+    this.exported = ["extra_formats", "rigs", "characters"].flatMap((name) => (chosen[name] ? chosen[name].split(",") : []));
+    await this.clean(chosen);
   },
 
   async approve() {

@@ -38,7 +38,7 @@ export const fetchFills = async (id, marker, first, last) =>
   (await request(`${takePath(id)}/fills?marker=${encodeURIComponent(marker)}&first=${first}&last=${last}`)).json();
 export const getCharacterUrl = (id, name) => `api/${takePath(id)}/characters?name=${encodeURIComponent(name)}`;
 export const sendEdit = (id, revision, action) => post(`${takePath(id)}/edit`, { revision, action });
-export const startCleaning = (id, formats, rigs) => post(`${takePath(id)}/clean`, { formats, rigs });
+export const startCleaning = (id, options) => post(`${takePath(id)}/clean`, options);
 export const cancelCleaning = (id) => post(`${takePath(id)}/cancel`, {});
 export const approveTake = (id, name) => post(`${takePath(id)}/approve`, { name });
 export const withdrawApproval = (id) => post(`${takePath(id)}/withdraw`, {});

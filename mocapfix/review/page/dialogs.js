@@ -71,19 +71,34 @@ export async function askAssign(labels, trajectories, marker, trajectory, interv
   return { kind: "assign", markers: [find("assign-marker").value, find("assign-trajectory").value], ...readInterval("assign") };
 }
 
-export async function askExport({ formats, rigs, written }) {
-  for (const [id, name, values] of [["export-formats", "format", formats], ["export-rigs", "rig", rigs]]) {
-    const boxes = values.map((value) => {
-      const box = Object.assign(document.createElement("input"), { type: "checkbox", name, value, checked: written.includes(value) });
+// Resolves to the options of an export: formats, programs and characters that fit the take, rate, and frames of the character.
+export async function askExport(take) {
+  const { choices, written, output_rate_hz: rate, trim } = take.export, lastFrame = take.first_frame + take.frame_count - 1;
+  for (const [name, values] of Object.entries(choices)) {
+    const field = find(`export-${name}`), boxes = values.map((value) => {
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", name, value, checked: written[name].includes(value) });
       const label = document.createElement("label");
       label.append(box, ` ${value}`);
       return label;
     });
-    find(id).replaceChildren(find(id).querySelector("legend"), ...boxes);
+    field.replaceChildren(field.querySelector("legend"), ...boxes);
+    field.hidden = !values.length;
   }
-  if (!(await showModal(find("dialog-export")))) return null;
+  const hasMotion = choices.characters.length > 0, ends = [find("export-first"), find("export-last")];
+  find("export-motion").hidden = !hasMotion;
+  find("export-rate").value = rate ?? "";
+  find("export-rate").placeholder = Number(take.rate.toFixed(3));
+  writeInterval("export", trim ?? [take.first_frame, lastFrame]);
+  for (const end of ends) Object.assign(end, { min: take.first_frame, max: lastFrame });
   const checked = (name) => [...document.querySelectorAll(`#dialog-export input[name="${name}"]:checked`)].map((box) => box.value);
-  return { formats: checked("format"), rigs: checked("rig") };
+  const allowTrim = () => { for (const end of ends) end.disabled = !checked("characters").length; };
+  find("export-characters").onchange = allowTrim;
+  allowTrim();
+  if (!(await showModal(find("dialog-export")))) return null;
+  const chosen = Object.fromEntries(Object.keys(choices).map((name) => [name, checked(name).join(",")]));
+  const { first, last } = readInterval("export"), isWhole = first <= take.first_frame && last >= lastFrame;
+  if (hasMotion) Object.assign(chosen, { output_rate_hz: find("export-rate").value, trim: ends[0].disabled || isWhole ? "" : `${first}:${last}` });
+  return Object.fromEntries(Object.entries(chosen).filter(([name, text]) => text || name === "output_rate_hz" || name === "trim"));
 }
 
 export async function askName() {

@@ -454,10 +454,12 @@ class App {
     this.limit.render();
     this.renderAvailability();
     find("clean").textContent = isRunning ? "Stop" : "Clean again";
-    if (isRunning) this.showStatus(`Cleaning again: ${run.stage} …`);
+    if (isRunning) this.showStatus(`Cleaning again: ${run.stage}, ${run.percent} % …`);
+    find("progress").hidden = !isRunning;
+    find("progress").value = run.percent;
     if (run.state === "failed" && wasRunning) this.showStatus(run.message, true);
     if (run.state === "done" && this.wasRunning) {
-      const written = this.exported ? ` Written: ${this.exported.join(", ")}.` : "";
+      const written = this.exported?.length ? ` Written: ${this.exported.join(", ")}.` : "";
       this.exported = null;
       this.report(async () => { await this.openTake(this.take.id, this.playback.frame); this.showStatus(`Cleaned again.${written}`); });
     }
