@@ -3,8 +3,8 @@
 A joint is in contact while it stands still, near the floor or another level on which the person stands. `detect_standing` finds
 the cheapest sequence of the states moving and standing (Viterbi), whose cost is linear in the logarithm of the speed. The
 solved motion is smooth, so the speed is the difference of neighbouring frames; that of a foot that bears weight falls to 0.02
-to 0.1 m/s, since it rolls. While no marker shows a foot, `find_certain_occlusions` infers: one that stands at one place before
-and after stood there.
+to 0.1 m/s, since it rolls. While no marker shows a foot, a network tells the probability of its contact from what the solver
+made of its motion, which follows from the rest of the body.
 
 The feet of an animation may slide throughout, because its path was stretched. `estimate_slide` finds by how much, from the steps
 of the body, and the contacts are those of the body without it.
@@ -12,11 +12,12 @@ of the body, and the contacts are those of the body without it.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from mocapfix.contacts.contacts import (
     BASE_PERCENTILE,
@@ -32,20 +33,16 @@ from mocapfix.contacts.contacts import (
     build_no_contacts,
     estimate_floor,
 )
+from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
+from mocapfix.solve.learned_ik import Perceptron, read_perceptron
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
 MAX_SD_RATIO = 1.5  # standard deviation, relative to the take's usual one, above which the joint lacks its markers
 BORDER_S = 0.08  # time beside unknown frames in which the smoothness of the motion carries their error into known ones
 USUAL_SD_PERCENTILE = 25
-MAX_PLACE_CHANGE_M = 0.025  # between the places before and after that are one: a foot that stands rolls by 10 to 20 mm
-MAX_CERTAIN_GAP_S = 0.5  # a foot cannot step away and return to its place in this time
-MAX_OTHER_STEPS = 1  # steps of the other foot in a longer gap, above which the person may be walking on the spot
-STILL_TIME_S = 1.0  # time beside a gap at an end of the take for which both feet stand, if the person stands still
-MAX_END_GAP_S = 2.0  # longest such gap: in a longer one a person may have stood on the other leg
-PLACE_WINDOW_S = 0.1  # time over which the place beside a gap is averaged
 
 
 def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
@@ -54,51 +51,6 @@ def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool
     is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M)
     border = max(1, round(BORDER_S * rate))
     return np.convolve(np.r_[is_unknown, False], np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
-
-
-def find_certain_occlusions(
-    is_standing: Bool[np.ndarray, " T"],
-    position: Float[np.ndarray, "T 3"],
-    is_known: Bool[np.ndarray, " T"],
-    other_standing: Bool[np.ndarray, " T"],
-    is_other_known: Bool[np.ndarray, " T"],
-    rate: float,
-) -> Bool[np.ndarray, " T"]:
-    """Return the unknown frames in which a joint must have stood all the time, since it stands at one place before and after.
-
-    At the beginning and the end of a take it must have stood if the other foot stands there, and both do for a while beside.
-
-    Args:
-        is_standing: When it stands, found without the speed in unknown frames.
-        position: Metres: of the joint; what it is in unknown frames is not used.
-    """
-    is_certain = np.zeros(len(is_known), bool)
-    window = max(1, round(PLACE_WINDOW_S * rate))
-    for first, last in find_runs(~is_known):
-        if not is_standing[max(0, first - 1) : last + 2].all():
-            continue
-        if first == 0 or last == len(is_known) - 1:
-            beside = _find_frames_beside(first, last, len(is_known), rate)
-            span = np.union1d(beside, np.arange(first, last + 1))
-            is_still = len(beside) > 0 and bool((is_known & is_standing)[beside].all())
-            is_certain[first : last + 1] = is_still and bool((other_standing & is_other_known)[span].all())
-            continue
-        before, after = slice(max(0, first - window), first), slice(last + 1, last + 1 + window)
-        places = [position[side][is_known[side] & is_standing[side]].mean(0) for side in (before, after)]
-        steps = len(find_runs(~other_standing[first : last + 1]))
-        is_short = last + 1 - first <= MAX_CERTAIN_GAP_S * rate
-        is_same_place = np.linalg.norm(places[1] - places[0]) <= MAX_PLACE_CHANGE_M
-        is_certain[first : last + 1] = is_same_place and (is_short or steps <= MAX_OTHER_STEPS)
-    return is_certain
-
-
-def _find_frames_beside(first: int, last: int, frame_count: int, rate: float) -> Int[np.ndarray, " N"]:
-    """Return the frames beside a gap at an end of a take in which a person who stands still stands; none if there are too few."""
-    still = round(STILL_TIME_S * rate)
-    start = last + 1 if first == 0 else first - still
-    if last + 1 - first > MAX_END_GAP_S * rate or start < 0 or start + still > frame_count:
-        return np.zeros(0, int)
-    return np.arange(start, start + still)
 
 
 STANDING_SPEED_M_S = 0.09  # at which standing and moving are equally likely; from 0.08 to 0.1 F1 changes by 0.002 on CMU
@@ -150,7 +102,7 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
     """Find the contacts of feet, knees and hands.
 
     Args:
-        motion: Its motion, of which `joint_sd` is used: where a foot lacks its markers, its contact is inferred.
+        motion: Its motion, of which `joint_sd` is used: where a foot lacks its markers, its contact is estimated.
         joint_position: Metres, Y up; NaN for joints that the markers do not show.
     """
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
@@ -168,26 +120,90 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
 
 def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float) -> BodyContacts:
     """Find the contacts of both feet, from the positions of CONTACT_JOINTS and their standard deviations per axis, in metres."""
-    columns = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
-    is_known = np.stack([find_known_frames(sd[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
-    for ankle, toe in columns.values():  # where the ankle is unknown, so is where the toes are
-        is_known[:, toe] &= is_known[:, ankle]
-    speed = np.stack([compute_speed(position[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
-    is_standing = np.stack([detect_standing(speed[:, c], rate, ~is_known[:, c]) for c in range(len(CONTACT_JOINTS))], axis=1)
-    joined = is_standing.copy()
-    for side, other in (("left", "right"), ("right", "left")):
-        other_standing = np.any(is_standing[:, columns[other]], axis=1)
-        is_other_known = np.all(is_known[:, columns[other]], axis=1)
-        for c in columns[side]:
-            is_certain = find_certain_occlusions(
-                is_standing[:, c], position[:, c], is_known[:, c], other_standing, is_other_known, rate
-            )
-            joined[:, c] = detect_standing(speed[:, c], rate, is_certain) | is_certain
+    joined, is_known = find_shown_standing(position, sd, rate)
     toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
+    if joined.any() and not is_known.all():
+        features, network = compute_contact_features(position, sd, joined & is_known, rate), load_contact_network()
+        logits = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
+        frames, at = np.arange(len(position)) / rate, np.arange(len(logits)) / FEATURE_RATE_HZ
+        joined = np.where(is_known, joined, _resample(logits, at, frames) > MIN_CONTACT_LOGIT)
     floor = estimate_floor(position[:, toes], joined[:, toes], rate)
     joined &= find_frames_near_floor(position, joined, floor) | ~is_known
     joined = np.stack([remove_short_runs(each, rate) for each in joined.T], axis=1)
     return BodyContacts(CONTACT_JOINTS, joined, is_known, floor, rate)
+
+
+def find_shown_standing(
+    position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float
+) -> tuple[Bool[np.ndarray, "T C"], Bool[np.ndarray, "T C"]]:
+    """Return when CONTACT_JOINTS stand, by the frames whose markers show them, and which frames these are."""
+    is_known = np.stack([find_known_frames(each, rate) for each in sd.T], axis=1)
+    for ankle, toe in ([CONTACT_JOINTS.index(joint) for joint in joints] for joints in FOOT_JOINTS.values()):
+        is_known[:, toe] &= is_known[:, ankle]  # where the ankle is unknown, so is where the toes are
+    speed = [compute_speed(path, rate) for path in position.swapaxes(0, 1)]
+    is_standing = [detect_standing(each, rate, ~shown) for each, shown in zip(speed, is_known.T, strict=True)]
+    return np.stack(is_standing, axis=1), is_known
+
+
+MIN_CONTACT_PROBABILITY = 0.6  # of a joint that no marker shows: where F1 is largest on held-out people, see priors/contacts.md
+MIN_CONTACT_LOGIT = float(np.log(MIN_CONTACT_PROBABILITY / (1 - MIN_CONTACT_PROBABILITY)))
+LOGIT_FRAMES = 7  # at FEATURE_RATE_HZ, over which logits are averaged: 5 to 13 add 0.004 to F1 on held-out people
+CONTACT_NETWORK = "contacts"
+FEATURE_RATE_HZ = 60.0
+SPEED_FRAMES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
+HEIGHT_FRAMES, OTHER_HEIGHT_FRAMES = np.arange(-8, 9, 4), np.array([-8, 0, 8])
+"""Frames at FEATURE_RATE_HZ, from the one that is judged, in which the network sees speeds and heights of a joint."""
+MEAN_FRAMES = (15, 41)  # frames over which it sees the mean of the logarithm of the speed
+SLOW_SPEED_M_S, MIN_FEATURE_SPEED_M_S, MIN_FEATURE_SD_M = 0.1, 0.005, 0.001
+FEATURE_COUNT = 70  # of a foot
+
+
+@cache
+def load_contact_network() -> Perceptron:
+    """Return the network that ships as priors/contacts.safetensors: logits of the contacts of an ankle and its toes."""
+    return read_perceptron(find_shipped_folder("priors") / f"{CONTACT_NETWORK}.safetensors", CONTACT_NETWORK, FEATURE_COUNT, 2)
+
+
+def compute_contact_features(
+    position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], is_standing: Bool[np.ndarray, "T C"], rate: float
+) -> Float32[np.ndarray, "2 N F"]:
+    """Return what the network sees of each foot, at FEATURE_RATE_HZ.
+
+    Of its own joints: speeds, also vertical ones, heights above where they stand, and standard deviations; of those of the other
+    foot, fewer speeds and heights.
+
+    Args:
+        is_standing: When markers show that a joint stands; some joint does in some frame.
+    """
+    toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
+    height = estimate_floor(position[:, toes], is_standing[:, toes], rate).compute_height_above(position)
+    for column, is_low in zip(height.T, (is_standing & (height > -TOE_HEIGHT_M)).T, strict=True):
+        column -= np.percentile(column[is_low], BASE_PERCENTILE) if is_low.any() else column.min()
+    speed = np.stack([compute_speed(path, rate) for path in position.swapaxes(0, 1)], axis=1)
+    frames = np.arange(len(position)) / rate
+    at = np.arange(int(frames[-1] * FEATURE_RATE_HZ + 1e-9) + 1) / FEATURE_RATE_HZ
+    speed = np.log(np.maximum(_resample(speed, frames, at), MIN_FEATURE_SPEED_M_S) / SLOW_SPEED_M_S)
+    height = np.clip(_resample(height, frames, at) / MAX_LEVEL_DEVIATION_M, -3, 8)
+    log_sd = np.log(np.maximum(_resample(sd, frames, at), MIN_FEATURE_SD_M))
+    rise = np.arcsinh(_resample(np.gradient(position[..., 1], 1 / rate, axis=0), frames, at) / SLOW_SPEED_M_S)
+    averaged = ((speed, MEAN_FRAMES[0]), (speed, MEAN_FRAMES[1]), ((speed < 0) * 1.0, MEAN_FRAMES[0]))
+    means = [scipy.ndimage.uniform_filter1d(each, count, axis=0, mode="nearest") for each, count in averaged]
+
+    def select(signal: Float[np.ndarray, "N C"], around: Int[np.ndarray, " K"]) -> Float[np.ndarray, "N C K"]:
+        frame = np.clip(np.arange(len(at))[:, None] + around, 0, len(at) - 1)  # beyond its ends a signal stays as it is there
+        return signal[frame].swapaxes(1, 2)
+
+    around = [select(speed, SPEED_FRAMES), select(height, HEIGHT_FRAMES), select(rise, HEIGHT_FRAMES)]
+    own = np.concatenate([*around, np.stack([*means, log_sd], axis=2)], axis=2)
+    other = np.concatenate([select(speed, HEIGHT_FRAMES), select(height, OTHER_HEIGHT_FRAMES)], axis=2)
+    feet = [[each.reshape(len(at), -1) for each in (own[:, n : n + 2], other[:, 2 - n : 4 - n])] for n in (0, 2)]
+    return np.stack([np.hstack(each) for each in feet]).astype(np.float32)
+
+
+def _resample(
+    signal: Float[np.ndarray, "T C"], times_s: Float[np.ndarray, " T"], at_s: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N C"]:
+    return np.stack([np.interp(at_s, times_s, each) for each in signal.T], axis=1)
 
 
 def find_frames_near_floor(

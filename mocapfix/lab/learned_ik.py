@@ -39,7 +39,7 @@ from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.solve.hybrik import solve_hybrik
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.learned_ik import IkNetwork, PoseRegressor, load_shipped_ik_network, smooth_positions
+from mocapfix.solve.learned_ik import Perceptron, PoseRegressor, load_shipped_ik_network, smooth_positions
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.trained_priors import load_pose_model
 
@@ -98,7 +98,7 @@ class PlugInCase(NamedTuple):
     start: Poses
 
 
-def measure_learned_ik(folder: Path, progress: ProgressCallback, network: IkNetwork | None = None) -> dict[str, Any]:
+def measure_learned_ik(folder: Path, progress: ProgressCallback, network: Perceptron | None = None) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON. Raises ReadError if the folder has no test.npz with motion.
 
     - `one_step_mm`: by the number of frames between start and target; copied_mm: of the start; smplify_mm: of SMPLify

@@ -19,11 +19,11 @@ from torch import Tensor, nn
 from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses, TransferTree
 from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
-from mocapfix.lab.networks import build_layers, compute_rotation_tensor
+from mocapfix.lab.networks import build_layers, compute_rotation_tensor, extract_layers
 from mocapfix.lab.settings import LearnedIkSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.learned_ik import IkNetwork, build_transfer_tree, transfer_poses, write_ik_network
+from mocapfix.solve.learned_ik import IK_KIND, Perceptron, build_transfer_tree, transfer_poses, write_perceptron
 
 VERTEX_DISTANCE_M = 0.1  # distance from each joint, along its axes, of the points that stand in for the vertices of a mesh
 MIN_ANGLE_SQUARED = 1e-12  # keeps the derivative of an angle finite at 0
@@ -293,12 +293,9 @@ class ClosedFormModel(nn.Module):
         corrections = self.layers((torch.as_tensor(features) - self.input_mean) * self.input_scale)
         return correct_pose_tensors(build_transfer_tree(batch.body), self.levels, tensors, corrections)
 
-    def extract_network(self) -> IkNetwork:
-        """Return the network in the form that mocapfix evaluates, rounded to the precision of its file."""
-        linear = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
-        weights = tuple(np.ascontiguousarray(each.weight.detach().half().float().numpy().T) for each in linear)
-        biases = tuple(each.bias.detach().half().float().numpy() for each in linear)
-        return IkNetwork(self.input_mean.numpy().copy(), self.input_scale.numpy().copy(), weights, biases)
+    def extract_network(self) -> Perceptron:
+        """Return the network in the form that mocapfix evaluates."""
+        return Perceptron(self.input_mean.numpy().copy(), self.input_scale.numpy().copy(), *extract_layers(self.layers))
 
 
 def train_learned_ik(
@@ -315,7 +312,7 @@ def train_learned_ik(
     model = fit_ik_model(settings, sequences, checkpoint, progress)
     progress("measuring")
     scores = measure_ik_scores(build_predictor(model), held_out, settings.has_corruption)
-    write_ik_network(target, model.extract_network())
+    write_perceptron(target, model.extract_network(), IK_KIND)
     source_frames = Counter(sequences.source_frames + held_out.source_frames)
     data = CardData(sequences.frame_counts, held_out.frame_counts, source_frames)
     use = ", half of the batches\nmirrored."

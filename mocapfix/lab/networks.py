@@ -1,6 +1,6 @@
 """Neural networks as torch modules, for training: the layers that all have, the autoencoder, and rotations of tensors."""
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from mocapfix.lab.settings import PerceptronSettings
 from mocapfix.solve.trained_priors import FEATURE_COUNTS, NetworkArchitecture
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "relu": nn.ReLU}
@@ -48,6 +49,49 @@ def build_layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     for input_width, output_width in pairwise(widths):
         layers += [nn.Linear(input_width, output_width), ACTIVATIONS[activation]()]
     return nn.Sequential(*layers[:-1])
+
+
+def initialise_perceptron(input_count: int, output_count: int, settings: PerceptronSettings) -> nn.Sequential:
+    """Return untrained layers with rectifiers between them, drawn with the seed of the settings."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        return build_layers((input_count, *settings.hidden_widths, output_count), "relu")
+
+
+def fit_perceptron(
+    network: nn.Sequential,
+    settings: PerceptronSettings,
+    pose_count: int,
+    draw_epoch: Callable[[torch.Generator], Sequence[Tensor]],
+    compute_loss: Callable[..., Tensor],
+    progress: Callable[[str], object],
+) -> None:
+    """Train layers.
+
+    Args:
+        pose_count: Of an epoch.
+        draw_epoch: Returns the inputs of an epoch's examples, and what the loss needs besides the outputs.
+    """
+    generator = torch.Generator().manual_seed(settings.seed)
+    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.epochs * -(-pose_count // settings.batch_poses))
+    for epoch in range(settings.epochs):
+        total_loss, (inputs, *others) = 0.0, draw_epoch(generator)
+        for batch in torch.randperm(len(inputs), generator=generator).split(settings.batch_poses):
+            loss = compute_loss(network(inputs[batch]), *(each[batch] for each in others))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total_loss += float(loss.detach()) * len(batch)
+        progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total_loss / len(inputs):.4f}")
+
+
+def extract_layers(layers: nn.Sequential) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Return weights, inputs by outputs, and biases, rounded to the precision of the files."""
+    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    weights = tuple(np.ascontiguousarray(each.weight.detach().half().float().numpy().T) for each in linear)
+    return weights, tuple(each.bias.detach().half().float().numpy() for each in linear)
 
 
 def restore_network(architecture: NetworkArchitecture, joint_count: int, weights: Mapping[str, np.ndarray]) -> AutoencoderNetwork:

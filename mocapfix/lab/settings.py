@@ -14,7 +14,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
 from mocapfix.errors import ReadError
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.yaml_files import StrictModel, read_validated_yaml, read_yaml_model
+from mocapfix.io.yaml_files import StrictModel, read_validated_yaml
 
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -81,16 +81,29 @@ class MixtureSettings(SubjectSettings):
     max_iterations: PositiveInt  # of EM
 
 
-class TwistSettings(SubjectSettings):
-    """The twist regressor, which is not a pose prior."""
+class PerceptronSettings(SubjectSettings):
+    """A multilayer perceptron."""
 
-    model: Literal["twist"]
-    seed: int  # of weights, order, bodies and displacements
+    model: Any  # the literal of each kind
+    seed: int  # of weights, order and examples
     hidden_widths: tuple[PositiveInt, ...]  # widths of the hidden layers
     epochs: PositiveInt  # passes over all poses
     batch_poses: PositiveInt  # poses per step
     learning_rate: PositiveFloat  # at the start; it falls to zero along a cosine
     weight_decay: NonNegativeFloat  # of AdamW
+
+
+class TwistSettings(PerceptronSettings):
+    """The twist regressor, which is not a pose prior."""
+
+    model: Literal["twist"]
+
+
+class ContactSettings(PerceptronSettings):
+    """The network that tells the contacts of feet that no marker shows; its poses are those of a foot."""
+
+    model: Literal["contacts"]
+    piece_share: Fraction  # of the pieces of recordings that are cleaned for training, each in about two seconds
 
 
 class MotionSettings(SubjectSettings):
@@ -115,11 +128,6 @@ def read_prior_settings(path: Path) -> PriorSettings:
     return read_validated_yaml(PRIOR_SETTINGS_ADAPTER.validate_python, path)
 
 
-def read_twist_settings(path: Path) -> TwistSettings:
-    """Return the training settings of the twist regressor. Raises SceneError that names the file and the first invalid key."""
-    return read_yaml_model(TwistSettings, path)
-
-
 class LearnedIkSettings(SubjectSettings):
     """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior."""
 
@@ -133,16 +141,6 @@ class LearnedIkSettings(SubjectSettings):
     batch_poses: PositiveInt  # pairs per step
     learning_rate: PositiveFloat  # at the start; it falls to zero along a cosine
     weight_decay: NonNegativeFloat  # of AdamW
-
-
-def read_ik_settings(path: Path) -> LearnedIkSettings:
-    """Return the training settings of learned inverse kinematics. Raises SceneError that names the first invalid key."""
-    return read_yaml_model(LearnedIkSettings, path)
-
-
-def read_motion_settings(path: Path) -> MotionSettings:
-    """Return the training settings of the motion prior. Raises SceneError that names the file and the first invalid key."""
-    return read_yaml_model(MotionSettings, path)
 
 
 @runtime_checkable

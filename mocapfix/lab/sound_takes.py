@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab.recordings import read_recordings, read_shard_recordings
+from mocapfix.lab.recordings import Recording, read_recordings, read_shard_recordings
 from mocapfix.lab.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body
@@ -70,11 +70,15 @@ def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator
 
 def read_performed_motions(path: Path) -> Iterator[PerformedMotion]:
     """Yield the recordings of a shard without jumps, with root positions. Raises ReadError if the file is not a shard."""
+    yield from map(cut_performance, read_shard_recordings(path))
+
+
+def cut_performance(recording: Recording) -> PerformedMotion:
+    """Return the longest part of a recording without jumps."""
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
-    for recording in read_shard_recordings(path):
-        kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
-        motion = build_known_motion(recording.root_position[kept], recording.rotations[kept])
-        yield PerformedMotion(motion, recording.rate_hz, recording.name, recording.bones)
+    kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
+    motion = build_known_motion(recording.root_position[kept], recording.rotations[kept])
+    return PerformedMotion(motion, recording.rate_hz, recording.name, recording.bones)
 
 
 def remove_damage(truth: SyntheticTake) -> SyntheticTake:

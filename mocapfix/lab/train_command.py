@@ -11,6 +11,7 @@ from mocapfix.cli.commands import OverwriteOption
 from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
 from mocapfix.errors import WriteError
 from mocapfix.io.files import check_outputs_absent
+from mocapfix.io.yaml_files import read_yaml_model
 
 Settings = TypeVar("Settings")
 Scores = TypeVar("Scores")
@@ -44,10 +45,10 @@ def run_train_twist(
     config: ConfigOption, data: MotionFoldersOption, target: WeightsOption, overwrite: OverwriteOption = False
 ) -> int:
     """Train the regressor of bone twists from joint positions; takes a few minutes."""
-    from mocapfix.lab.settings import read_twist_settings
+    from mocapfix.lab.settings import TwistSettings
     from mocapfix.lab.twist_training import train_twist_regressor
 
-    scores = _train(train_twist_regressor, read_twist_settings(config), data, target, overwrite)
+    scores = _train(train_twist_regressor, read_yaml_model(TwistSettings, config), data, target, overwrite)
     errors = f"{scores.regressed_deg.mean():.1f} degrees; {scores.no_twist_deg.mean():.1f} without twist"
     return _print_scores(target, f"mean twist error of held-out people {errors}")
 
@@ -57,9 +58,9 @@ def run_train_ik(
 ) -> int:
     """Train learned inverse kinematics (Learnable SMPLify). After an interruption, the same command continues the training."""
     from mocapfix.lab.learned_ik_training import train_learned_ik
-    from mocapfix.lab.settings import read_ik_settings
+    from mocapfix.lab.settings import LearnedIkSettings
 
-    scores = _train(train_learned_ik, read_ik_settings(config), data, target, overwrite)
+    scores = _train(train_learned_ik, read_yaml_model(LearnedIkSettings, config), data, target, overwrite)
     errors = ", ".join(f"{error_mm:.2f} mm at {offset}" for offset, error_mm in scores.one_step_mm.items())
     return _print_scores(target, f"joint error of held-out people by frames from the start: {errors}")
 
@@ -69,11 +70,24 @@ def run_train_motion(
 ) -> int:
     """Train the motion prior, which predicts lost joints. After an interruption, the same command continues the training."""
     from mocapfix.lab.motion_training import train_motion_prior
-    from mocapfix.lab.settings import read_motion_settings
+    from mocapfix.lab.settings import MotionSettings
 
-    scores = _train(train_motion_prior, read_motion_settings(config), data, target, overwrite)
+    scores = _train(train_motion_prior, read_yaml_model(MotionSettings, config), data, target, overwrite)
     errors = f"{1e3 * scores.predicted_m.mean():.0f} mm; {1e3 * scores.interpolated_m.mean():.0f} mm by interpolation"
     return _print_scores(target, f"mean joint error in gaps of held-out people {errors}")
+
+
+def run_train_contacts(
+    config: ConfigOption, data: MotionFoldersOption, target: WeightsOption, overwrite: OverwriteOption = False
+) -> int:
+    """Train the network that tells the contacts of feet that no marker shows; takes some minutes, most of them to clean takes."""
+    from mocapfix.contacts.find_contacts import MIN_CONTACT_PROBABILITY
+    from mocapfix.lab.contact_training import train_contact_network
+    from mocapfix.lab.settings import ContactSettings
+
+    scores = _train(train_contact_network, read_yaml_model(ContactSettings, config), data, target, overwrite)
+    precision, recall, f1, *_ = scores[round(10 * MIN_CONTACT_PROBABILITY)]
+    return _print_scores(target, f"contacts of held-out people: precision {precision:.3f}, recall {recall:.3f}, F1 {f1:.3f}")
 
 
 def _train(
@@ -98,4 +112,6 @@ def _print_scores(target: Path, scores: str) -> int:
     return EXIT_DONE
 
 
-TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist, "ik": run_train_ik, "motion": run_train_motion}
+TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist, "ik": run_train_ik, "motion": run_train_motion} | {
+    "contacts": run_train_contacts
+}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from mocapfix.lab.autoencoder_training import sample_epoch
 from mocapfix.lab.cards import format_table, write_card
@@ -19,7 +19,7 @@ from mocapfix.lab.frame_pairs import (
     compute_local_rotations,
     compute_twist_targets,
 )
-from mocapfix.lab.networks import build_layers
+from mocapfix.lab.networks import extract_layers, fit_perceptron, initialise_perceptron
 from mocapfix.lab.pose_prior_training import SD_INFLATION, build_card_data, describe_pose_use, select_measured_poses
 from mocapfix.lab.settings import TwistSettings
 from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses, mirror_joint_name
@@ -103,43 +103,19 @@ def fit_twist_regressor(
 
     Bodies, displacements and missing joints are drawn again in every epoch.
     """
-    rng, generator = np.random.default_rng(settings.seed), torch.Generator().manual_seed(settings.seed)
-    network = initialise_twist_network(settings)
-    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    step_count = settings.epochs * -(-len(rotations) // settings.batch_poses)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, step_count)
-    for epoch in range(settings.epochs):
-        total_loss, order = 0.0, sample_epoch(torch.as_tensor(weights), generator).numpy()
-        inputs, targets = map(torch.as_tensor, build_epoch_examples(rotations[order], rng))
-        for batch in torch.randperm(len(inputs), generator=generator).split(settings.batch_poses):
-            loss = compute_twist_loss(network(inputs[batch]), targets[batch])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-            total_loss += float(loss.detach()) * len(batch)
-        progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total_loss / len(inputs):.4f}")
-    return extract_twist_weights(network)
+    rng, network = np.random.default_rng(settings.seed), initialise_perceptron(INPUT_COUNT, 2 * int(HAS_TWIST.sum()), settings)
 
+    def draw_epoch(generator: torch.Generator) -> list[Tensor]:
+        order = sample_epoch(torch.as_tensor(weights), generator).numpy()
+        return [torch.as_tensor(each) for each in build_epoch_examples(rotations[order], rng)]
 
-def initialise_twist_network(settings: TwistSettings) -> nn.Sequential:
-    """Return the untrained network, drawn with the seed of the settings."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(settings.seed)
-        return build_layers((INPUT_COUNT, *settings.hidden_widths, 2 * int(HAS_TWIST.sum())), "relu")
+    fit_perceptron(network, settings, len(rotations), draw_epoch, compute_twist_loss, progress)
+    return TwistRegressor(*extract_layers(network), np.where(HAS_TWIST, 1.0, np.inf))
 
 
 def compute_twist_loss(predicted: Tensor, true: Tensor) -> Tensor:
     """Return the mean squared distance of cosines and sines (N, 2 B), summed over bones (HybrIK, Eq. 19)."""
     return ((predicted - true) ** 2).sum(1).mean()
-
-
-def extract_twist_weights(network: nn.Sequential) -> TwistRegressor:
-    """Return the network in the form that initialisation evaluates, rounded to the precision of its file."""
-    linear = [layer.half().float() for layer in network if isinstance(layer, nn.Linear)]
-    weights = tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in linear)
-    sd_rad = np.where(HAS_TWIST, 1.0, np.inf)
-    return TwistRegressor(weights, tuple(layer.bias.detach().numpy() for layer in linear), sd_rad)
 
 
 def compute_twist_scores(

@@ -37,7 +37,7 @@ IK_KIND = "ik"
 
 
 @dataclass(frozen=True)
-class IkNetwork:
+class Perceptron:
     """A multilayer perceptron with rectifiers between its L layers."""
 
     input_mean: np.ndarray  # input_mean, input_scale: (F,) subtracted from the inputs, and the factors that follow
@@ -46,7 +46,7 @@ class IkNetwork:
     biases: tuple[np.ndarray, ...]  # L vectors
 
     def evaluate(self, features: Float32[np.ndarray, "T F"]) -> Float32[np.ndarray, "T C"]:
-        """Return the corrections for the inputs of `mocapfix.solve.learned_ik.transfer_poses`."""
+        """Return the outputs, of learned inverse kinematics corrections for the inputs of `transfer_poses`."""
         row = (features - self.input_mean) * self.input_scale
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
             row = row @ weights
@@ -56,48 +56,48 @@ class IkNetwork:
 
 
 @cache
-def load_shipped_ik_network() -> IkNetwork:
+def load_shipped_ik_network() -> Perceptron:
     return read_ik_network(find_shipped_folder("priors") / IK_WEIGHTS_FILE)
 
 
-def read_ik_network(path: Path) -> IkNetwork:
-    """Read a network. Raises SceneError, naming the file, if it is not one for the 31 joints."""
+def read_ik_network(path: Path) -> Perceptron:
+    """Read learned inverse kinematics. Raises SceneError, naming the file, if it is not a network for the 31 joints."""
+    joints = len(load_cmu31_skeleton().names)
+    return read_perceptron(path, IK_KIND, FEATURES_PER_JOINT * joints, 3 * joints + 3)
+
+
+def read_perceptron(path: Path, kind: str, input_count: int, output_count: int) -> Perceptron:
+    """Read a network. Raises SceneError, naming the file, if it is not one of this kind and size, or not finite."""
     try:
         with safe_open(path, "numpy") as file:
             header = json.loads((file.metadata() or {}).get("mocapfix", "{}"))
-            if header.get("kind") != IK_KIND:
-                raise ValueError("the header does not give the kind ik")
+            if header.get("kind") != kind:
+                raise ValueError(f"the header does not give the kind {kind}")
             tensors = {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a mapping)
         layers = range((len(tensors) - 2) // 2)
-        weights, biases = (tuple(tensors[f"{kind}.{i}"] for i in layers) for kind in ("weights", "offsets"))
-        return check_ik_network(IkNetwork(tensors["input_mean"], tensors["input_scale"], weights, biases))
+        weights, biases = (tuple(tensors[f"{part}.{i}"] for i in layers) for part in ("weights", "offsets"))
+        mean, scale = tensors["input_mean"], tensors["input_scale"]
+        widths = [input_count, *map(len, biases)]
+        if not weights or widths[-1] != output_count or mean.shape != scale.shape:
+            raise ValueError(f"it must have {input_count} inputs and {output_count} outputs")
+        if mean.shape != (input_count,) or [each.shape for each in weights] != list(pairwise(widths)):
+            raise ValueError(f"its layers are not {' by '.join(map(str, widths))}")
+        if not all(np.isfinite(each).all() for each in tensors.values()):
+            raise ValueError("it has values that are not finite")
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         reason = " ".join(str(error).split())
-        raise SceneError(f"{path}: is not a network of learned inverse kinematics trained by mocapfix ({reason}).") from error
+        raise SceneError(f"{path}: is not a network of the kind {kind} trained by mocapfix ({reason}).") from error
+    return Perceptron(mean, scale, weights, biases)
 
 
-def write_ik_network(path: Path, network: IkNetwork) -> None:
+def write_perceptron(path: Path, network: Perceptron, kind: str) -> None:
     """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
     tensors = {"input_mean": network.input_mean.astype(np.float32), "input_scale": network.input_scale.astype(np.float32)}
     for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
-    metadata = {"mocapfix": json.dumps({"kind": IK_KIND, "joints": load_cmu31_skeleton().names})}
+    metadata = {"mocapfix": json.dumps({"kind": kind, "joints": load_cmu31_skeleton().names})}
     with replace_atomically(path) as temporary:
         save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
-
-
-def check_ik_network(network: IkNetwork) -> IkNetwork:
-    """Return the network. Raises ValueError unless its layers fit the 31 joints and each other and all numbers are finite."""
-    joints = len(load_cmu31_skeleton().names)
-    widths = [FEATURES_PER_JOINT * joints, *map(len, network.biases)]
-    if not network.weights or widths[-1] != 3 * joints + 3 or network.input_mean.shape != network.input_scale.shape:
-        raise ValueError(f"it must have {widths[0]} inputs and {3 * joints + 3} outputs")
-    if network.input_mean.shape != (widths[0],) or [each.shape for each in network.weights] != list(pairwise(widths)):
-        raise ValueError(f"its layers are not {' by '.join(map(str, widths))}")
-    values = (network.input_mean, network.input_scale, *network.weights, *network.biases)
-    if not all(np.isfinite(each).all() for each in values):
-        raise ValueError("it has values that are not finite")
-    return network
 
 
 SIDE_CHAINS = (("UpLeg", "Leg", "Foot", "ToeBase"), ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandIndex1"))
@@ -198,7 +198,7 @@ def get_acceleration_density(joint_name: str) -> float:
 class PoseRegressor:
     """A network, applied to the poses of one skeleton."""
 
-    network: IkNetwork
+    network: Perceptron
     skeleton: Skeleton
     passes: int = 1  # number of evaluations for each frame
 

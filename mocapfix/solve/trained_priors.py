@@ -277,7 +277,7 @@ class AutoencoderModel(PoseModel):
         return compute_feature_vectors(self.architecture.output_features, features, self.reference_rotations)
 
 
-OTHER_WEIGHT_FILES = ("twist", "ik", "motion")  # weights in priors/ that are not pose models
+OTHER_WEIGHT_FILES = ("twist", "ik", "motion", "contacts")  # weights in priors/ that are not pose models
 MNN_IK = "mnn-ik"  # enters the solver as one scalar, unlike the other models; used by the benchmarks only
 
 

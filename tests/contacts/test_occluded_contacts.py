@@ -1,65 +1,94 @@
-"""Hidden feet: which frames are known, and where a foot must have stood all the time."""
+"""Hidden feet: which frames are known, and the contacts that the network tells in the others."""
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
-from mocapfix.contacts.find_contacts import BORDER_S, find_certain_occlusions, find_known_frames
+from mocapfix.contacts.find_contacts import (
+    BORDER_S,
+    FEATURE_COUNT,
+    FEATURE_RATE_HZ,
+    compute_contact_features,
+    find_foot_contacts,
+    find_known_frames,
+    find_shown_standing,
+)
+from tests.contacts.walking_feet import find_true_stances, make_feet, walk
 
 RATE = 100.0
 HIDDEN = slice(100, 180)
+SECONDS = 5.5
+SHOWN_SD_M, HIDDEN_SD_M, SOLVED_ERROR_M = 0.003, 0.03, 0.01
+ERROR_S = 0.15  # duration of the kernel that makes errors of hidden feet as smooth as the solver's
 
 
-def infer(
-    place_change_m: float = 0.0,
-    hidden: slice = HIDDEN,
-    other_steps: int = 0,
-    is_standing_before: bool = True,
-    is_other_known: bool = True,
-) -> np.ndarray:
-    """Return the certain frames of a foot that stands, is hidden, and stands again."""
-    position, is_known, is_standing = np.zeros((300, 3)), np.ones(300, bool), np.ones(300, bool)
-    is_known[hidden] = False
-    position[hidden.stop :, 0] = place_change_m
-    position[hidden] = np.nan
-    is_standing[: hidden.start] = is_standing_before
-    other_standing = np.ones(300, bool)
-    for step in range(other_steps):
-        other_standing[hidden.start + 5 + 20 * step : hidden.start + 15 + 20 * step] = False
-    return find_certain_occlusions(is_standing, position, is_known, other_standing, np.full(300, is_other_known), RATE)
+def hide(hidden: slice, side: int = 0, rate: float = 120.0, error_m: float = SOLVED_ERROR_M, **steps):
+    """Return the paths of the feet of a walk, one of which is hidden and solved with a smooth error, and their deviations."""
+    stances = walk(**steps)
+    feet, columns = make_feet(stances, SECONDS, rate), slice(2 * side, 2 * side + 2)
+    sd = np.full(feet.shape[:2], SHOWN_SD_M)
+    sd[hidden, columns] = HIDDEN_SD_M
+    error = gaussian_filter1d(np.random.default_rng(0).normal(size=(len(feet), 1, 3)), ERROR_S * rate, axis=0)
+    is_hidden = gaussian_filter1d((sd[:, 2 * side] == HIDDEN_SD_M) * 1.0, 0.05 * rate)[:, None, None]
+    feet[:, columns] += error_m * error / error.std() * is_hidden
+    true = np.repeat(np.stack([find_true_stances(foot, SECONDS, rate) for foot in stances], axis=1), 2, axis=1)
+    return feet, sd, true
 
 
-def test_a_foot_at_the_same_place_before_and_after_stood_between():
-    assert np.flatnonzero(infer()).tolist() == list(range(100, 180))
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0, 250.0])
+def test_steps_of_a_hidden_foot_are_found(rate, side):
+    hidden = slice(round(1.2 * rate), round(3.2 * rate))
+    feet, sd, true = hide(hidden, side, rate)
+    contacts = find_foot_contacts(feet, sd, rate)
+    columns = slice(2 * side, 2 * side + 2)
+    found, expected = contacts.is_contact[hidden, columns], true[hidden, columns]
+    assert not contacts.is_known[hidden, columns].any()
+    assert 2 * (found & expected).sum() / (found.sum() + expected.sum()) > 0.85
 
 
-def test_a_foot_at_another_place_stepped():
-    assert not infer(place_change_m=0.1).any()
+@pytest.mark.parametrize("hidden", [slice(130, 250), slice(0, 100), slice(500, 660)])
+@pytest.mark.parametrize("side", [0, 1])
+def test_contacts_that_markers_show_do_not_change_when_another_foot_is_hidden(hidden, side):
+    feet, sd, _ = hide(hidden, side)
+    whole = find_foot_contacts(make_feet(walk(), SECONDS, 120.0), np.full(sd.shape, SHOWN_SD_M), 120.0)
+    contacts = find_foot_contacts(feet, sd, 120.0)
+    np.testing.assert_array_equal(contacts.is_contact[contacts.is_known], whole.is_contact[contacts.is_known])
+    assert contacts.is_known[:, [2 - 2 * side, 3 - 2 * side]].all()
+    assert contacts.floor.level_heights_m == pytest.approx(whole.floor.level_heights_m, abs=0.005)
 
 
-def test_a_foot_that_moved_before_may_have_stepped():
-    assert not infer(is_standing_before=False).any()
+def test_both_feet_are_judged_in_the_same_way():
+    feet, sd, _ = hide(slice(150, 330))
+    mirrored, swapped = feet[:, [2, 3, 0, 1]] * [-1.0, 1.0, 1.0], sd[:, [2, 3, 0, 1]]
+    contacts, others = find_foot_contacts(feet, sd, 120.0), find_foot_contacts(mirrored, swapped, 120.0)
+    np.testing.assert_array_equal(contacts.is_contact[:, [2, 3, 0, 1]], others.is_contact)
 
 
-def test_steps_of_the_other_foot_make_a_long_gap_uncertain():
-    assert infer(other_steps=1).any()
-    assert not infer(other_steps=3).any()
+def test_place_and_heading_do_not_matter():
+    feet, sd, _ = hide(slice(150, 330))
+    moved = feet @ Rotation.from_euler("y", 70, degrees=True).as_matrix().T + [5.0, 0.3, -2.0]
+    contacts, others = find_foot_contacts(feet, sd, 120.0), find_foot_contacts(moved, sd, 120.0)
+    assert (contacts.is_contact == others.is_contact).mean() > 0.999
 
 
-def test_a_short_gap_is_certain_whatever_the_other_foot_does():
-    assert infer(hidden=slice(100, 148), other_steps=2).any()
+def test_feet_that_markers_never_show_have_no_contacts():
+    feet, sd, _ = hide(slice(0, 660))
+    sd[:] = 0.05
+    assert not find_foot_contacts(feet, sd, 120.0).is_contact.any()
 
 
-@pytest.mark.parametrize("hidden", [slice(0, 80), slice(220, 300)])
-def test_at_the_ends_of_a_take_a_foot_stands_if_the_person_stands_still(hidden):
-    assert np.flatnonzero(infer(hidden=hidden)).tolist() == list(range(hidden.start, hidden.stop))
-    assert not infer(hidden=hidden, other_steps=1).any()
-    assert not infer(hidden=hidden, is_other_known=False).any()
-
-
-def test_at_the_ends_of_a_take_long_gaps_and_short_stances_are_uncertain():
-    assert not infer(hidden=slice(0, 210)).any()
-    assert not infer(hidden=slice(95, 300), is_standing_before=False).any()
-    assert not infer(hidden=slice(0, 300)).any()
+def test_features_of_a_foot_are_its_own_and_those_of_the_other():
+    feet, sd, _ = hide(slice(150, 330))
+    is_standing, is_known = find_shown_standing(feet, sd, 120.0)
+    features = compute_contact_features(feet, sd, is_standing & is_known, 120.0)
+    assert features.shape == (2, round(SECONDS * FEATURE_RATE_HZ), FEATURE_COUNT)
+    assert np.isfinite(features).all()
+    swapped = compute_contact_features(
+        feet[:, [2, 3, 0, 1]], sd[:, [2, 3, 0, 1]], (is_standing & is_known)[:, [2, 3, 0, 1]], 120.0
+    )
+    np.testing.assert_allclose(swapped[::-1], features, atol=1e-5)
 
 
 def test_known_frames_are_those_of_usual_uncertainty_without_the_borders_of_others():

@@ -6,7 +6,8 @@ import torch
 
 from mocapfix.errors import ReadError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.lab.settings import compute_training_fingerprint, read_motion_settings, resume_training, write_checkpoint
+from mocapfix.io.yaml_files import read_yaml_model
+from mocapfix.lab.settings import MotionSettings, compute_training_fingerprint, resume_training, write_checkpoint
 
 MOTION = np.arange(12.0).reshape(3, 4)
 
@@ -23,7 +24,7 @@ def test_states_are_restored(tmp_path):
 
 
 def test_training_with_other_settings_or_motion_begins_anew(tmp_path):
-    settings = read_motion_settings(find_shipped_folder("priors") / "motion.yaml")
+    settings = read_yaml_model(MotionSettings, find_shipped_folder("priors") / "motion.yaml")
     fingerprint = compute_training_fingerprint(settings, MOTION)
     assert fingerprint == compute_training_fingerprint(settings.model_copy(), MOTION.copy())
     write_checkpoint(tmp_path / "mine", fingerprint, 7, build_states())

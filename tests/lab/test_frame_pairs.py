@@ -5,9 +5,10 @@ import pytest
 
 from mocapfix.errors import ReadError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import frame_pairs
 from mocapfix.lab.frame_pairs import PairSampler, gather_sequences
-from mocapfix.lab.settings import read_ik_settings
+from mocapfix.lab.settings import LearnedIkSettings
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 from tests.solve.ik_cases import SKELETON
 
@@ -21,7 +22,7 @@ def sequences(tmp_path_factory):
 
 
 def build_settings(**changes):
-    settings = read_ik_settings(find_shipped_folder("priors") / "ik.yaml")
+    settings = read_yaml_model(LearnedIkSettings, find_shipped_folder("priors") / "ik.yaml")
     return settings.model_copy(update={"batch_poses": 64} | changes)
 
 

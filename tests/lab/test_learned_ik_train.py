@@ -6,9 +6,10 @@ import torch
 import yaml
 
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import learned_ik_training
 from mocapfix.lab.frame_pairs import PairSampler, gather_sequences
-from mocapfix.lab.settings import read_ik_settings
+from mocapfix.lab.settings import LearnedIkSettings
 from mocapfix.solve.learned_ik import read_ik_network
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -33,7 +34,7 @@ def motion(tmp_path_factory):
 
 
 def build_settings(name="ik", **changes):
-    settings = read_ik_settings(find_shipped_folder("priors") / f"{name}.yaml")
+    settings = read_yaml_model(LearnedIkSettings, find_shipped_folder("priors") / f"{name}.yaml")
     return settings.model_copy(update=SMALL | {"hidden_widths": (16, 16)} | changes)
 
 

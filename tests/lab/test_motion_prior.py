@@ -7,6 +7,7 @@ import yaml
 
 from mocapfix.errors import ReadError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import motion_training, motion_windows, settings
 from mocapfix.solve.motion_prior import read_motion_prior
 from tests.lab.motion_files import draw_motion, write_bvh_motion
@@ -32,7 +33,7 @@ def motion(tmp_path_factory):
 
 
 def build_settings(**changes):
-    shipped = settings.read_motion_settings(find_shipped_folder("priors") / "motion.yaml")
+    shipped = read_yaml_model(settings.MotionSettings, find_shipped_folder("priors") / "motion.yaml")
     return shipped.model_copy(update=SMALL | changes)
 
 

@@ -1,7 +1,10 @@
+from functools import partial
+
 import pytest
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import settings
 from mocapfix.lab.sound_takes import UNSEEN_SUBJECTS
 
@@ -22,9 +25,10 @@ def test_no_training_reads_the_subjects_of_the_benchmarks():
     assert not held_out & UNSEEN_SUBJECTS
     for read, names in (
         (settings.read_prior_settings, ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca")),
-        (settings.read_twist_settings, ("twist",)),
-        (settings.read_ik_settings, ("ik",)),
-        (settings.read_motion_settings, ("motion",)),
+        (partial(read_yaml_model, settings.TwistSettings), ("twist",)),
+        (partial(read_yaml_model, settings.LearnedIkSettings), ("ik",)),
+        (partial(read_yaml_model, settings.MotionSettings), ("motion",)),
+        (partial(read_yaml_model, settings.ContactSettings), ("contacts",)),
     ):
         for name in names:
             shipped = read(folder / f"{name}.yaml")
@@ -35,14 +39,14 @@ def test_invalid_settings_of_learned_ik_raise(tmp_path):
     text = (find_shipped_folder("priors") / "ik.yaml").read_text(encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(text.replace("frame_offsets: [1, 3, 5, 7, 9]", "frame_offsets: []"), encoding="utf-8")
     with pytest.raises(SceneError, match=r"mine\.yaml: .*frame_offsets"):
-        settings.read_ik_settings(tmp_path / "mine.yaml")
+        read_yaml_model(settings.LearnedIkSettings, tmp_path / "mine.yaml")
 
 
 def test_settings_of_the_wrong_model_raise():
     with pytest.raises(SceneError, match=r"twist\.yaml: model: .*'twist'"):
         settings.read_prior_settings(find_shipped_folder("priors") / "twist.yaml")
     with pytest.raises(SceneError, match=r"pca\.yaml: model: .*'twist'"):
-        settings.read_twist_settings(find_shipped_folder("priors") / "pca.yaml")
+        read_yaml_model(settings.TwistSettings, find_shipped_folder("priors") / "pca.yaml")
 
 
 def test_mnn_ik_settings_are_those_of_the_paper():

@@ -2,6 +2,7 @@
 benchmarks: their subjects, and the shipped poses.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import settings, sound_takes
 from mocapfix.lab.sound_takes import (
     SOUND_TAKE_DURATION_S,
@@ -121,9 +123,10 @@ def remove_headings(rotations):
 def test_subjects_are_test_subjects_of_all_shipped_priors():
     for path in find_shipped_folder("priors").glob("*.safetensors"):
         readers = {
-            "twist": settings.read_twist_settings,
-            "motion": settings.read_motion_settings,
-            "ik": settings.read_ik_settings,
+            "twist": partial(read_yaml_model, settings.TwistSettings),
+            "motion": partial(read_yaml_model, settings.MotionSettings),
+            "ik": partial(read_yaml_model, settings.LearnedIkSettings),
+            "contacts": partial(read_yaml_model, settings.ContactSettings),
         }
         training_settings = readers.get(path.stem, settings.read_prior_settings)(path.with_suffix(".yaml"))
         assert training_settings.test_subjects == sound_takes.UNSEEN_SUBJECTS

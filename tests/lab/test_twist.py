@@ -7,6 +7,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.io.yaml_files import read_yaml_model
 from mocapfix.lab import frame_pairs, settings, twist_training
 from mocapfix.lab.frame_pairs import compute_twists
 from mocapfix.model.skeleton import load_cmu31_skeleton
@@ -48,7 +49,7 @@ def command(motion, tmp_path, mocapfix):
 
 
 def build_settings(**changes):
-    shipped = settings.read_twist_settings(find_shipped_folder("priors") / "twist.yaml")
+    shipped = read_yaml_model(settings.TwistSettings, find_shipped_folder("priors") / "twist.yaml")
     return shipped.model_copy(update={"hidden_widths": (16, 16), "batch_poses": 32} | changes)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.learned_ik import IkNetwork
+from mocapfix.solve.learned_ik import Perceptron
 from tests.lab.motion_files import draw_motion
 
 SKELETON = load_cmu31_skeleton()
@@ -32,4 +32,4 @@ def build_network(seed=0, scale=0.1, width=8):
     weights = (rng.normal(size=(inputs, width)) / inputs**0.5, scale * rng.normal(size=(width, outputs)))
     mean, factor = np.zeros(inputs, np.float32), np.ones(inputs, np.float32)
     biases = np.zeros(width, np.float32), np.zeros(outputs, np.float32)
-    return IkNetwork(mean, factor, tuple(each.astype(np.float32) for each in weights), biases)
+    return Perceptron(mean, factor, tuple(each.astype(np.float32) for each in weights), biases)

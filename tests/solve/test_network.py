@@ -5,13 +5,13 @@ import pytest
 from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
-from mocapfix.solve.learned_ik import load_shipped_ik_network, read_ik_network, write_ik_network
+from mocapfix.solve.learned_ik import IK_KIND, load_shipped_ik_network, read_ik_network, write_perceptron
 from tests.solve.ik_cases import build_network
 
 
 def test_written_network_evaluates_to_the_same(tmp_path):
     network = build_network()
-    write_ik_network(tmp_path / "mine.safetensors", network)
+    write_perceptron(tmp_path / "mine.safetensors", network, IK_KIND)
     read = read_ik_network(tmp_path / "mine.safetensors")
     features = np.random.default_rng(0).normal(size=(4, len(network.input_mean))).astype(np.float32)
     np.testing.assert_allclose(read.evaluate(features), network.evaluate(features), atol=5e-3)
@@ -34,10 +34,10 @@ def test_invalid_files_are_named(tmp_path):
     with pytest.raises(SceneError, match=r"other\.safetensors"):
         read_ik_network(path)
     save_file({"weights.0": np.zeros((2, 2), np.float32)}, path)
-    with pytest.raises(SceneError, match="is not a network of learned inverse kinematics"):
+    with pytest.raises(SceneError, match="the header does not give the kind ik"):
         read_ik_network(path)
     network = build_network()
     narrow = type(network)(network.input_mean, network.input_scale, network.weights[:1], network.biases[:1])
-    write_ik_network(path, narrow)
+    write_perceptron(path, narrow, IK_KIND)
     with pytest.raises(SceneError, match="96 outputs"):
         read_ik_network(path)
