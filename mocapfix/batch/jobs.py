@@ -20,6 +20,7 @@ from mocapfix.batch.records import (
     write_record,
 )
 from mocapfix.errors import MocapfixError, WriteError
+from mocapfix.io.changes_file import CHANGES_SUFFIX
 from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
 
@@ -115,7 +116,8 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         count = attempts.begin(key)
         folder = get_take_folder(request.output_folder, request.take)
         with omit_stage_times():
-            result = pipeline.clean(request.path, request.options)
+            files = (*request.options.review.review_files, *find_reviewed_files(request, input_sha256))
+            result = pipeline.clean(request.path, request.options.change(review_files=files) if files else request.options)
             outputs = result.write(folder, overwrite=True, options=request.options.output)
         for each in result.subject_results or (result,):
             for problem in each.describe_missing_outputs(folder, request.options.output):
@@ -134,6 +136,17 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         write_record(request.output_folder, record)
         attempts.clear()
     return record
+
+
+def find_reviewed_files(request: CleanRequest, input_sha256: str) -> list[Path]:
+    """Return the changes files of the cleaning before on which a person has decided; none if the input is another one now."""
+    from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
+
+    record = read_record(get_record_path(request.output_folder, request.take))
+    outputs = record.outputs if record and record.input_sha256 == input_sha256 else {}
+    paths = [request.output_folder / path for suffix, path in outputs.items() if suffix.endswith(CHANGES_SUFFIX)]
+    files = {path: read_yaml_model(ChangesFileModel, path) for path in paths if path.is_file()}
+    return [path for path, file in files.items() if file.corrections or any(x.reviewed or x.note for x in file.changes)]
 
 
 def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:

@@ -3,13 +3,14 @@
 Every stage of `CleanOptions` becomes a group of arguments, every option of it a flag.
 """
 
+import getpass
 import importlib.util
 import json
 import subprocess
 import sys
 import webbrowser
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import field, fields, make_dataclass
 from functools import partial
 from pathlib import Path
@@ -228,6 +229,7 @@ def run_review(
     *,
     take: Annotated[str | None, describe_option("NAME", "open this take first", "the first that is not approved")] = None,
     port: Annotated[int, tyro.conf.arg(metavar="N", help="port on this computer; 0 for any free one")] = 0,
+    reviewer: Annotated[str | None, describe_option("NAME", "who decides; noted with each decision", "the user's name")] = None,
     browser: Annotated[bool, tyro.conf.arg(help="open the page in the browser")] = True,
 ) -> int:
     """Review the changes to cleaned takes in the browser: see each where it happened, and accept or reject it with a key.
@@ -242,7 +244,9 @@ def run_review(
     from mocapfix.review.server import ReviewServer, find_three_module
 
     find_three_module()  # raises ReadError if it is not installed
-    session = ReviewSession(folder)
+    with suppress(KeyError, OSError, ImportError):  # a user without a name
+        reviewer = getpass.getuser() if reviewer is None else reviewer
+    session = ReviewSession(folder, reviewer or "")
     start = ""
     if take is not None:
         matching = [each for each in session.ids if take in (each, Path(each).name)]

@@ -120,7 +120,7 @@ class ReviewedChange:
 
     def to_change(self) -> Change:
         """Return the change with its decision, as an entry of a report in which it is not applied."""
-        fields = self.entry.model_dump(exclude={"reviewed", "note"})
+        fields = self.entry.model_dump(exclude={"reviewed", "reviewer", "note"})
         fields["markers"], fields["samples"] = tuple(self.entry.markers), 0
         fields["before"] = fields["after"] = SampleState(**fields["before"])
         return Change(**fields)
@@ -177,7 +177,7 @@ class Review:
 
     declined: tuple[ReviewedChange, ...] = ()  # changes that are not made
     corrections: tuple[Correction, ...] = ()  # the reviewer's own, in the order in which they are applied
-    reviewed_ids: frozenset[str] = frozenset()  # ids of the changes on which a person has decided
+    reviewers: Mapping[str, str] = field(default_factory=dict[str, str])  # who has decided on a change, by its id; "" if unknown
     notes: Mapping[str, str] = field(default_factory=dict[str, str])  # the reviewer's notes by id of the change
 
     def select_frames(self, frames: slice) -> "Review":
@@ -195,7 +195,7 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
     Raises:
         WriteError: If the folder cannot be written; an existing file stays as it is then.
     """
-    remarks = partial(_describe_remarks, review.reviewed_ids, review.notes)
+    remarks = partial(_describe_remarks, review.reviewers, review.notes)
     lines = [_format_entry({**entry, **remarks(entry["id"])}) for entry in serialize_changes(changes)]
     frames = (take.first_frame, take.get_frame_number(take.frame_count - 1))
     text = join_changes_file(take.name, frames, lines, [each.entry for each in review.corrections])
@@ -218,13 +218,14 @@ def join_changes_file(
 
 def format_change(change: "ChangeModel") -> str:
     """Return the lines of one change in a changes file."""
-    remarks = _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
-    return _format_entry(change.model_dump(exclude={"reviewed", "note"}) | remarks)
+    remarks = _describe_remarks({change.id: change.reviewer} if change.reviewed else {}, {change.id: change.note}, change.id)
+    return _format_entry(change.model_dump(exclude={"reviewed", "reviewer", "note"}) | remarks)
 
 
-def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes: Mapping[str, str], name: str) -> dict[str, Any]:
+def _describe_remarks(reviewers: Mapping[str, str], notes: Mapping[str, str], name: str) -> dict[str, Any]:
     """Return the keys of a change that a reviewer has decided on or noted."""
-    remarks: dict[str, Any] = {"reviewed": True} if name in reviewed_ids else {}
+    remarks: dict[str, Any] = {"reviewed": True} if name in reviewers else {}
+    remarks |= {"reviewer": reviewers[name]} if reviewers.get(name) else {}
     return remarks | ({"note": notes[name]} if notes.get(name) else {})
 
 
@@ -305,8 +306,8 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
     located = [(each, _locate_entry(each, take, index_by_label, f"{path}: changes.{n}")) for n, each in enumerate(file.changes)]
     declined = tuple(ReviewedChange(each, *places) for each, places in located if each.decision != "accept")
     corrections = (locate_correction(entry, take, f"{path}: corrections.{n}") for n, entry in enumerate(file.corrections))
-    reviewed_ids = frozenset(entry.id for entry in file.changes if entry.reviewed)
-    return Review(declined, tuple(corrections), reviewed_ids, {entry.id: entry.note for entry in file.changes if entry.note})
+    reviewers = {entry.id: entry.reviewer for entry in file.changes if entry.reviewed}
+    return Review(declined, tuple(corrections), reviewers, {entry.id: entry.note for entry in file.changes if entry.note})
 
 
 def build_fault_review(take: Take, review: Review) -> FaultReview:

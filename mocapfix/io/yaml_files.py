@@ -107,6 +107,7 @@ class ChangeModel(StrictModel):
     predicted_mm: float | None
     decision: Decision
     reviewed: bool = False  # whether a person has decided
+    reviewer: NoteText = ""  # who has; "" if it is not known
     note: NoteText = ""  # what the reviewer wrote about it
 
 

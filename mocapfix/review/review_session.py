@@ -409,14 +409,14 @@ MAX_OPEN_VIEWS = 2  # takes whose samples are kept in memory
 
 
 class ReviewSession:
-    """The cleaned takes below a folder.
+    """The cleaned takes below a folder; `reviewer` is who decides.
 
     Raises:
         ReadError: If there are none.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, reviewer: str = "") -> None:
+        self.folder, self.reviewer = folder, reviewer[: take_files.MAX_NAME_LENGTH]
         self._takes = {take.id: take for take in take_files.find_cleaned_takes(folder)}
         self._open: dict[str, OpenTake] = {}
         self._lock = threading.RLock()
@@ -460,6 +460,7 @@ class ReviewSession:
         return {
             "folder": str(self.folder.resolve().name),
             "is_batch": len(takes) > 1,
+            "reviewer": self.reviewer,
             "takes": [self._summarise(take) if reads_all or take.id in self._summaries else name_take(take) for take in takes],
         }
 
@@ -501,7 +502,8 @@ class ReviewSession:
 
     def edit(self, name: str, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
         """Edit the decisions on a take, and announce it. Raises as `OpenTake.edit`."""
-        edited = self.open_take(name).edit(revision, action)
+        named = {**action, "reviewer": self.reviewer} if action.get("type") == "decide" else action
+        edited = self.open_take(name).edit(revision, named)
         self.announce({"type": "edited", "take": name, "revision": edited["revision"]})
         return edited
 

@@ -203,9 +203,10 @@ class DecideEdit(FileEdit):
     type: Literal["decide"]
     ids: list[str]
     decision: Decision
+    reviewer: NoteText = ""
 
     def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        return _update_changes(file, self.ids, {"decision": self.decision, "reviewed": True})
+        return _update_changes(file, self.ids, {"decision": self.decision, "reviewed": True, "reviewer": self.reviewer})
 
 
 class NoteEdit(FileEdit):

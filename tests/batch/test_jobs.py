@@ -1,5 +1,6 @@
 """What is done with one take: its record."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,10 +8,12 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.batch import jobs
 from mocapfix.batch.child_process import JobLimits, JobOutcome
+from mocapfix.batch.records import hash_options
 from mocapfix.characters.fbx import BLENDER_VARIABLE
 from mocapfix.errors import WriteError
 from mocapfix.options import CleanOptions, build_clean_options
 from mocapfix.result import CleaningResult
+from mocapfix.review.take_files import DecisionStore, parse_edit
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 clean = pipeline.clean
@@ -49,3 +52,23 @@ def test_an_output_that_cannot_be_written_is_a_failure(tmp_path: Path, monkeypat
     with pytest.raises(WriteError, match=r"walk\.fbx was not written: /nowhere/blender cannot be started"):
         jobs.clean_recorded_take(request)
     assert (tmp_path / "out" / "walk" / "walk.bvh").is_file()
+
+
+def test_decisions_are_kept_when_a_take_is_cleaned_with_other_options(tmp_path: Path) -> None:
+    take = tmp_path / "walk.c3d"
+    truth = compose_take(seconds=3.0, rate=30.0)
+    write_synthetic_take(take, truth)
+    request = jobs.CleanRequest("walk.c3d", take, tmp_path / "out", build_clean_options(prior="none"))
+    record = jobs.clean_recorded_take(request)
+    store = DecisionStore(tmp_path / "out" / record.outputs["changes.yaml"])
+    change = next(each for each in store.file.changes if each.kind == "gap")
+    edit = parse_edit({"type": "decide", "ids": [change.id], "decision": "reject"})
+    store.edit(store.revision, edit)
+    other = replace(request, options=build_clean_options(prior="none", max_gap_s=3.0))
+    assert jobs.find_current_record(other) is None
+    again = jobs.clean_recorded_take(other)
+    (kept,) = (each for each in DecisionStore(store.path).file.changes if each.id == change.id)
+    assert (kept.decision, kept.reviewed) == ("reject", True)
+    assert again.options_sha256 == hash_options(other.options)  # the decisions do not count as options
+    assert jobs.find_current_record(other) == again
+    assert jobs.find_reviewed_files(other, "another input") == []

@@ -45,7 +45,7 @@ def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
         build_correction("assign", ("C7", "*12")),
         build_correction("fill", method="cluster"),
     ]
-    review = replace(build_review(*entries), reviewed_ids=frozenset(["spike-C7-110"]), notes={"gap-RBAC-110": "a: note"})
+    review = replace(build_review(*entries), reviewers={"spike-C7-110": "Ann"}, notes={"gap-RBAC-110": "a: note"})
     changes = [build_change(), build_change("gap", ("RBAC",), decision="accept")]
     path = tmp_path / "walk.changes.yaml"
     write_changes_file(path, build_take(), changes, review)
@@ -53,7 +53,7 @@ def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
     assert [each.entry for each in again.corrections] == entries
     assert [each.markers for each in again.corrections] == [(1,), (1,), (1, 2), (1, 3), (1,)]
     assert {(each.first, each.last) for each in again.corrections} == {(9, 18)}
-    assert (again.reviewed_ids, again.notes) == (review.reviewed_ids, review.notes)
+    assert (again.reviewers, again.notes) == (review.reviewers, review.notes)
     write_changes_file(tmp_path / "again.yaml", build_take(), changes, again)
     assert (tmp_path / "again.yaml").read_bytes() == path.read_bytes()
 

@@ -200,6 +200,18 @@ def test_wrong_edits_get_a_sentence_and_change_nothing(running: RunningServer, b
     assert path.read_bytes() == before
 
 
+def test_a_decision_has_the_name_of_the_reviewer(running: RunningServer) -> None:
+    running.session.reviewer = "Ann"
+    ids = [each["id"] for each in fetch(running, "takes/walk")["changes"][:2]]
+    edit(running, {"type": "decide", "ids": ids[:1], "decision": "accept", "reviewer": "somebody else"})
+    running.session.reviewer = ""
+    edit(running, {"type": "decide", "ids": ids[1:], "decision": "reject"})
+    shown = {each["id"]: each["reviewer"] for each in fetch(running, "takes/walk")["changes"]}
+    assert [shown[name] for name in ids] == ["Ann", ""]
+    text = (running.folder / "walk.changes.yaml").read_text(encoding="utf-8")
+    assert text.count("  reviewer: Ann\n") == text.count("reviewer:") == 1
+
+
 def test_takes_that_are_not_there_are_refused(running: RunningServer) -> None:
     for path in ("takes/run", "takes/../walk", "takes/run/samples?first=0&count=1", "takes/walk/samples?first=x&count=1"):
         assert request(f"{running.address}/api/{path}")[0] in (404, 422)

@@ -166,12 +166,12 @@ def edit(store: DecisionStore, revision: str, **action: object) -> None:
 def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path) -> None:
     path = write_file(tmp_path)
     store = DecisionStore(path)
-    edit(store, store.revision, type="decide", ids=[SPIKE], decision="reject")
+    edit(store, store.revision, type="decide", ids=[SPIKE], decision="reject", reviewer="Ann: <b>")
     edit(store, store.revision, type="note", id=GAP, text="looks <odd>: ask")
     edit(store, store.revision, type="add", correction=WRONG)
     review = read_changes_file(path, build_take())
     assert [(each.entry.id, each.entry.decision) for each in review.declined] == [(SPIKE, "reject")]
-    assert (review.reviewed_ids, review.notes) == ({SPIKE}, {GAP: "looks <odd>: ask"})
+    assert (review.reviewers, review.notes) == ({SPIKE: "Ann: <b>"}, {GAP: "looks <odd>: ask"})
     assert [each.entry.kind for each in review.corrections] == ["wrong"]
 
 

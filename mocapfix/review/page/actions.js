@@ -70,7 +70,7 @@ export const outputActions = {
       if (!(await dialogs.confirmAction("Withdraw the approval", `${name} approved this take on ${date}. Withdraw the approval?`))) return;
       return this.report(async () => this.applyReview(this.take, await api.withdrawApproval(this.take.id)));
     }
-    const name = await dialogs.askName();
+    const name = await dialogs.askName(this.session?.reviewer ?? "");
     if (name !== null) await this.report(async () => this.applyReview(this.take, await api.approveTake(this.take.id, name)));
   },
 

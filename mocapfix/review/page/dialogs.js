@@ -101,8 +101,8 @@ export async function askExport(take) {
   return Object.fromEntries(Object.entries(chosen).filter(([name, text]) => text || name === "output_rate_hz" || name === "trim"));
 }
 
-export async function askName() {
-  find("approve-name").value = localStorage.getItem("approve-name") ?? "";
+export async function askName(reviewer) {
+  find("approve-name").value = localStorage.getItem("approve-name") ?? reviewer;
   if (!(await showModal(find("dialog-approve")))) return null;
   localStorage.setItem("approve-name", find("approve-name").value);
   return find("approve-name").value;

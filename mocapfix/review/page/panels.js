@@ -20,6 +20,7 @@ export function renderDetail(element, entry, change, take) {
   if (before.missing || after.missing) facts.push(`missing ${before.missing} → ${after.missing}`);
   if (before.off_body_mm !== null && after.off_body_mm !== null) facts.push(`from the body ${before.off_body_mm} → ${after.off_body_mm} mm`);
   if (change.predicted_mm !== null) facts.push(`predicted error ${change.predicted_mm} mm`);
+  if (change.reviewer) facts.push(`decided by ${change.reviewer}`);
   parts.push(build("div", facts.join(" · ")));
   if (change.note) parts.push(build("div", change.note, "note"));
   if (entry.changes.length > 1) {
