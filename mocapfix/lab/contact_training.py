@@ -116,7 +116,7 @@ def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterato
     if len(floor.level_heights_m) != 1 or floor.tilt_deg > 0:
         return
     is_slow = np.stack([compute_speed(path, sound.rate) for path in smooth.swapaxes(0, 1)], axis=1) < TRUE_STANDING_SPEED_M_S
-    other_stands = np.repeat(is_true.reshape(-1, 2, 2).any(axis=2)[:, ::-1], 2, axis=1)
+    other_stands = np.repeat(np.any(is_true.reshape(-1, 2, 2), axis=2)[:, ::-1], 2, axis=1)
     is_unclear = is_slow & ~is_true & ~other_stands
     damaged = lose_feet(lose_markers(sound, rng), draw_foot_losses(sound, rng, at_any_time=True))
     try:
