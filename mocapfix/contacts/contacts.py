@@ -115,7 +115,8 @@ def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
 FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
 """the joints of each foot that can be in contact: the ankle stands for the heel, the toe base for the ball of the foot"""
 CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
-OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftFingerBase", "RightFingerBase")  # knees and wrists: in falls, rolls, crawls
+OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftFingerBase", "RightFingerBase", "Hips", "Spine1")
+"""knees, wrists, seat and back: in falls, rolls, crawls and where a person sits or lies on the floor"""
 PLATE_SOURCE, FILE_SOURCE = "force plate", "file"
 
 

@@ -95,11 +95,11 @@ def remove_short_runs(is_standing: Bool[np.ndarray, " T"], rate: float) -> Bool[
     return kept
 
 
-MAX_OTHER_HEIGHT_M = 0.13  # height above the floor up to which a knee or a wrist that stands still is in contact
+MAX_OTHER_HEIGHT_M = 0.13  # height above the floor up to which OTHER_CONTACT_JOINTS at rest touch it: lying, 40 to 110 mm
 
 
 def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.ndarray, "T J 3"], rate: float) -> BodyContacts:
-    """Find the contacts of feet, knees and hands.
+    """Find the contacts of feet, knees, hands, seat and back.
 
     Args:
         motion: Its motion, of which `joint_sd` is used: where a foot lacks its markers, its contact is estimated.
@@ -112,7 +112,7 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
     others = [skeleton.names.index(joint) for joint in OTHER_CONTACT_JOINTS]
     if contacts.floor is NO_FLOOR or not np.isfinite(joint_position[:, others]).all():
         return contacts
-    added = find_other_contacts(joint_position[:, others], contacts.floor, rate)
+    added = find_other_contacts(joint_position[:, others], joint_position[:, feet[1::2]], contacts.floor, rate)
     is_known = np.stack([find_known_frames(motion.joint_sd[:, joint], rate) for joint in others], axis=1)
     contact, known = np.hstack([contacts.is_contact, added]), np.hstack([contacts.is_known, is_known])
     return BodyContacts((*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS), contact, known, contacts.floor, rate)
@@ -237,11 +237,14 @@ def find_frames_near_floor(
     return (is_near & stands).reshape(is_standing.shape)
 
 
-def find_other_contacts(position: Float[np.ndarray, "T N 3"], floor: Floor, rate: float) -> Bool[np.ndarray, "T N"]:
-    """Return when joints other than the feet's stand still near the floor."""
+def find_other_contacts(
+    position: Float[np.ndarray, "T N 3"], toes: Float[np.ndarray, "T 2 3"], floor: Floor, rate: float
+) -> Bool[np.ndarray, "T N"]:
+    """Return when joints other than the feet's stand still near the level below the lower foot: not near that of a step above."""
     contacts = np.zeros(position.shape[:2], bool)
+    level = (floor.remove_slope(toes) - floor.compute_height_above(toes)).min(1)
     for n in range(position.shape[1]):
-        is_low = floor.compute_height_above(position[:, n]) < MAX_OTHER_HEIGHT_M
+        is_low = floor.remove_slope(position[:, n]) - level < MAX_OTHER_HEIGHT_M
         if is_low.any():
             is_standing = detect_standing(compute_speed(position[:, n], rate), rate)
             contacts[:, n] = remove_short_runs(is_standing & is_low, rate)

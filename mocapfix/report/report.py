@@ -67,7 +67,7 @@ class ContactSection(TypedDict):
 
     Attributes:
         joints: The joints that can be in contact: LeftFoot stands for the heel, LeftToeBase for the ball of the foot, LeftLeg for
-            the knee, LeftFingerBase for the wrist; without entries if the feet are not seen.
+            the knee, LeftFingerBase for the wrist, Hips for the seat, Spine1 for the back; no entries if feet are not seen.
     """
 
     floor: FloorEntry | None  # none if no foot stands

@@ -147,6 +147,7 @@ MAX_STRIPS = 8  # number of strips above which they are longer
 CONTACT_NAMES = {
     "LeftFoot": "left heel", "LeftToeBase": "left toes", "RightFoot": "right heel", "RightToeBase": "right toes",
     "LeftLeg": "left knee", "RightLeg": "right knee", "LeftFingerBase": "left wrist", "RightFingerBase": "right wrist",
+    "Hips": "seat", "Spine1": "back",
 }  # fmt: skip
 """Names of the joints in figures; the ball of the foot is called toes there."""
 FEET_TEXTS = {

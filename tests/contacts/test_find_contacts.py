@@ -137,8 +137,22 @@ def test_knees_and_hands_are_in_contact_where_they_rest_on_the_floor(height_m, s
     position = np.zeros((200, 1, 3))
     position[:, 0, 1] = height_m
     position[:, 0, 2] = speed_m_s * np.arange(200) / 120.0
-    found = find_other_contacts(position, Floor(0.0, 0.0, (0.0,)), 120.0)
+    found = find_other_contacts(position, np.zeros((200, 2, 3)), Floor(0.0, 0.0, (0.0,)), 120.0)
     assert found.all() == found.any() == is_contact
+
+
+def test_a_knee_beside_a_step_is_in_contact_only_where_the_feet_are_on_the_step():
+    floor, position, toes = Floor(0.0, 0.0, (0.0, 0.45)), np.full((200, 1, 3), 0.5), np.zeros((200, 2, 3))
+    assert not find_other_contacts(position, toes, floor, 120.0).any()
+    toes[:, :, 1] = 0.47
+    assert find_other_contacts(position, toes, floor, 120.0).all()
+
+
+def test_a_body_that_sits_on_the_floor_rests_on_its_seat():
+    motion, position = place_body(120)
+    position[:, SKELETON.names.index("Hips"), 1] = 0.09
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert [joint for joint in OTHER_CONTACT_JOINTS if contacts.is_contact[:, contacts.joints.index(joint)].any()] == ["Hips"]
 
 
 def place_body(frames: int):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mocapfix.contacts.contacts import NO_FLOOR, EventDisagreement, Floor, GaitEvent, build_no_contacts
 from mocapfix.report.build_report import build_contact_section, build_gait_entry, describe_contacts
 from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
-from tests.report.contact_examples import build_contacts, build_empty_take, build_walk
+from tests.report.contact_examples import JOINTS, build_contacts, build_empty_take, build_walk
 
 
 def describe(contacts, mode="soft", floor_height_m=0.0, terms=MARKER_TERMS) -> list[str]:
@@ -109,6 +109,6 @@ def test_missing_feet_and_feet_that_never_stand_are_noted():
     assert describe(unseen, "off", terms=JOINT_TERMS) == [
         "The joints do not show both feet, so no contacts with the floor are detected."
     ]
-    assert describe(replace(build_contacts(NO_FLOOR), is_contact=np.zeros((1000, 8), bool))) == [
+    assert describe(replace(build_contacts(NO_FLOOR), is_contact=np.zeros((1000, len(JOINTS)), bool))) == [
         "No foot stands still in this take, so no floor is detected."
     ]
