@@ -23,6 +23,7 @@ from rich.table import Table
 
 from mocapfix.cli import console
 from mocapfix.errors import ReadError, SceneError, format_name_list
+from mocapfix.io.files import JSON_REPORT_SUFFIX
 from mocapfix.option import Option
 from mocapfix.options import OPTIONS, PURPOSE_OPTIONS, CleanOptions, build_clean_options
 
@@ -220,7 +221,9 @@ def run_view(
 REVIEW_PACKAGES = ("nicegui", "starlette", "uvicorn")
 
 FolderArgument = Annotated[
-    Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help="output folder of `mocapfix clean` or `mocapfix batch`")
+    Path,
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="DIR", help="output folder of `mocapfix clean` or `mocapfix batch`; of `review` also a take"),
 ]
 
 
@@ -234,6 +237,7 @@ def run_review(
 ) -> int:
     """Review the changes to cleaned takes in the browser: see each where it happened, and accept or reject it with a key.
 
+    A take that is not cleaned is shown with a preview at once, and cleaned in full behind it; decisions made until then are kept.
     The page is served to this computer only. Every decision is saved at once in the changes file of the take.
     """
     if missing := [name for name in REVIEW_PACKAGES if importlib.util.find_spec(name) is None]:
@@ -244,6 +248,7 @@ def run_review(
     from mocapfix.review.server import ReviewServer, find_three_module
 
     find_three_module()  # raises ReadError if it is not installed
+    folder, is_file = (clean_preview(folder), True) if folder.is_file() else (folder, False)
     with suppress(KeyError, OSError, ImportError):  # a user without a name
         reviewer = getpass.getuser() if reviewer is None else reviewer
     session = ReviewSession(folder, reviewer or "")
@@ -259,6 +264,8 @@ def run_review(
             locks.enter_context(hold_process_lock(folder / BATCH_LOCK_NAME, partial(describe_other_review, folder)))
         if len(session.ids) == 1:
             session.open_take(session.ids[0])  # refuses at once what another process reviews
+        if is_file and session.open_take(session.ids[0]).take.options.initialise.is_fast:
+            session.start_cleaning(session.ids[0], {})
         server = ReviewServer(session, port)
         console.print_line(f"Review of {escape(str(folder))}: {escape(server.address + start)}")
         console.print_line("End it with Ctrl-C, or by closing the page.")
@@ -270,6 +277,18 @@ def run_review(
         except KeyboardInterrupt:
             console.print_line("The review has ended; every decision is saved.")
     return console.EXIT_DONE
+
+
+def clean_preview(take: Path) -> Path:
+    """Return the folder of the outputs of a take; if it has none, those of a preview are written. Raises MocapfixError."""
+    from mocapfix import pipeline
+    from mocapfix.cli.clean import ANIMATION_SUFFIXES, choose_output_folder
+
+    folder, has_markers = choose_output_folder(take), take.suffix.lower() not in ANIMATION_SUFFIXES
+    if not list(folder.glob(f"*{JSON_REPORT_SUFFIX}")):
+        with console.show_progress(take.name, needs_kernels=has_markers) as progress:
+            pipeline.clean(take, is_fast=has_markers, progress=progress).write(folder, report_progress=progress)
+    return folder
 
 
 def run_status(folder: FolderArgument, as_json: JsonOption = False) -> int:

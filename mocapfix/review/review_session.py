@@ -188,6 +188,7 @@ class OpenTake:
         self._before_run: tuple[take_files.TakeView, list[str]] | None = None
         self._difference: dict[str, Any] | None = None
         self._run: CleaningRun | None = None
+        self.started = self.decided = self.store.file  # when a cleaning began, and after the last edit
 
     @property
     def view(self) -> take_files.TakeView:
@@ -227,17 +228,15 @@ class OpenTake:
                 "unlabelled": view.unlabelled_labels,
                 "joints": view.joint_names,
                 "bones": view.bones,
-                "root_joint": view.root_joint,
-                "pelvis_sides": view.pelvis_sides,
                 "sticks": view.sticks,
                 "characters": list(self.take.find_characters()),
                 "motion_floor_m": output.floor_height_m,
                 "motion_start": max(0, output.trim[0] - view.first_frame) if output.trim else 0,
                 "notes": [*view.notes, *self.take.report.get("notes", [])],
                 "run": asdict(self.status),
+                "is_preview": self.take.options.initialise.is_fast,
                 "difference": self._difference,
                 "export": {"choices": choices, "written": written, "output_rate_hz": output.output_rate_hz, "trim": output.trim},
-                "can_clean": not reason,
                 "can_correct": not self.take.report["take"].get("animation"),
                 "cannot_clean_reason": reason,
                 **self.describe_review(),
@@ -264,12 +263,12 @@ class OpenTake:
     def edit(self, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out an edit, and return what it changed.
 
-        Raises EditConflictError, WriteError while the take is being cleaned, SceneError for an edit that is not allowed.
+        Raises EditConflictError, SceneError for an edit that is not allowed.
         """
         with self.lock:
-            self.check_not_running()
             before = self.store.file
             self.store.edit(revision, take_files.parse_edit(action))
+            self.decided = self.store.file
             return self.describe_review(before)
 
     def request_fills(self, marker: str, first: int, last: int) -> "partial[list[dict[str, Any]]]":
@@ -336,10 +335,8 @@ class OpenTake:
 
     def _finish_cleaning(self) -> RunStatus:
         """Read the new outputs, and find what differs from those before."""
-        root = self.take.folder
         try:
-            self.take = replace(take_files.read_cleaned_take(root, root, self.take.stem), id=self.take.id)
-            self.store = take_files.DecisionStore(self.take.changes_path, self._check_correction)
+            self.read_outputs()
             self._view = take_files.load_take_view(self.take, self.store.file.changes)
         except Exception as error:
             self._view = None
@@ -349,6 +346,15 @@ class OpenTake:
             self._difference = compare_cleanings(*self._before_run, *after)
         self._before_run = None
         return RunStatus("done")
+
+    def read_outputs(self) -> None:
+        """Read new outputs, and make the decisions in them that were made during the cleaning. Raises ReadError, WriteError."""
+        with self.lock:
+            root, self._view = self.take.folder, None
+            self.take = replace(take_files.read_cleaned_take(root, root, self.take.stem), id=self.take.id)
+            self.store = take_files.DecisionStore(self.take.changes_path, self._check_correction)
+            if self.decided != self.started:
+                self.store.edit(self.store.revision, take_files.CarryEdit(before=self.started, after=self.decided))
 
     def check_not_running(self) -> None:
         """Raise WriteError while the take is being cleaned."""
@@ -525,15 +531,16 @@ class ReviewSession:
     def start_cleaning(self, name: str, export: Mapping[str, object]) -> RunStatus:
         """Clean a take again in the background. Raises as `OpenTake.start_cleaning`."""
         opened = self.open_take(name)
-        others = [each.id for each in opened.subjects if each.id != name]
-        for other in others:
-            self.open_take(other).check_not_running()
+        others = [self.open_take(each.id) for each in opened.subjects if each.id != name]
+        for each in (opened, *others):
+            each.check_not_running()
+            each.started = each.decided = each.store.file
 
         def report(status: RunStatus) -> None:
             if status.state == "done":
-                self._takes[name] = opened.take
                 for other in others:  # their outputs are new as well
-                    self._open.pop(other, None)
+                    other.read_outputs()
+                self._takes |= {each.take.id: each.take for each in (opened, *others)}
             self.announce({"type": "run", "take": name, "run": asdict(status)})
             if status.state in ("done", "failed"):
                 self.announce({"type": "session"})

@@ -244,6 +244,24 @@ class RemoveEdit(FileEdit):
         return file.model_copy(update={"corrections": corrections})
 
 
+class CarryEdit(FileEdit):
+    """The decisions by which `after` differs from `before`, in a later file: on the same ids, else kinds, markers and frames."""
+
+    before: ChangesFileModel
+    after: ChangesFileModel
+
+    def change(self, file: ChangesFileModel) -> ChangesFileModel:
+        known = {id(change) for change in self.before.changes}
+        for each in (change for change in self.after.changes if id(change) not in known):
+            same_kind = [one for one in file.changes if (one.kind, one.markers) == (each.kind, each.markers)]
+            shared = [one.id for one in same_kind if one.first <= each.last and each.first <= one.last]
+            found = [each.id] if each.id in (one.id for one in file.changes) else shared
+            file = _update_changes(file, found, {"decision": each.decision, "reviewed": each.reviewed, "note": each.note})
+            if not found and each.decision != "accept":
+                file.changes.append(each.model_copy(update={"samples": 0, "after": each.before}))
+        return file.model_copy(update={"corrections": self.after.corrections})
+
+
 class StepEdit(StrictModel):
     """The undoing of the last edit, or the making again of the edit that was undone last."""
 
@@ -299,7 +317,6 @@ class DecisionStore:
 
     Attributes:
         state, revision: Its content with the edits, and the hash of its bytes, when it was last read or written.
-        edits: All edits since it was read, undoing among them: applied in turn they lead to the state.
         check_correction: Raises SceneError for a correction that the take does not allow.
     """
 
@@ -318,7 +335,7 @@ class DecisionStore:
         if hash_changes(self.path) != self.revision:
             self._read()
 
-    def edit(self, revision: str, edit: AnyEdit) -> None:
+    def edit(self, revision: str, edit: AnyEdit | CarryEdit) -> None:
         """Make an edit, and write the file.
 
         Raises:
@@ -342,7 +359,6 @@ class DecisionStore:
         with replace_atomically(self.path) as part:
             part.write_bytes(data)
         self._lines, self.state, self.revision = lines, state, hashlib.sha256(data).hexdigest()
-        self.edits.append(edit)
 
     def _read(self) -> None:
         """Read the file as it is. Raises SceneError, ReadError."""
@@ -351,14 +367,12 @@ class DecisionStore:
             file, before = read_yaml_model(ChangesFileModel, self.path), revision
             if (revision := hash_changes(self.path)) == before:  # else it was replaced while it was read
                 break
-        self.state, self.revision, self.edits = EditedState(file), revision, list[AnyEdit]()
+        self.state, self.revision = EditedState(file), revision
         self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
 
 
 JOINT_BLOCK_FRAMES = 1000
-STICK_VARIATION_WEIGHT = 5.0
-MAX_STICK_M = 0.7  # so that the markers of two people are not joined
-MIN_HIP_OFFSET_M = 0.02
+STICK_VARIATION_WEIGHT, MAX_STICK_M = 5.0, 0.7  # longer sticks would join two people
 MAX_SAMPLES_COMPARED_AT_ONCE = 20_000  # samples that are compared with all others of their frame at a time
 NO_INPUT_NOTE = (
     "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
@@ -376,8 +390,6 @@ class TakeView:
     unlabelled_labels: tuple[str, ...]
     joint_names: tuple[str, ...]
     bones: tuple[tuple[int, int], ...]
-    root_joint: int  # from which the body branches
-    pelvis_sides: tuple[tuple[int, ...], tuple[int, ...]]  # the joints to the left and to the right of the pelvis
     before: Float32[np.ndarray, "T M 3"]  # before, after: positions, NaN where missing
     after: Float32[np.ndarray, "T M 3"]
     unlabelled: Float32[np.ndarray, "T U 3"]  # positions of the unlabelled trajectories of the input
@@ -400,18 +412,14 @@ class TakeView:
 
     @cached_property
     def sticks(self) -> list[tuple[int, int]]:
-        """Pairs of markers with a stick between them: no third marker is nearer to both.
-
-        The distance of a pair is its mean and STICK_VARIATION_WEIGHT standard deviations, so sticks join markers of one segment.
-        """
+        """Pairs of markers to which no third is nearer, by mean distance plus STICK_VARIATION_WEIGHT standard deviations."""
         rows = self.after[sample_evenly(self.frame_count, 50)].astype(float)
         lengths = np.linalg.norm(rows[:, :, None] - rows[:, None], axis=-1)
         known = np.isfinite(lengths)
         mean, square = (np.where(known, lengths**power, 0.0).sum(0) / np.maximum(known.sum(0), 1) for power in (1, 2))
         distance = mean + STICK_VARIATION_WEIGHT * np.sqrt(np.maximum(square - mean**2, 0.0))
         distance[~known.any(0) | np.eye(len(distance), dtype=bool)] = np.inf
-        nearest_third = np.array([np.maximum(row, distance).min(axis=1) for row in distance])
-        is_joined = (distance <= nearest_third) & (distance < MAX_STICK_M)
+        is_joined = (distance <= [np.maximum(row, distance).min(axis=1) for row in distance]) & (distance < MAX_STICK_M)
         return [(int(one), int(other)) for one, other in np.argwhere(np.triu(is_joined))]
 
     def encode_frames(self, first: int, count: int) -> bytes:
@@ -460,8 +468,6 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
         unlabelled_labels=before.unlabelled.labels if before.unlabelled else (),
         joint_names=body.names if body else (),
         bones=tuple((int(parent), joint) for joint, parent in enumerate(body.parents) if parent >= 0) if body else (),
-        root_joint=body.body_root if body else 0,
-        pelvis_sides=find_pelvis_sides(body) if body else ((), ()),
         before=before.markers.astype(np.float32, copy=False),
         after=after.markers.astype(np.float32, copy=False),
         unlabelled=unlabelled.astype(np.float32, copy=False),
@@ -587,11 +593,3 @@ def _compute_joints(
         positions[block] = animation.replace_values(animation.values[frames[block]]).compute_world_poses()[0]
     positions[..., 1] += shift_m
     return positions, animation
-
-
-def find_pelvis_sides(body: Animation) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the joints at which the left and the right side of the body begin below the root, +X to the left at rest."""
-    place = body.skeleton.rest_positions - body.skeleton.rest_positions[body.body_root]
-    is_aside = np.abs(place[:, 0]) > MIN_HIP_OFFSET_M
-    first = [j for j in np.flatnonzero(is_aside & (place[:, 1] <= 0)) if not is_aside[body.parents[j]]]
-    return tuple(int(j) for j in first if place[j, 0] > 0), tuple(int(j) for j in first if place[j, 0] < 0)

@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from mocapfix import pipeline
 from mocapfix.animations.lock_feet import LOCK_METHOD
 from mocapfix.animations.repair_methods import REPAIR_DESCRIPTIONS
+from mocapfix.cli.commands import clean_preview
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
@@ -684,6 +685,27 @@ def test_marker_names_are_complete_at_every_width(page: Page, width: int) -> Non
     assert page.evaluate("document.querySelector('#end').getBoundingClientRect().right <= innerWidth")
 
 
+def test_a_preview_is_shown_while_the_take_is_cleaned_in_full(browser: Browser, folder: Path, problems: list[str]) -> None:
+    shutil.rmtree(folder)
+    assert clean_preview(folder.parent / "walk.c3d") == folder
+    with serve(folder) as running:
+        running.session.start_cleaning("walk", {})
+        page = open_page(browser, running, problems)
+        expect(page.locator("#status")).to_contain_text("This is a preview. Cleaning in full")
+        assert get_take(page)["is_preview"]
+        rejected = get_selected(page)
+        press_and_wait(page, "r")
+        expect(page.locator("#status")).to_have_text("Cleaned in full.")
+        wait_until_ready(page)
+        assert not get_take(page)["is_preview"]
+        event = next(each for each in list_events(page) if each["id"] == rejected)
+        assert {each["decision"] for each in event["changes"]} == {"reject"}
+        page.context.close()
+    assert not problems
+    assert clean_preview(folder.parent / "walk.c3d") == folder  # it is cleaned, so it stays as it is
+    assert (folder / "walk.report.html").is_file()
+
+
 def test_an_animation_opens_no_dialog_that_would_refuse(browser: Browser, folder: Path, problems: list[str]) -> None:
     animation = folder.parent / "motion"
     animation.mkdir()
@@ -822,10 +844,13 @@ def test_the_view_follows_the_performer_or_stays(page: Page) -> None:
     page.wait_for_function("review.getState().isComplete")
     eye = "review.app.scene.camera.position.toArray()"
     page.keyboard.press("Home")
-    start, root = np.array(page.evaluate(eye)), get_joint(page, "Hips", 0)
+    start, place = (
+        np.array(page.evaluate(eye)),
+        [np.mean([get_joint(page, f"{side}UpLeg", t) for side in ("Left", "Right")], 0) for t in (0, 90)],
+    )
     for _ in range(9):
         page.keyboard.press("Shift+ArrowRight")
-    moved = (get_joint(page, "Hips", 90) - root) * [1, 0, 1]
+    moved = (place[1] - place[0]) * [1, 0, 1]
     assert np.linalg.norm(moved) > 0.05
     np.testing.assert_allclose(np.array(page.evaluate(eye)) - start, moved, atol=1e-4)
     page.keyboard.press("4")

@@ -232,8 +232,8 @@ def test_cleaning_again_writes_what_the_command_line_writes(running: RunningServ
     subprocess.run([sys.executable, "-m", "mocapfix", *command], check=True, stdout=subprocess.DEVNULL)
     assert fetch(running, "takes/walk/clean", {"extra_formats": "gltf"})["state"] == "running"
     status, data, _ = request(
-        f"{running.address}/api/takes/walk/edit",
-        body={"revision": take["revision"], "action": {"type": "undo"}},
+        f"{running.address}/api/takes/walk/approve",
+        body={"name": "Ann"},
     )
     assert (status, b"is being cleaned" in data) == (423, True)
     assert wait_for_run(running) == {"state": "done", "stage": "", "percent": 0, "message": ""}
@@ -246,6 +246,20 @@ def test_cleaning_again_writes_what_the_command_line_writes(running: RunningServ
     assert {"walk.c3d", "walk.bvh", "walk.glb", "walk.changes.yaml"} <= set(compared)
     for name in compared:
         assert (running.folder / name).read_bytes() == (expected / name).read_bytes(), name
+
+
+def test_decisions_made_during_a_cleaning_are_in_its_outputs(running: RunningServer) -> None:
+    one, other, *_ = (change for change in fetch(running, "takes/walk")["changes"] if change["kind"] == "gap")
+    fetch(running, "takes/walk/clean", {})
+    edit(running, {"type": "decide", "ids": [one["id"]], "decision": "reject"})
+    edit(running, {"type": "note", "id": other["id"], "text": "ask Ann"})
+    assert wait_for_run(running)["state"] == "done"
+    changes = {change["id"]: change for change in fetch(running, "takes/walk")["changes"]}
+    assert [(changes[each["id"]]["decision"], changes[each["id"]]["note"]) for each in (one, other)] == [
+        ("reject", ""),
+        ("accept", "ask Ann"),
+    ]
+    assert sum(change["is_reviewed"] for change in changes.values()) == 1
 
 
 def test_a_failed_cleaning_leaves_the_outputs_and_gives_its_sentence(running: RunningServer) -> None:
@@ -375,6 +389,23 @@ def test_killed_server_leaves_a_file_that_can_be_read(folder: Path) -> None:
     declined = {each.entry.id for each in read_changes_file(folder / "walk.changes.yaml", capture).declined}
     assert set(confirmed) <= declined
     assert len(declined) <= len(set(confirmed)) + 1
+
+
+def test_review_of_a_take_opens_a_preview_and_cleans_it_in_full(folder: Path) -> None:
+    shutil.rmtree(folder)
+    command = [sys.executable, "-m", "mocapfix", "review", "--no-browser"]
+    (folder.parent / "bad.c3d").write_bytes(b"no capture")
+    bad = subprocess.run([*command, str(folder.parent / "bad.c3d")], capture_output=True, text=True, check=False, timeout=60)
+    assert (bad.returncode, bad.stdout) == (1, "")
+    assert "bad.c3d: has no format that mocapfix reads" in bad.stderr
+    with subprocess.Popen([*command, str(folder.parent / "walk.c3d")], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        address = process.stdout.readline().split(": ", 1)[1].strip()
+        take = json.loads(request(f"{address}api/takes/walk")[1])
+        assert (take["is_preview"], take["run"]["state"]) == (True, "running")
+        request(f"{address}api/close", body={})
+        process.wait(30)
+    assert (folder / "walk.changes.yaml").is_file()
 
 
 def test_take_is_reviewed_by_one_process(folder: Path) -> None:

@@ -386,12 +386,12 @@ class App {
 
   // Disables what is refused now, with the reason; so no dialog opens to refuse.
   renderAvailability() {
-    const { take } = this, running = this.isRunning ? "The take is being cleaned; edit it when that has ended." : "";
-    const correcting = running || (take.can_correct ? "" : "Corrections are for takes of markers, not for animations.");
+    const { take } = this, running = this.isRunning ? "The take is being cleaned; wait until that has ended." : "";
+    const correcting = take.can_correct ? "" : "Corrections are for takes of markers, not for animations.";
     const obstacles = {
-      accept: running, reject: running, keep: running, note: running, approve: running, mark: correcting, swap: correcting, fill: correcting,
+      accept: "", reject: "", keep: "", note: "", approve: running, mark: correcting, swap: correcting, fill: running || correcting,
       assign: correcting || (take.unlabelled.length ? "" : "The take has no unlabelled trajectory."),
-      undo: running || (take.undo_count ? "" : "There is nothing to undo."), redo: running || (take.redo_count ? "" : "There is nothing to make again."),
+      undo: take.undo_count ? "" : "There is nothing to undo.", redo: take.redo_count ? "" : "There is nothing to make again.",
       export: running || take.cannot_clean_reason, clean: this.isRunning ? "" : take.cannot_clean_reason,
     };
     for (const [id, obstacle] of Object.entries(obstacles)) {
@@ -400,7 +400,6 @@ class App {
       button.disabled = Boolean(obstacle);
       button.title = obstacle || button.dataset.title;
     }
-    if (this.isRunning) find("accept-within").disabled = true;
   }
 
   // Returns whether an action can be carried out, and shows why if it cannot. The actions are named as their buttons.
@@ -454,14 +453,15 @@ class App {
     this.limit.render();
     this.renderAvailability();
     find("clean").textContent = isRunning ? "Stop" : "Clean again";
-    if (isRunning) this.showStatus(`Cleaning again: ${run.stage}, ${run.percent} % …`);
+    if (isRunning) this.showStatus(`${this.take.is_preview ? "This is a preview. Cleaning in full" : "Cleaning again"}: ${run.stage}, ${run.percent} % …`);
     find("progress").hidden = !isRunning;
     find("progress").value = run.percent;
     if (run.state === "failed" && wasRunning) this.showStatus(run.message, true);
     if (run.state === "done" && this.wasRunning) {
       const written = this.exported?.length ? ` Written: ${this.exported.join(", ")}.` : "";
+      const isPreview = this.take.is_preview;
       this.exported = null;
-      this.report(async () => { await this.openTake(this.take.id, this.playback.frame); this.showStatus(`Cleaned again.${written}`); });
+      this.report(async () => { await this.openTake(this.take.id, this.playback.frame); this.showStatus(`Cleaned ${isPreview ? "in full" : "again"}.${written}`); });
     }
     this.wasRunning = isRunning;
   }

@@ -15,6 +15,7 @@ const SHOULDERS = /shoulder|clav|collar/i, FLAT_PARTS = /spine|back|chest|hip|pe
 const PART_RADII_M = [[/head/i, 0.088], [/neck/i, 0.055], [/up_?leg|thigh/i, 0.075], [/foot|toe/i, 0.038], [/leg|shin|calf/i, 0.052],
   [SHOULDERS, 0.05], [/fore_?arm/i, 0.036], [/arm|shldr/i, 0.045], [/hand|thumb|finger|index/i, 0.026], [FLAT_PARTS, 0.095]];
 const OTHER_RADIUS_M = 0.03;
+const HIP_PATTERNS = [/left_?(up|thigh)|^(.*[:_])?l_?(up_?leg|thigh)|(up_?leg|thigh)[._]l/i, /right_?(up|thigh)|^(.*[:_])?r_?(up_?leg|thigh)|(up_?leg|thigh)[._]r/i];
 const TIP_M = { head: 0.13, other: 0.04 };  // length of a part beyond the last joint
 
 // Sticks or parts of a body, each between two points: instances of one shape of unit length and radius along +Y.
@@ -78,6 +79,8 @@ export class Person {
     this.body = new Sticks(group, this.parts.length, buildPartGeometry(), [new THREE.MeshBasicMaterial({ colorWrite: false, transparent: true }),
       new THREE.MeshLambertMaterial({ transparent: true, opacity: BODY_OPACITY, depthFunc: THREE.LessEqualDepth })], LAYER.after);
     this.tip = new Float32Array(3);
+    this.hips = HIP_PATTERNS.map((pattern) => take.joints.findIndex((name) => pattern.test(name)));
+    if (this.hips.includes(-1)) this.hips = [-1, -1];  // the view is then from the world's axes
   }
 
   addPoints(name, count) {
@@ -165,15 +168,8 @@ export class Person {
 
   // The direction to the left of the pelvis, level; it stays where it was if it is unknown.
   updateSide() {
-    const [left = [], right = []] = this.take.pelvis_sides, { joints } = this.samples, start = this.startOf(this.frame);
-    let x = 0, z = 0;
-    for (const [sign, side] of [[1 / left.length, left], [-1 / right.length, right]]) {
-      for (const joint of side) {
-        x += sign * joints[start + joint * 3];
-        z += sign * joints[start + joint * 3 + 2];
-      }
-    }
-    const length = Math.hypot(x, z);
+    const { joints } = this.samples, [left, right] = this.hips.map((joint) => this.startOf(this.frame) + joint * 3);
+    const x = joints[left] - joints[right], z = joints[left + 2] - joints[right + 2], length = Math.hypot(x, z);
     if (length > 0.02) [this.side[0], this.side[2]] = [x / length, z / length];
   }
 
@@ -225,11 +221,13 @@ export class Person {
     }
   }
 
-  // Sets a point to the place of the person in a frame: the root, else the mean of the markers. Returns whether it is known.
+  // Sets a point to the place of the person in a frame: between the hips, else the mean of the markers. Returns whether it is known.
   locate(frame, point) {
-    const { joints, after, counts } = this.samples, start = this.startOf(frame) + this.take.root_joint * 3;
+    const { joints, after, counts } = this.samples, [left, right] = this.hips.map((joint) => this.startOf(frame) + Math.max(0, joint) * 3);
     point.set(0, 0, 0);
-    if (counts.joints && !Number.isNaN(joints[start])) return Boolean(point.fromArray(joints, start));
+    if (counts.joints && joints[left] + joints[right] < Infinity) {
+      return Boolean(point.set((joints[left] + joints[right]) / 2, (joints[left + 1] + joints[right + 1]) / 2, (joints[left + 2] + joints[right + 2]) / 2));
+    }
     let known = 0;
     for (let m = 0, at = frame * counts.after * 3; m < counts.after; m++, at += 3) {
       if (Number.isNaN(after[at])) continue;

@@ -97,7 +97,7 @@ export class SceneView {
     const hasWholeInput = this.division === "states" || this.shown.ghost || !this.shown.after;
     for (const person of this.people) person.showFrame(frame, selected[0], this.shown, hasWholeInput);
     if (this.character) {
-      const start = this.people[0].startOf(frame) + this.take.root_joint * 3;
+      const start = this.people[0].startOf(frame);
       this.character.show((frame - this.take.motion_start) / this.take.rate, this.samples.joints.subarray(start, start + 3), this.take.motion_floor_m);
     }
     this.requestRender();
