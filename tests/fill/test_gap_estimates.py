@@ -257,14 +257,14 @@ class Copies(Executor):
     def __init__(self, failing: int, error: Exception) -> None:
         self.calls, self.failing, self.error = list[str](), failing, error
 
-    def submit(self, fn: Any, /, *args: object, **kwargs: object) -> Future[Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def submit(self, fn: Any, call: bytes, /) -> Future[Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         future = Future[Any]()
-        self.calls.append(fn.func.__name__)
+        self.calls.append(pickle.loads(call).func.__name__)
         if len(self.calls) == self.failing or (len(self.calls) > self.failing and isinstance(self.error, BrokenExecutor)):
             future.set_exception(self.error)
             return future
         try:
-            future.set_result(pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(fn))())))
+            future.set_result(pickle.loads(pickle.dumps(fn(call))))
         except MemoryError as error:
             future.set_exception(error)
         return future
