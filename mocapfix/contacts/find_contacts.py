@@ -39,6 +39,7 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.learned_ik import Perceptron, read_perceptron
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
+TOES = slice(1, None, 2)  # columns of CONTACT_JOINTS
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
 MAX_SD_RATIO = 1.5  # standard deviation, relative to the take's usual one, above which the joint lacks its markers
 BORDER_S = 0.08  # time beside unknown frames in which the smoothness of the motion carries their error into known ones
@@ -48,7 +49,7 @@ USUAL_SD_PERCENTILE = 25
 def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
     """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
     usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
-    is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M)
+    is_unknown = ~(position_sd <= min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M))  # also NaN
     border = max(1, round(BORDER_S * rate))
     return np.convolve(np.r_[is_unknown, False], np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
 
@@ -110,9 +111,9 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
         return build_no_contacts(len(joint_position), rate)
     contacts = find_foot_contacts(joint_position[:, feet], motion.joint_sd[:, feet], rate)
     others = [skeleton.names.index(joint) for joint in OTHER_CONTACT_JOINTS]
-    if contacts.floor is NO_FLOOR or not np.isfinite(joint_position[:, others]).all():
+    if contacts.floor is NO_FLOOR:
         return contacts
-    added = find_other_contacts(joint_position[:, others], joint_position[:, feet[1::2]], contacts.floor, rate)
+    added = find_other_contacts(joint_position[:, others], joint_position[:, feet[TOES]], contacts.floor, rate)
     is_known = np.stack([find_known_frames(motion.joint_sd[:, joint], rate) for joint in others], axis=1)
     contact, known = np.hstack([contacts.is_contact, added]), np.hstack([contacts.is_known, is_known])
     return BodyContacts((*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS), contact, known, contacts.floor, rate)
@@ -121,13 +122,13 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
 def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float) -> BodyContacts:
     """Find the contacts of both feet, from the positions of CONTACT_JOINTS and their standard deviations per axis, in metres."""
     joined, is_known = find_shown_standing(position, sd, rate)
-    toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
     if joined.any() and not is_known.all():
         features, network = compute_contact_features(position, sd, joined & is_known, rate), load_contact_network()
         logits = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
         frames, at = np.arange(len(position)) / rate, np.arange(len(logits)) / FEATURE_RATE_HZ
         joined = np.where(is_known, joined, _resample(logits, at, frames) > MIN_CONTACT_LOGIT)
-    floor = estimate_floor(position[:, toes], joined[:, toes], rate)
+    shown = joined[:, TOES] & is_known[:, TOES]  # the floor is measured where markers show it
+    floor = estimate_floor(position[:, TOES], shown if shown.any() else joined[:, TOES], rate)
     joined &= find_frames_near_floor(position, joined, floor) | ~is_known
     joined = np.stack([remove_short_runs(each, rate) for each in joined.T], axis=1)
     return BodyContacts(CONTACT_JOINTS, joined, is_known, floor, rate)
@@ -175,8 +176,7 @@ def compute_contact_features(
     Args:
         is_standing: When markers show that a joint stands; some joint does in some frame.
     """
-    toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
-    height = estimate_floor(position[:, toes], is_standing[:, toes], rate).compute_height_above(position)
+    height = estimate_floor(position[:, TOES], is_standing[:, TOES], rate).compute_height_above(position)
     for column, is_low in zip(height.T, (is_standing & (height > -TOE_HEIGHT_M)).T, strict=True):
         column -= np.percentile(column[is_low], BASE_PERCENTILE) if is_low.any() else column.min()
     speed = np.stack([compute_speed(path, rate) for path in position.swapaxes(0, 1)], axis=1)
@@ -246,8 +246,7 @@ def find_other_contacts(
     for n in range(position.shape[1]):
         is_low = floor.remove_slope(position[:, n]) - level < MAX_OTHER_HEIGHT_M
         if is_low.any():
-            is_standing = detect_standing(compute_speed(position[:, n], rate), rate)
-            contacts[:, n] = remove_short_runs(is_standing & is_low, rate)
+            contacts[:, n] = remove_short_runs(is_low & detect_standing(compute_speed(position[:, n], rate), rate), rate)
     return contacts
 
 

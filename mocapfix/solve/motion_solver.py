@@ -352,17 +352,18 @@ def add_motion_prior(
 
     It yields to visible markers. The joints `held` stand when `is_held` says; the limb's pose is then taken as certain.
     """
-    parts, rate = (motion.root_position, motion.local_rotations), problem.rate
+    parts, rate, size_ratio = (motion.root_position, motion.local_rotations), problem.rate, problem.subject.skeleton.size_ratio
     joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
     has_body = KnownMotion(*parts, evidence.rotation_variance, problem.is_unobserved, joints, rate).has_body[:, None]
     carried, local_rotations = find_moved_joints(problem.pose_problem.tree.parents)[:, held], motion.local_rotations.copy()
     for gap, lost in group_gaps(problem.is_unobserved & has_body).items():
         context = GapContext(*parts, has_body & ~problem.is_unobserved, *gap, rate)
-        if prediction := predict_shipped_gap(context.crop()):
+        is_within_body = has_body[max(0, context.first - 1) : context.last + 2].all()  # known poses on both sides
+        if is_within_body and (prediction := predict_shipped_gap(context.crop(), size_ratio)):
             share = np.stack([smooth_share(1.0 - each, rate)[context.frames] for each in carried[lost] @ is_held.T], axis=1)
             rotations, variance = (each[context.frames][:, lost] for each in (motion.local_rotations, evidence.rotation_variance))
-            combined = combine_rotations(rotations, share * variance, prediction.select_joints(lost))
-            local_rotations[context.frames, lost] = combined[0]
+            combined, _ = combine_rotations(rotations, share * variance, prediction.select_joints(lost))
+            local_rotations[context.frames, lost] = combined
     if (local_rotations == motion.local_rotations).all():
         return motion
     inferred = replace(motion, local_rotations=local_rotations)

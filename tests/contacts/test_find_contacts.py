@@ -1,4 +1,4 @@
-"""Contacts of feet, knees and hands from positions: known times, steps, tilted floors, all rates, and bodies without feet."""
+"""Contacts of feet, knees, hands, seat and back: known times, steps, tilted floors, all rates, and bodies without feet."""
 
 from dataclasses import replace
 
@@ -183,12 +183,16 @@ def test_a_body_without_feet_has_no_contacts():
     assert contacts.floor is NO_FLOOR
 
 
-def test_a_body_without_hands_has_contacts_of_its_feet():
+def test_joints_that_are_not_shown_do_not_hide_the_contacts_of_others():
     motion, position = place_body(120)
-    position[:, SKELETON.names.index("LeftFingerBase")] = np.nan
+    hands, knee = ([SKELETON.names.index(joint) for joint in joints] for joints in (OTHER_CONTACT_JOINTS[2:4], ["LeftLeg"]))
+    position[:, hands] = motion.joint_sd[:, hands] = np.nan
+    position[:, knee, 1] = 0.05
     contacts = find_contacts(SKELETON, motion, position, 120.0)
-    assert contacts.joints == CONTACT_JOINTS
-    assert contacts.is_contact.all()
+    found = [joint for n, joint in enumerate(contacts.joints) if contacts.is_contact[:, n].any()]
+    assert found == [*CONTACT_JOINTS, "LeftLeg"]
+    assert not contacts.is_known[:, 6:8].any()
+    assert contacts.is_known[:, [0, 1, 2, 3, 4, 5, 8, 9]].all()
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 3, 5])

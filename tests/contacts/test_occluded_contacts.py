@@ -59,6 +59,12 @@ def test_contacts_that_markers_show_do_not_change_when_another_foot_is_hidden(hi
     assert contacts.floor.level_heights_m == pytest.approx(whole.floor.level_heights_m, abs=0.005)
 
 
+def test_the_floor_is_where_markers_show_it():
+    feet, sd, _ = hide(slice(130, 430))
+    feet[130:430, :2, 1] -= 0.05
+    assert find_foot_contacts(feet, sd, 120.0).floor.level_heights_m == pytest.approx((0.0,), abs=0.005)
+
+
 def test_both_feet_are_judged_in_the_same_way():
     feet, sd, _ = hide(slice(150, 330))
     mirrored, swapped = feet[:, [2, 3, 0, 1]] * [-1.0, 1.0, 1.0], sd[:, [2, 3, 0, 1]]

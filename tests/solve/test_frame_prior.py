@@ -168,7 +168,10 @@ def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
     is_held = np.zeros((frame_count, len(FEET)), bool)
     is_held[50:80, 1] = True
 
-    def predict(context):  # the first frame of the context is that of the take
+    sizes = set()
+
+    def predict(context, size_ratio):  # the first frame of the context is that of the take
+        sizes.add(size_ratio)
         rotations = truth.motion.local_rotations[context.frames]
         variance = np.full(rotations.shape[:2], 0.02)
         return GapPrediction(rotations, variance, context.root_position[context.frames], np.ones(len(rotations)))
@@ -185,13 +188,34 @@ def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
     is_lost[LOST, [*ARM, *LEG]] = True
     assert (found.local_rotations == inferred)[~is_lost].all()
     assert (found.root_position == motion.root_position).all()
+    assert sizes == {truth.subject.skeleton.size_ratio}
+
+
+def test_limbs_lost_together_with_the_body_do_not_jump():
+    """The motion prior is not used where the body is lost before the limb is seen again: no known pose ends the gap."""
+    truth, with_body = compose_take(seed=4, seconds=3.0, rate=60.0), slice(60, 90)
+    markers = hide_limbs(truth.marker_positions, truth.subject, ARM)
+    markers[with_body.stop : LOST.stop] = np.nan
+    problem = pose_problem.build_motion_problem(
+        Take(markers, truth.labels, 60.0), truth.subject, BODY, PRIOR, LIMITS, SolveOptions()
+    )
+    local_rotations, frame_count = truth.motion.local_rotations.copy(), len(markers)
+    local_rotations[LOST, ARM] @= Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
+    motion, variance = replace(truth.motion, local_rotations=local_rotations), np.full((frame_count, JOINTS), 0.04)
+    evidence = PoseEvidence(np.zeros(markers.shape[:2]), variance, variance, np.zeros(frame_count))
+    found = motion_solver.add_motion_prior(problem, motion, evidence, [], np.zeros((frame_count, 0), bool))
+    step, before = (
+        Rotation.from_matrix((each[89:90, ARM].swapaxes(-1, -2) @ each[90:91, ARM])[0]).magnitude()
+        for each in (found.local_rotations, local_rotations)
+    )
+    np.testing.assert_allclose(step, before, atol=0.02)
 
 
 def test_fills_and_deviations_do_not_have_the_motion_prior(cleaned, tmp_path, monkeypatch):
     truth, subject, path = cleaned.truth, cleaned.result.subject, tmp_path / "lost.c3d"
     path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
     with_prior = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
-    monkeypatch.setattr(motion_solver, "predict_shipped_gap", lambda context: None)
+    monkeypatch.setattr(motion_solver, "predict_shipped_gap", lambda *_: None)
     without = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
     np.testing.assert_array_equal(with_prior.take.markers, without.take.markers)
     assert [each.predicted_mm for each in with_prior.changes] == [each.predicted_mm for each in without.changes]
@@ -204,7 +228,7 @@ def test_fills_and_deviations_do_not_have_the_motion_prior(cleaned, tmp_path, mo
 
 
 def test_without_a_prior_no_limb_has_one(cleaned, tmp_path, monkeypatch):
-    def refuse(context):
+    def refuse(*_):
         raise AssertionError("the motion prior was used")
 
     monkeypatch.setattr(motion_solver, "predict_shipped_gap", refuse)
