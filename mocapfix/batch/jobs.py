@@ -19,7 +19,7 @@ from mocapfix.batch.records import (
     read_record,
     write_record,
 )
-from mocapfix.errors import MocapfixError, WriteError
+from mocapfix.errors import MocapfixError, SceneError, WriteError
 from mocapfix.io.changes_file import CHANGES_SUFFIX
 from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
@@ -61,14 +61,6 @@ def try_to_hash(path: Path) -> str:
         return ""
 
 
-def measure_size(path: Path) -> int:
-    """Return the size of a file in bytes, 0 if it cannot be read."""
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0
-
-
 def run_with_retries(function: str, request: object, limits: JobLimits) -> JobOutcome:
     """Run a function ("module:name") on a request in a child process; one that crashes is repeated `limits.retries` times."""
     outcome = run_in_child(function, {"request": request}, limits)
@@ -98,7 +90,6 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
 
     A record that another process wrote after this job was given out is returned as it is. Raises MocapfixError.
     """
-    from mocapfix import pipeline
     from mocapfix.batch.take_figures import measure_result
     from mocapfix.model.stage_timer import omit_stage_times
 
@@ -116,12 +107,12 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         count = attempts.begin(key)
         folder = get_take_folder(request.output_folder, request.take)
         with omit_stage_times():
-            files = (*request.options.review.review_files, *find_reviewed_files(request, input_sha256))
-            result = pipeline.clean(request.path, request.options.change(review_files=files) if files else request.options)
+            result, notes = clean_with_decisions(request, input_sha256)
             outputs = result.write(folder, overwrite=True, options=request.options.output)
         for each in result.subject_results or (result,):
             for problem in each.describe_missing_outputs(folder, request.options.output):
                 raise WriteError(problem)
+        first, *others = measure_result(result)
         record = build_record(
             request,
             input_sha256=input_sha256,
@@ -130,7 +121,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
             seconds=round(time.monotonic() - start, 3),
             peak_memory_mb=round(measure_peak_memory_mb(), 1),
             outputs={suffix: path.relative_to(request.output_folder).as_posix() for suffix, path in outputs.items()},
-            subjects=tuple(measure_result(result)),
+            subjects=(first.model_copy(update={"notes": (*notes, *first.notes)}), *others),
             started=started,
         )
         write_record(request.output_folder, record)
@@ -138,15 +129,33 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
     return record
 
 
-def find_reviewed_files(request: CleanRequest, input_sha256: str) -> list[Path]:
-    """Return the changes files of the cleaning before on which a person has decided; none if the input is another one now."""
+def clean_with_decisions(request: CleanRequest, input_sha256: str) -> tuple[Any, list[str]]:
+    """Clean a take with the decisions of the cleaning before; return the result, and sentences on decisions that are not used.
+
+    These were made for another input, or do not fit the subjects, markers or frames that the options select now. Their files
+    get another name, so that the new ones do not replace them. Raises MocapfixError; the files keep their names then.
+    """
+    from mocapfix import pipeline
     from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
 
-    record = read_record(get_record_path(request.output_folder, request.take))
-    outputs = record.outputs if record and record.input_sha256 == input_sha256 else {}
-    paths = [request.output_folder / path for suffix, path in outputs.items() if suffix.endswith(CHANGES_SUFFIX)]
-    files = {path: read_yaml_model(ChangesFileModel, path) for path in paths if path.is_file()}
-    return [path for path, file in files.items() if file.corrections or any(x.reviewed or x.note for x in file.changes)]
+    record, folder = read_record(get_record_path(request.output_folder, request.take)), request.output_folder
+    paths = get_take_folder(folder, request.take).glob(f"*.{CHANGES_SUFFIX}")
+    models = {path: read_yaml_model(ChangesFileModel, path) for path in sorted(paths)}
+    files = [path for path, file in models.items() if file.corrections or any(x.reviewed or x.note for x in file.changes)]
+    is_same_input = record is not None and bool(record.outputs) and record.input_sha256 == input_sha256
+    reasons = {} if is_same_input else dict.fromkeys(files, "It is not known that they were made for this input.")
+    while True:
+        used = (*request.options.review.review_files, *(path for path in files if path not in reasons))
+        try:
+            result = pipeline.clean(request.path, request.options.change(review_files=used) if used else request.options)
+            break
+        except SceneError as error:
+            text, known = str(error), len(reasons)
+            reasons |= {path: text.removeprefix(f"{path}: ") for path in files if text.startswith(f"{path}: ")}
+            if len(reasons) == known:
+                raise
+    kept = {path.replace(path.with_suffix(f".earlier{path.suffix}")): reason for path, reason in reasons.items()}
+    return result, [f"The decisions of an earlier cleaning, now in {path.name}, are not used. {kept[path]}" for path in kept]
 
 
 def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:
@@ -162,9 +171,11 @@ def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> T
 
 
 def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> TakeRecord:
+    before, input_sha256 = read_record(get_record_path(request.output_folder, request.take)), try_to_hash(request.path)
     return build_record(
         request,
-        input_sha256=try_to_hash(request.path),
+        input_sha256=input_sha256,
+        outputs=before.outputs if before and before.input_sha256 == input_sha256 else {},
         status="failed",
         reason=outcome.status if outcome.status in get_args(FailureReason) else "error",
         error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",

@@ -43,7 +43,7 @@ class TakeRecord(StrictModel):
     attempts: NonNegativeInt = 1  # how often the cleaning was begun with this input, these options and this version
     seconds: NonNegativeFloat = 0.0  # time of the last attempt
     peak_memory_mb: NonNegativeFloat = 0.0  # greatest resident memory of the process that cleaned, MB of 10^6 bytes
-    # paths of the outputs by suffix, relative to the batch's folder, with "/"
+    # paths of the outputs by suffix, relative to the batch's folder, with "/"; those of the last that was done with this input
     outputs: dict[str, str] = Field(default_factory=dict)
     subjects: tuple[SubjectFigures, ...] = ()
     # paths of the subject files with which the take was cleaned, by subject, relative to the batch's folder
@@ -141,11 +141,8 @@ def lock_batch_folder(folder: Path) -> Generator[None]:
     Raises WriteError, with the computer and the process that hold it, if another batch does.
     """
     make_output_folder(folder)
-
-    def describe_refusal(holder: str) -> str:
-        return f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
-
-    with hold_process_lock(folder / BATCH_LOCK_NAME, describe_refusal):
+    begin, end = f"{folder}: another batch is writing there", "wait for it, or choose another folder with --out."
+    with hold_process_lock(folder / BATCH_LOCK_NAME, lambda holder: f"{begin} ({holder}); {end}"):
         yield
 
 

@@ -11,8 +11,9 @@ record.
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -25,7 +26,6 @@ from mocapfix.batch.jobs import (
     CleanRequest,
     clean_take,
     find_current_record,
-    measure_size,
     run_with_retries,
     try_to_hash,
 )
@@ -39,6 +39,7 @@ from mocapfix.batch.records import (
     read_record,
     resolve_option_files,
     write_people_file,
+    write_record,
 )
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.io.files import make_output_folder, replace_atomically
@@ -58,7 +59,6 @@ COMPARE_FUNCTION = "mocapfix.batch.run_session:measure_recorded_take"
 SURVEY_FUNCTION = "mocapfix.batch.run_session:survey_recorded_take"
 CALIBRATE_FUNCTION = "mocapfix.batch.run_session:calibrate_recorded_person"
 REMEMBER_FUNCTION = "mocapfix.batch.run_session:remember_recorded_take"
-MEMORY_SUFFIX = ".memory.safetensors"
 
 
 @dataclass(frozen=True)
@@ -343,7 +343,7 @@ def _add_memories(
         parts = [found[take]["subjects"].get(name) for take, name in person.takes.items() if take in found]
         memories = [read_memory(Path(part), skeleton) for part in parts if part]
         if len(memories) >= MIN_PERSON_TAKES:
-            path = requests[0].output_folder / PEOPLE_FOLDER / f"{person.name}{MEMORY_SUFFIX}"
+            path = requests[0].output_folder / PEOPLE_FOLDER / f"{person.name}.memory.safetensors"
             write_memory(path, join_memories(memories))
             for take, name in person.takes.items():
                 files.setdefault(take, {})[name] = path
@@ -390,11 +390,7 @@ THIS_MACHINE = ClusterOptions()
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """How a batch is run.
-
-    each_take_alone whether each take is calibrated alone, not with the other takes of the person
-    remembers_people whether lost limbs are inferred from the other takes of the person, too
-    """
+    """How a batch is run."""
 
     output_folder: Path  # folder for outputs, records and the page
     options: CleanOptions  # of cleaning, for all takes
@@ -403,13 +399,14 @@ class BatchSettings:
     resume: bool = True  # whether to skip takes whose record is current
     repeat_failed: bool = False  # whether takes that failed are cleaned again although nothing has changed
     clean_function: str = CLEAN_FUNCTION  # "module:name" of what the children run, which tests replace
-    each_take_alone: bool = True
-    remembers_people: bool = False
+    each_take_alone: bool = True  # whether each take is calibrated alone, not with the other takes of the person
+    remembers_people: bool = False  # whether lost limbs are inferred from the other takes of the person, too
     # by name of a person, the ids of the takes that show the person, from a session file
     people: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
 
-PageWriter = Callable[[Path, Sequence[TakeRecord]], object]
+PageWriter = Callable[[Path, Sequence[TakeRecord], int], object]  # the last: how many takes are still to be cleaned
+MAX_PAGE_SHARE = 0.05  # of the time in which takes are cleaned is spent on pages: that of thousands of takes takes seconds
 
 
 def run_session(
@@ -424,6 +421,17 @@ def run_session(
     settings = replace(settings, output_folder=folder, options=resolve_option_files(settings.options))
     clients: list[Client] = []
     records: dict[str, TakeRecord] = {}
+    next_page_s = 0.0
+
+    def show_records(is_running: bool = True) -> list[TakeRecord]:
+        nonlocal next_page_s
+        in_order, start_s = [records[take.id] for take in takes if take.id in records], time.monotonic()
+        if write_page is not None and not (is_running and start_s < next_page_s):
+            with suppress(WriteError) if is_running else nullcontext():
+                write_page(folder, in_order, (len(takes) - len(in_order)) * is_running)
+            next_page_s = start_s + (time.monotonic() - start_s) / MAX_PAGE_SHARE
+        return in_order
+
     with lock_batch_folder(folder), ExitStack() as stack:
 
         def connect() -> "Client":
@@ -443,11 +451,9 @@ def run_session(
                 requests = assign_subjects(connect, requests, *of_people, remembers_people=settings.remembers_people)
             records |= find_finished_takes(requests, settings)
             if waiting := [request for request in requests if request.take not in records]:
-                clean_takes_on_cluster(connect(), waiting, records, settings, progress)
+                clean_takes_on_cluster(connect(), waiting, records, settings, progress, show_records)
         finally:
-            in_order = [records[take.id] for take in takes if take.id in records]
-            if write_page is not None:
-                write_page(folder, in_order)
+            in_order = show_records(is_running=False)
     return in_order
 
 
@@ -472,10 +478,11 @@ def check_same_inputs(requests: Sequence[CleanRequest]) -> None:
 
 
 def find_finished_takes(requests: Sequence[CleanRequest], settings: BatchSettings) -> dict[str, TakeRecord]:
-    """Return the current records by take. Without resuming they are removed, so that every take is cleaned again."""
+    """Return the current records by take. Without resuming none is current from now on, so that every take is cleaned again."""
     if not settings.resume:
         for request in requests:
-            get_record_path(request.output_folder, request.take).unlink(missing_ok=True)
+            if record := read_record(get_record_path(request.output_folder, request.take)):
+                write_record(request.output_folder, record.model_copy(update={"version": ""}))
         return {}
     found = ((each.take, find_current_record(each, repeat_failed=settings.repeat_failed)) for each in requests)
     return {take: record for take, record in found if record is not None}
@@ -487,16 +494,19 @@ def clean_takes_on_cluster(
     records: dict[str, TakeRecord],
     settings: BatchSettings,
     progress: BatchProgress,
+    show_records: Callable[[], object],
 ) -> None:
-    """Clean takes on the workers of a cluster and add their records."""
+    """Clean takes on the workers of a cluster and add their records, each of which is shown."""
     progress.start_stage(CLEAN_STAGE, len(requests) + len(records), len(records))
-    ordered = sorted(requests, key=lambda request: -measure_size(request.path))  # so that the workers end together
+    size_bytes = {each.take: each.path.stat().st_size if each.path.is_file() else 0 for each in requests}
+    ordered = sorted(requests, key=lambda request: -size_bytes[request.take])  # so that the workers end together
     tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in ordered)
     by_take = {each.take: each for each in requests}
     for task, result in run_tasks(client, clean_take, tasks, progress.start_job, progress.show_message):
         record = result if isinstance(result, TakeRecord) else explain_lost_take(by_take[task.name], result)
         records[task.name] = record
         progress.finish_job(task.name, record.error)
+        show_records()
 
 
 def explain_lost_take(request: CleanRequest, error: object) -> TakeRecord:

@@ -84,7 +84,6 @@ def write_summary_tables(folder: Path, records: Sequence[TakeRecord]) -> tuple[P
 
 PAGE_NAME = "index.html"
 PERCENT = 100
-REPORT_SUFFIX = "report.html"
 PICTURE_PATTERN = re.compile(
     r'<svg class="moment" viewBox="[-\d ]+" role="img"><title>[^<>]*</title>(<path class="[a-z ]+" d="[-LMhlm\d ]*"/>)*</svg>'
 )
@@ -114,12 +113,13 @@ TAKE_COLUMNS = (
 """columns of the table of takes that can be sorted: the first three as text, the others by numbers"""
 
 
-def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str = "") -> Path:
+def write_session_page(folder: Path, records: Sequence[TakeRecord], waiting_count: int = 0, title: str = "") -> Path:
     """Write index.html, summary.csv and summary.parquet into the folder of a batch and return the path of the page.
 
     The people are those in the folder's people.yaml, if there is one.
 
     Args:
+        waiting_count: Takes that are still to be cleaned; with any the page loads itself again now and then.
         title: "" for the name of the folder.
 
     Raises:
@@ -132,6 +132,7 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str =
         "session.html.jinja",
         title=title or folder.resolve().name,
         subtitle=describe_session(records),
+        waiting_count=waiting_count,
         **build_session_page(records),
         **_read_people(folder),
         quote_address=quote_address,
@@ -209,7 +210,7 @@ def _format_hours(duration_s: float) -> str:
 
 
 def _build_take_row(record: TakeRecord, figures: SubjectFigures | None) -> TakeRow:
-    outputs = select_subject_outputs(record, figures.subject if figures else "")
+    outputs = select_subject_outputs(record, figures.subject) if figures else {}
     links = {suffix: quote_address(path) for suffix, path in outputs.items()}
     fault_count = sum(figures.fault_counts.values()) if figures else 0
     kinds = f": {format_fault_counts(figures.fault_counts)}" if figures and fault_count else ""
@@ -221,7 +222,7 @@ def _build_take_row(record: TakeRecord, figures: SubjectFigures | None) -> TakeR
         numbers=(*_format_figures(figures), format_number(record.seconds)),
         faults=f"{fault_count:,}{kinds}" if figures else "–",
         picture=check_picture(figures.picture_svg if figures else ""),
-        report=next((address for suffix, address in links.items() if suffix.endswith(REPORT_SUFFIX)), ""),
+        report=next((address for suffix, address in links.items() if suffix.endswith("report.html")), ""),
         notes=figures.notes if figures else (record.error,),
         links=links,
     )

@@ -151,7 +151,7 @@ def check_files_kept(files: Sequence[Path], targets: Sequence[Path]) -> None:
 
 def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:
     """Print in a few lines what a cleaning did."""
-    from mocapfix.report.terms import format_fault_counts
+    from mocapfix.report.terms import format_fault_counts, format_frame_range, format_number
 
     fill, take, changes = report["fill"], report["take"], report["changes"]
     relabelled = f", {fill['relabelled']} relabelled" if fill["relabelled"] else ""
@@ -165,10 +165,11 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     if accepted := [change["kind"] for change in changes if change["decision"] == "accept"]:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
-    made = [change for change in changes if change["decision"] == "accept" and change["predicted_mm"]]
-    for each in sorted(made, key=lambda change: -(change["predicted_mm"] or 0.0))[:1]:
-        what = f"{each['kind']} of {escape(join_names(each['markers']))}, frames {each['first']}-{each['last']}"
-        print_line(f"  predicted worst: {what}, {each['predicted_mm']} mm.")
+    made = [change for change in changes if change["decision"] == "accept" and change["predicted_mm"] is not None]
+    if worst := max(made, key=lambda change: change["predicted_mm"] or 0.0, default=None):
+        what = f"{worst['kind']} of {escape(join_names(worst['markers']))}"
+        where = f"frames {format_frame_range(worst['first'], worst['last'])}"
+        print_line(f"  worst predicted error: {format_number(worst['predicted_mm'])} mm, {what}, {where}.")
     for line in describe_left_empty(fill):
         print_note(line)
     print_notes(report["notes"], "in the report")

@@ -139,8 +139,8 @@ def _describe_worst_moment(comparison: CleaningComparison) -> tuple[tuple[str, F
     if worst:
         number = next(n for n, event in enumerate(comparison.events, 1) if worst in event)
         change = f"{worst.kind} of {join_names(worst.markers)}, frames {format_frame_range(worst.first, worst.last)}"
-        error = f"{format_number(worst.predicted_mm)} mm (root mean square over the change)"
-        what = f"The least certain estimate of the change that is predicted worst: {change}, event {number}: {error}."
+        error = f"predicted error {format_number(worst.predicted_mm)} mm (root mean square)"
+        what = f"The worst change is least certain here: {change}, event {number}, {error}."
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
     is_marker = ~np.isin(np.arange(len(outcome)), list(comparison.fragments_by_donor))  # a donor is a piece of another marker

@@ -9,6 +9,7 @@ from mocapfix import pipeline
 from mocapfix.batch import jobs
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.records import hash_options
+from mocapfix.batch.run_session import BatchSettings, find_finished_takes
 from mocapfix.characters.fbx import BLENDER_VARIABLE
 from mocapfix.errors import WriteError
 from mocapfix.options import CleanOptions, build_clean_options
@@ -54,21 +55,54 @@ def test_an_output_that_cannot_be_written_is_a_failure(tmp_path: Path, monkeypat
     assert (tmp_path / "out" / "walk" / "walk.bvh").is_file()
 
 
-def test_decisions_are_kept_when_a_take_is_cleaned_with_other_options(tmp_path: Path) -> None:
-    take = tmp_path / "walk.c3d"
-    truth = compose_take(seconds=3.0, rate=30.0)
-    write_synthetic_take(take, truth)
-    request = jobs.CleanRequest("walk.c3d", take, tmp_path / "out", build_clean_options(prior="none"))
-    record = jobs.clean_recorded_take(request)
-    store = DecisionStore(tmp_path / "out" / record.outputs["changes.yaml"])
+def review_take(folder: Path) -> tuple[jobs.CleanRequest, Path, str]:
+    """Clean a take of one subject, reject its first gap, and return its request, its changes file and the id of the gap."""
+    take = folder / "walk.c3d"
+    write_synthetic_take(take, compose_take(seconds=3.0, rate=30.0))
+    request = jobs.CleanRequest("walk.c3d", take, folder / "out", build_clean_options(prior="none"))
+    path = folder / "out" / jobs.clean_recorded_take(request).outputs["changes.yaml"]
+    store = DecisionStore(path)
     change = next(each for each in store.file.changes if each.kind == "gap")
-    edit = parse_edit({"type": "decide", "ids": [change.id], "decision": "reject"})
-    store.edit(store.revision, edit)
+    store.edit(store.revision, parse_edit({"type": "decide", "ids": [change.id], "decision": "reject"}))
+    return request, path, change.id
+
+
+def read_decision(path: Path, name: str) -> tuple[str, bool]:
+    (change,) = (each for each in DecisionStore(path).file.changes if each.id == name)
+    return change.decision, change.reviewed
+
+
+def test_decisions_are_kept_when_a_take_is_cleaned_with_other_options(tmp_path: Path) -> None:
+    request, path, name = review_take(tmp_path)
     other = replace(request, options=build_clean_options(prior="none", max_gap_s=3.0))
     assert jobs.find_current_record(other) is None
     again = jobs.clean_recorded_take(other)
-    (kept,) = (each for each in DecisionStore(store.path).file.changes if each.id == change.id)
-    assert (kept.decision, kept.reviewed) == ("reject", True)
+    assert read_decision(path, name) == ("reject", True)
     assert again.options_sha256 == hash_options(other.options)  # the decisions do not count as options
     assert jobs.find_current_record(other) == again
-    assert jobs.find_reviewed_files(other, "another input") == []
+
+
+def test_decisions_are_kept_after_a_failure_and_without_resuming(tmp_path: Path) -> None:
+    request, path, name = review_take(tmp_path)
+    other = replace(request, options=build_clean_options(prior="none", max_gap_s=3.0))
+    failed = jobs.write_failure(other, JobOutcome("timeout", None, "It took too long.", 9.0), "")
+    assert failed.status == "failed"
+    settings = BatchSettings(tmp_path / "out", other.options, resume=False)
+    assert find_finished_takes([other], settings) == {}
+    assert jobs.clean_recorded_take(other).status == "done"
+    assert read_decision(path, name) == ("reject", True)
+
+
+@pytest.mark.parametrize("cause", ["frames", "input"])
+def test_decisions_that_do_not_fit_are_set_aside_with_a_note(tmp_path: Path, cause: str) -> None:
+    request, path, name = review_take(tmp_path)
+    if cause == "input":
+        write_synthetic_take(request.path, compose_take(seed=1, seconds=3.0, rate=30.0))
+    else:
+        path.write_text(path.read_text().replace("frames: [1, 90]", "frames: [1, 91]"))
+    record = jobs.clean_recorded_take(replace(request, options=build_clean_options(prior="none", max_gap_s=3.0)))
+    note = record.subjects[0].notes[0]
+    assert "walk.changes.earlier.yaml, are not used" in note
+    assert ("is not known" if cause == "input" else "91") in note
+    assert read_decision(path.with_name("walk.changes.earlier.yaml"), name) == ("reject", True)
+    assert not any(change.reviewed for change in DecisionStore(path).file.changes)

@@ -3,7 +3,10 @@
 import shutil
 import threading
 import time
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -108,3 +111,23 @@ def test_unreachable_scheduler_is_one_sentence(takes: Path, tmp_path: Path, monk
     settings = BatchSettings(tmp_path, CleanOptions(), cluster=ClusterOptions(scheduler="tcp://127.0.0.1:9"))
     with pytest.raises(MocapfixError, match="no scheduler answers"):
         run_session(find_takes([str(takes)], tmp_path).takes, settings, BatchProgress())
+
+
+def test_page_is_written_while_takes_are_cleaned(takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that cannot be written then does not end the batch."""
+    written: list[tuple[int, int]] = []
+
+    def clean_at_once(_client, _function, tasks, *_):
+        return ((task, TakeRecord(take=task.name, input="", status="done")) for task in tasks)
+
+    def write_page(_: Path, records: Sequence[TakeRecord], waiting_count: int) -> None:
+        written.append((len(records), waiting_count))
+        if waiting_count:
+            raise WriteError("index.html: is open in another program.")
+
+    monkeypatch.setattr("mocapfix.batch.run_session.open_client", lambda _: nullcontext(SimpleNamespace(dashboard_link="")))
+    monkeypatch.setattr("mocapfix.batch.run_session.run_tasks", clean_at_once)
+    found = find_takes([str(takes)], tmp_path).takes
+    run_session(found, BatchSettings(tmp_path, CleanOptions()), BatchProgress(), write_page)
+    assert written[0] == (1, len(found) - 1)
+    assert written[-1] == (len(found), 0)

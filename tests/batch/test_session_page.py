@@ -72,7 +72,7 @@ def test_failures_are_on_top_with_their_sentence(tmp_path: Path) -> None:
 def test_title_is_that_of_the_session_or_the_name_of_the_folder(tmp_path: Path, title: str, shown: str) -> None:
     folder = tmp_path / "cleaned"
     folder.mkdir()
-    text = write_session_page(folder, [build_done("a.c3d")], title).read_text(encoding="utf-8")
+    text = write_session_page(folder, [build_done("a.c3d")], title=title).read_text(encoding="utf-8")
     assert f"<h1>{shown}</h1>" in text
 
 
@@ -206,3 +206,11 @@ def test_subtitle_has_versions_and_time() -> None:
 def test_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WriteError):
         write_session_page(tmp_path / "removed", [])
+
+
+def test_page_of_a_batch_that_runs_loads_itself_again(tmp_path: Path) -> None:
+    running, ended = (write_session_page(tmp_path, [build_done("a.c3d")], count).read_text(encoding="utf-8") for count in (2, 0))
+    assert '<meta http-equiv="refresh"' in running
+    assert "2 takes still to be cleaned" in running
+    assert "refresh" not in ended
+    assert "still to be cleaned" not in ended

@@ -79,10 +79,10 @@ def test_the_worst_predicted_error_is_the_same_in_all_outputs(tmp_path: Path, ca
     assert max(each.predicted_mm or 0.0 for each in read_yaml_model(ChangesFileModel, outputs["changes.yaml"]).changes) == worst
     page = outputs["report.html"].read_text(encoding="utf-8")
     assert f"<b>{worst:.1f} mm</b><small>predicted error of the worst change</small>" in page
-    assert f"event 1: {worst:.1f} mm" in page
+    assert f"event 1, predicted error {worst:.1f} mm" in page
     print_summary(report, outputs)
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if "predicted worst" in line)
-    assert line.endswith(f", {worst:.1f} mm.")
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "predicted error" in line)
+    assert line.startswith(f"  worst predicted error: {worst:.1f} mm, gap of ")
 
 
 def test_without_fills_the_frame_with_the_most_empty_samples_is_shown(result: CleaningResult) -> None:
