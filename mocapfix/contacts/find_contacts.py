@@ -127,7 +127,7 @@ def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarra
         logits = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
         frames, at = np.arange(len(position)) / rate, np.arange(len(logits)) / FEATURE_RATE_HZ
         joined = np.where(is_known, joined, _resample(logits, at, frames) > MIN_CONTACT_LOGIT)
-    shown = joined[:, TOES] & is_known[:, TOES]  # the floor is measured where markers show it
+    shown = joined[:, TOES] & is_known[:, TOES].all(1, keepdims=True)  # the other foot may stand lower where no marker shows it
     floor = estimate_floor(position[:, TOES], shown if shown.any() else joined[:, TOES], rate)
     joined &= find_frames_near_floor(position, joined, floor) | ~is_known
     joined = np.stack([remove_short_runs(each, rate) for each in joined.T], axis=1)

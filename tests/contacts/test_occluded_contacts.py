@@ -65,6 +65,18 @@ def test_the_floor_is_where_markers_show_it():
     assert find_foot_contacts(feet, sd, 120.0).floor.level_heights_m == pytest.approx((0.0,), abs=0.005)
 
 
+def test_a_foot_in_the_air_is_on_no_level_while_the_foot_that_bears_the_weight_is_hidden():
+    feet = np.tile([[0.1, 0.08, 0.0], [0.1, 0.025, 0.15], [-0.1, 0.08, 0.0], [-0.1, 0.025, 0.15]], (1200, 1, 1))
+    lifted, hidden = slice(300, 900), slice(400, 800)
+    feet[lifted, 2:, 1] += 0.3
+    sd = np.full(feet.shape[:2], SHOWN_SD_M)
+    sd[hidden, :2] = HIDDEN_SD_M
+    contacts = find_foot_contacts(feet, sd, 120.0)
+    assert len(contacts.floor.level_heights_m) == 1
+    assert not contacts.is_contact[lifted, 2:].any()
+    assert contacts.is_contact[hidden, :2].all()
+
+
 def test_both_feet_are_judged_in_the_same_way():
     feet, sd, _ = hide(slice(150, 330))
     mirrored, swapped = feet[:, [2, 3, 0, 1]] * [-1.0, 1.0, 1.0], sd[:, [2, 3, 0, 1]]
