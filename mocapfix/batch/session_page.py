@@ -133,7 +133,7 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord], waiting_coun
         title=title or folder.resolve().name,
         subtitle=describe_session(records),
         waiting_count=waiting_count,
-        **build_session_page(records),
+        **build_session_page(records, waiting_count),
         **_read_people(folder),
         quote_address=quote_address,
         script=Markup(script),
@@ -169,13 +169,13 @@ def format_minute(time: str) -> str:
         return time
 
 
-def build_session_page(records: Sequence[TakeRecord]) -> dict[str, Any]:
+def build_session_page(records: Sequence[TakeRecord], waiting_count: int = 0) -> dict[str, Any]:
     """Return the values of the template that follow from the records."""
     failed = sorted((record for record in records if record.status == "failed"), key=lambda record: record.take)
     reasons = Counter(record.reason or "error" for record in failed)
     counts = join_words([f"{count:,} {reason}" for reason, count in sorted(reasons.items())])
     return {
-        "facts": _build_session_facts(records),
+        "facts": _build_session_facts(records, waiting_count),
         "failures": failed,
         "failure_text": f"{len(failed):,} failed: {counts}",
         "rows": [_build_take_row(record, figures) for record, figures in list_summary_rows(records)],
@@ -186,14 +186,14 @@ def build_session_page(records: Sequence[TakeRecord]) -> dict[str, Any]:
     }
 
 
-def _build_session_facts(records: Sequence[TakeRecord]) -> list[tuple[str, str]]:
+def _build_session_facts(records: Sequence[TakeRecord], waiting_count: int) -> list[tuple[str, str]]:
     """Return the totals: value and text."""
     done = [record for record in records if record.status == "done"]
     subjects = [figures for record in done for figures in record.subjects]
     samples = max(1, sum(figures.sample_count for figures in subjects))
     duration_s = sum(max((figures.duration_s for figures in record.subjects), default=0.0) for record in done)
     return [
-        (f"{len(done):,}", f"of {len(records):,} takes done"),
+        (f"{len(done):,}", f"of {len(records) + waiting_count:,} takes done"),
         (f"{len(records) - len(done):,}", "failed"),
         (_format_hours(duration_s), "of motion, h:min:s"),
         (f"{PERCENT * sum(figures.missing_before for figures in subjects) / samples:.1f} %", "of the samples missing before"),

@@ -168,7 +168,7 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     made = [change for change in changes if change["decision"] == "accept" and change["predicted_mm"] is not None]
     if worst := max(made, key=lambda change: change["predicted_mm"] or 0.0, default=None):
         what = f"{worst['kind']} of {escape(join_names(worst['markers']))}"
-        where = f"frames {format_frame_range(worst['first'], worst['last'])}"
+        where = f"frame{'s' * (worst['last'] > worst['first'])} {format_frame_range(worst['first'], worst['last'])}"
         print_line(f"  worst predicted error: {format_number(worst['predicted_mm'])} mm, {what}, {where}.")
     for line in describe_left_empty(fill):
         print_note(line)

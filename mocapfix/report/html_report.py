@@ -138,8 +138,9 @@ def _describe_worst_moment(comparison: CleaningComparison) -> tuple[tuple[str, F
     what = "It has the most corrections." if comparison.changes else "Nothing was corrected."
     if worst:
         number = next(n for n, event in enumerate(comparison.events, 1) if worst in event)
-        change = f"{worst.kind} of {join_names(worst.markers)}, frames {format_frame_range(worst.first, worst.last)}"
+        frames = f"frame{'s' * (worst.last > worst.first)} {format_frame_range(worst.first, worst.last)}"
         error = f"predicted error {format_number(worst.predicted_mm)} mm (root mean square)"
+        change = f"{worst.kind} of {join_names(worst.markers)}, {frames}"
         what = f"The worst change is least certain here: {change}, event {number}, {error}."
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)

@@ -212,5 +212,6 @@ def test_page_of_a_batch_that_runs_loads_itself_again(tmp_path: Path) -> None:
     running, ended = (write_session_page(tmp_path, [build_done("a.c3d")], count).read_text(encoding="utf-8") for count in (2, 0))
     assert '<meta http-equiv="refresh"' in running
     assert "2 takes still to be cleaned" in running
+    assert "of 3 takes done" in running
     assert "refresh" not in ended
     assert "still to be cleaned" not in ended

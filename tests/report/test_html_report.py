@@ -153,7 +153,7 @@ def test_the_worst_prediction_is_one_number(scene, tmp_path):
     page, number = write_page(uncertain, tmp_path), f"{50 * 3**0.5:.1f}"
     assert uncertain.comparison.worst_moment == (70, uncertain.comparison.changes[1])
     assert f"{number} mm predicted error of the worst change" in page.text
-    assert f"spike of M05, frames 171, event 1, predicted error {number} mm" in page.text
+    assert f"spike of M05, frame 171, event 1, predicted error {number} mm" in page.text
     assert f"1 spike: M05 171 {number} 1" in page.text
     assert f"Predicted error {number} mm." in page.text
     assert str(uncertain.comparison.changes[1].predicted_mm) == number
