@@ -138,10 +138,9 @@ def _describe_worst_moment(comparison: CleaningComparison) -> tuple[tuple[str, F
     what = "It has the most corrections." if comparison.changes else "Nothing was corrected."
     if worst:
         number = next(n for n, event in enumerate(comparison.events, 1) if worst in event)
-        frames = f"frame{'s' * (worst.last > worst.first)} {format_frame_range(worst.first, worst.last)}"
+        frames = f"frame{'s' * (worst.last > worst.first)} {format_frame_range(worst.first, worst.last)}, event {number}"
         error = f"predicted error {format_number(worst.predicted_mm)} mm (root mean square)"
-        change = f"{worst.kind} of {join_names(worst.markers)}, {frames}"
-        what = f"The worst change is least certain here: {change}, event {number}, {error}."
+        what = f"The worst change is least certain here: {worst.kind} of {join_names(worst.markers)}, {frames}, {error}."
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
     is_marker = ~np.isin(np.arange(len(outcome)), list(comparison.fragments_by_donor))  # a donor is a piece of another marker
