@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
@@ -339,7 +339,6 @@ class OpenTake:
             self.read_outputs()
             self._view = take_files.load_take_view(self.take, self.store.file.changes)
         except Exception as error:
-            self._view = None
             return RunStatus("failed", message=f"The take was cleaned, but its outputs cannot be shown: {error}")
         if self._before_run:
             after = (self._view, [change.id for change in self.store.file.changes])
@@ -539,7 +538,8 @@ class ReviewSession:
         def report(status: RunStatus) -> None:
             if status.state == "done":
                 for other in others:  # their outputs are new as well
-                    other.read_outputs()
+                    with suppress(MocapfixError):  # its page says what is wrong
+                        other.read_outputs()
                 self._takes |= {each.take.id: each.take for each in (opened, *others)}
             self.announce({"type": "run", "take": name, "run": asdict(status)})
             if status.state in ("done", "failed"):

@@ -256,7 +256,7 @@ class CarryEdit(FileEdit):
             same_kind = [one for one in file.changes if (one.kind, one.markers) == (each.kind, each.markers)]
             shared = [one.id for one in same_kind if one.first <= each.last and each.first <= one.last]
             found = [each.id] if each.id in (one.id for one in file.changes) else shared
-            file = _update_changes(file, found, {"decision": each.decision, "reviewed": each.reviewed, "note": each.note})
+            file = _update_changes(file, found, each.model_dump(include={"decision", "reviewed", "reviewer", "note"}))
             if not found and each.decision != "accept":
                 file.changes.append(each.model_copy(update={"samples": 0, "after": each.before}))
         return file.model_copy(update={"corrections": self.after.corrections})

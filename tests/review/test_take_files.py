@@ -223,7 +223,11 @@ def test_decisions_are_carried_to_the_changes_that_a_cleaning_found(tmp_path: Pa
     before = DecisionStore(write_file(tmp_path)).file
     spike, gap = before.changes
     after = before.model_copy(
-        update={"changes": [each.model_copy(update={"decision": "reject", "reviewed": True}) for each in (spike, gap)]}
+        update={
+            "changes": [
+                each.model_copy(update={"decision": "reject", "reviewed": True, "reviewer": "Ann"}) for each in (spike, gap)
+            ]
+        }
     )
     longer = spike.model_copy(update={"id": "spike-other", "first": spike.first - 2, "last": spike.first})
     apart = longer.model_copy(update={"id": "spike-apart", "first": spike.last + 1, "last": spike.last + 3})
@@ -234,6 +238,7 @@ def test_decisions_are_carried_to_the_changes_that_a_cleaning_found(tmp_path: Pa
         ("spike-apart", "accept"),
         (gap.id, "reject"),
     ]
+    assert [each.reviewer for each in carried] == ["Ann", "", "Ann"]
     assert carried[2].samples == 0  # it is not found, and was not made
     assert CarryEdit(before=before, after=before).change(found) == found
 
