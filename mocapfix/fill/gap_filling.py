@@ -13,7 +13,7 @@ from mocapfix.fill.gap_estimates import FillRequest, estimate_missing_samples
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.changes_file import Correction
 from mocapfix.model.body_fit import BodyFit
-from mocapfix.model.changes import Filled, compute_editable_mask
+from mocapfix.model.changes import KEYS_METHOD, Filled, compute_editable_mask
 from mocapfix.model.detected import Detected
 from mocapfix.model.take import Take, TakePart
 from mocapfix.options import FillOptions
@@ -59,6 +59,7 @@ def fill_gaps(
     ]
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detected.donor_markers)] = True
+    is_editable = compute_editable_mask(take, options)
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     of_take = [replace(each, markers=tuple(dict.fromkeys(epochs.column_marker[list(each.markers)].tolist()))) for each in groups]
     body_markers = detected.place_on_body(body) if body else None
@@ -72,11 +73,33 @@ def fill_gaps(
         rigid_groups=groups,
         alternatives=requests,
     )
-    for filled, reasons, methods in fills:
+    for corrections, (filled, empty_reasons, method_numbers) in zip(alternatives, fills, strict=True):
         markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.markers))
-        proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(filled.estimated_sd)))
-        merged = np.where(is_kept, "", epochs.merge_columns(descriptions[methods]))
-        yield Filled(detected, proposed, epochs.merge_columns(reasons), merged, body_markers, tuple(of_take))
+        sd_m = np.where(is_kept, np.nan, epochs.merge_columns(filled.estimated_sd))
+        methods = np.where(is_kept, "", epochs.merge_columns(descriptions[method_numbers]))
+        reasons = epochs.merge_columns(empty_reasons)
+        for each in (correction for correction in corrections if correction.entry.points):
+            m, frames = each.markers[0], np.arange(each.first, each.last + 1)
+            positions = interpolate_keys(each, markers[:, m], take.first_frame)
+            samples = frames[is_set := ~np.isnan(positions[:, 0]) & is_editable[frames, m]], m
+            markers[samples], methods[samples], reasons[samples] = positions[is_set], KEYS_METHOD, ""
+            sd_m[samples] = np.fmin(np.nan_to_num(sd_m[samples], nan=np.inf), options.max_sd_m)  # as of the estimate in its place
+        yield Filled(detected, take.replace_markers(markers, sd_m), reasons, methods, body_markers, tuple(of_take))
+
+
+def interpolate_keys(keys: Correction, path: Float[np.ndarray, "T 3"], first_frame: int) -> Float[np.ndarray, "n 3"]:
+    """Return positions in metres of a spline through points and on to the samples of a path beside them, NaN beyond both."""
+    from scipy.interpolate import CubicHermiteSpline  # slow to import
+
+    beside = np.array([keys.first - 2, keys.first - 1, keys.last + 1, keys.last + 2])
+    beside = beside[(beside >= 0) & (beside < len(path))]
+    beside = beside[~np.isnan(path[beside, 0])]
+    points = np.array(keys.entry.points)
+    times, order = np.unique(np.r_[points[:, 0] - first_frame, beside], return_index=True)
+    knots, numbers = np.concatenate([points[:, 1:] / 1e3, path[beside]])[order], np.arange(len(times))
+    after, before = np.minimum(numbers + 1, len(times) - 1), np.maximum(numbers - 1, 0)
+    slopes = (knots[after] - knots[before]) / (times[after] - times[before])[:, None]
+    return CubicHermiteSpline(times, knots, slopes, extrapolate=False)(np.arange(keys.first, keys.last + 1))
 
 
 def find_rigid_groups_outside(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel
 
 MARK_REASONS = {"wrong": "A reviewer marked the samples as wrong.", "missing": "A reviewer marked the samples as missing."}
+KEYS_REASON = "A reviewer set the samples by hand."
 SWAP_REASON = "A reviewer exchanged the labels."
 ASSIGNMENT_REASON = "A reviewer assigned the trajectory to the marker."
 
@@ -52,8 +53,8 @@ class Correction:
 
     @property
     def marked_fault(self) -> Fault | None:
-        """The fault of a stretch that is wrong or missing, None for other corrections."""
-        reason = MARK_REASONS.get(self.entry.kind)
+        """The fault of a stretch that is wrong, missing or set by hand, None for other corrections."""
+        reason = KEYS_REASON if self.entry.kind == "keys" else MARK_REASONS.get(self.entry.kind)
         return Fault("marked", self.markers[0], self.first, self.last, np.nan, reason) if reason else None
 
 
@@ -167,6 +168,8 @@ CHANGES_FILE_HEADER = """\
 #   - {kind: assign, markers: [LKNE, "*12"], first: 10, last: 20}     give an unlabelled trajectory to a marker
 #   - {kind: fill, markers: [LKNE], first: 10, last: 20, method: M}   fill by M: spline, cluster, rigid_group,
 #     body, gaussian_process, line or empty
+#   - {kind: keys, markers: [LKNE], first: 10, last: 20, points: [[12, 104.5, 910.0, -30.0], [18, 110.0, 912.5, -31.0]]}
+#                       the samples are a spline through points: the frame, and x, y (up) and z in millimetres
 """
 CHANGES_FILE_LINE_LENGTH = 120  # characters
 
@@ -211,7 +214,7 @@ def join_changes_file(
     text += f"{CHANGES_KEY}:\n" + "".join(changes) if changes else dump_yaml({CHANGES_KEY: []})
     if corrections:
         own = [each.model_dump(exclude_defaults=True) for each in corrections]
-        own = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in own]
+        own = [entry | {key: InlineSequence(entry[key]) for key in {"markers", "points"} & set(entry)} for entry in own]
         text += dump_yaml({"corrections": own}, CHANGES_FILE_LINE_LENGTH)
     return text
 

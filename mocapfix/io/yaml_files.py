@@ -79,7 +79,7 @@ def _validate_joint_name(name: str) -> str:
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 JointName = Annotated[str, AfterValidator(_validate_joint_name)]
 
-MARKER_COUNTS: dict[CorrectionKind, int] = {"wrong": 1, "missing": 1, "swap": 2, "assign": 2, "fill": 1}
+MARKER_COUNTS: dict[CorrectionKind, int] = {"wrong": 1, "missing": 1, "swap": 2, "assign": 2, "fill": 1, "keys": 1}
 """how many markers, or trajectories, a correction of each kind names"""
 MAX_NOTE_LENGTH = 2000
 
@@ -116,12 +116,13 @@ class CorrectionModel(StrictModel):
 
     # wrong: the samples of the marker are wrong, and are replaced. missing: they are removed, and the gap is filled. swap: the
     # labels of two markers are exchanged. assign: the samples of an unlabelled trajectory are those of the marker, which is
-    # named first. fill: the missing or wrong samples are filled by `method`
+    # named first. fill: the missing or wrong samples are filled by `method`. keys: the samples are a spline through `points`
     kind: CorrectionKind
     markers: list[str]  # labels
     first: int
     last: int
     method: RequestedFill | None = None  # how to fill; null unless the kind is fill
+    points: list[tuple[int, FiniteFloat, FiniteFloat, FiniteFloat]] = Field(default=[])  # frame, and x, y (up), z in mm
     note: NoteText = ""
 
     @pydantic.model_validator(mode="after")
@@ -134,6 +135,10 @@ class CorrectionModel(StrictModel):
             methods = format_name_list(get_args(RequestedFill))
             text = f"fill must have a method: {methods}" if self.kind == "fill" else "only fill has a method"
             raise ValueError(text)
+        frames = [each[0] for each in self.points]
+        is_within = len(frames) > 1 and [self.first, *frames, self.last] == sorted([self.first, *{*frames}, self.last])
+        if bool(frames) != (self.kind == "keys") or (frames and not is_within):
+            raise ValueError("keys must have two points or more, in order of their frames; other kinds have none")
         return self
 
 

@@ -16,6 +16,7 @@ from mocapfix.options import FillOptions
 from mocapfix.stats.marker_distances import RigidGroup
 from mocapfix.stats.rigid_alignment import compute_lengths
 
+KEYS_METHOD = "points that a reviewer set by hand"
 # The frame and the marker of each of N samples.
 _SampleIndices = tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]
 
@@ -203,7 +204,8 @@ def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
     if isinstance(fault, MarkerShift):
         return "new marker position on the body; the samples are unchanged"
     methods = Counter(filter(None, fill_methods.tolist()))
-    return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
+    by_hand = f", some from {KEYS_METHOD}" if len(methods) > 1 and KEYS_METHOD in methods else ""
+    return f"estimated, mostly from {methods.most_common(1)[0][0]}{by_hand}" if methods else "removed"
 
 
 def _measure_state(take: Take, samples: _SampleIndices, off_body_m: np.ndarray) -> SampleState:

@@ -15,7 +15,7 @@ FaultKind = Literal[
     "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide", "root shift",
 ]  # fmt: skip
 Decision = Literal["accept", "reject", "keep"]  # what a reviewer decides about a change (see `mocapfix.model.changes.Change`)
-CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill"]
+CorrectionKind = Literal["wrong", "missing", "swap", "assign", "fill", "keys"]
 RequestedFill = Literal["spline", "cluster", "rigid_group", "body", "gaussian_process", "line", "empty"]
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
 

@@ -3,5 +3,6 @@
 - `server`: the server of the page
 - `review_session`: the takes of a folder under review, and their cleaning
 - `apply_decisions`: the stage after the fill: which changes are applied, also without a review
-- `take_files`: the cleaned takes in a folder: their decisions and approvals, and what the page shows of them
+- `edits`: the edits of a changes file, saved at once and undone by what they changed
+- `take_files`: the cleaned takes in a folder: their approvals, and what the page shows of them
 """

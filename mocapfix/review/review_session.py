@@ -22,7 +22,7 @@ import numpy as np
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
 from mocapfix.io.changes_file import locate_correction
 from mocapfix.io.files import hold_process_lock
-from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel, read_yaml_model
+from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel, read_yaml_model
 from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
@@ -30,6 +30,7 @@ from mocapfix.options import OPTION_BY_NAME, CleanOptions, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
+from mocapfix.review.edits import CarryEdit, DecisionStore, hash_changes, parse_edit
 from mocapfix.solve.parallel import begin_second_process
 from mocapfix.stats.sequences import find_runs
 
@@ -149,10 +150,9 @@ def _fit_subject(folder: Path, input_name: str, options: CleanOptions, name: str
 def estimate_fills(
     subject: tuple[Path, str, CleanOptions, str, str], corrections: Sequence[CorrectionModel], wanted: CorrectionModel
 ) -> list[dict[str, Any]]:
-    """Return each estimate of the stretch of a requested fill, by whatever method it is, as the next cleaning fills it.
+    """Return each estimate of the stretch of a wanted fill, by whatever method it is, as the next cleaning with others makes it.
 
-    `subject` has the arguments of `_fit_subject`, and `corrections` are other requested fills. Of each method: its name, for each
-    frame position and standard deviation per axis in metres (None: none), predicted error in mm, and why samples stay empty.
+    Of each: its samples with position and standard deviation per axis in metres, None without, and why samples stay empty.
     """
     fitted, take = _fit_subject(*subject)
     known = [locate_correction(each, take, "The correction") for each in corrections]
@@ -183,10 +183,11 @@ class OpenTake:
         self.take, self.subjects = take, subjects
         self.lock = threading.RLock()
         self.status = RunStatus()
-        self.store = take_files.DecisionStore(take.changes_path, self._check_correction)
+        self.store = DecisionStore(take.changes_path, self._check_correction)
         self._view: take_files.TakeView | None = None
         self._before_run: tuple[take_files.TakeView, list[str]] | None = None
         self._difference: dict[str, Any] | None = None
+        self._grouped: tuple[list[tuple[str, int, int]], list[list[str]]] = [], []  # changes, and their ids by events
         self._run: CleaningRun | None = None
         self.started = self.decided = self.store.file  # when a cleaning began, and after the last edit
 
@@ -247,13 +248,17 @@ class OpenTake:
         with self.lock:
             file = self.store.file
             known = {id(change) for change in before.changes} if before else set[int]()
-            events = () if before else group_changes(file.changes, self.view.labels, self.view.after)
+            if not before and self._grouped[0] != (places := [(each.id, each.first, each.last) for each in file.changes]):
+                events = group_changes(file.changes, self.view.labels, self.view.after)
+                self._grouped = places, [[change.id for change in each] for each in events]
             return {
                 "revision": self.store.revision,
                 "changed" if before else "changes": [
-                    describe_change(change) for change in file.changes if id(change) not in known
+                    {**each.model_dump(exclude={"reviewed"}), "is_reviewed": each.reviewed}
+                    for each in file.changes
+                    if id(each) not in known
                 ],
-                **({} if before else {"events": [[change.id for change in each] for each in events]}),
+                **({} if before else {"events": self._grouped[1]}),
                 "corrections": [each.model_dump() for each in file.corrections],
                 "undo_count": len(self.store.state.done),
                 "redo_count": len(self.store.state.undone),
@@ -267,14 +272,13 @@ class OpenTake:
         """
         with self.lock:
             before = self.store.file
-            self.store.edit(revision, take_files.parse_edit(action))
+            self.store.edit(revision, parse_edit(action))
             self.decided = self.store.file
             return self.describe_review(before)
 
     def request_fills(self, marker: str, first: int, last: int) -> "partial[list[dict[str, Any]]]":
-        """Return the call of `estimate_fills` for a stretch of a marker. Raises SceneError, WriteError."""
+        """Return the call of `estimate_fills` for a stretch of a marker. Raises SceneError."""
         with self.lock:
-            self.check_not_running()
             if reason := explain_why_not(self.take):
                 raise SceneError(reason)
             file, subjects = self.store.file, [each.changes_path for each in self.subjects]
@@ -282,24 +286,22 @@ class OpenTake:
             self._check_correction(wanted)
             fills = [each for each in file.corrections if each.kind == "fill"]
             others = [each.model_dump() for each in file.corrections if each.kind != "fill"]
-            kept = [each.id for each in file.changes if each.decision != "accept" and each.kind in SHIFT_KINDS]
-            kept += [each.id for each in file.changes if each.decision == "keep"]
+            declined = [each for each in file.changes if each.decision != "accept"]
+            kept = [each.id for each in declined if each.decision == "keep" or each.kind in SHIFT_KINDS]
             versions = [get_file_version(path) for path in subjects if path != self.take.changes_path]
             options = self.take.options.change(is_fast=False, review_files=tuple(path.name for path in subjects))
             subject = self.take.folder, self.take.arguments[0], options, file.take, json.dumps([others, kept, versions])
             return partial(estimate_fills, subject, fills, wanted)
 
-    def approve(self, name: str) -> dict[str, Any]:
-        """Approve the take as it is. Raises as `edit`."""
+    def approve(self, name: str | None) -> dict[str, Any]:
+        """Approve the take as it is, or withdraw its approval: None. Raises as `edit`."""
         with self.lock:
+            if name is None:
+                self.take.approval_path.unlink(missing_ok=True)
+                return self._describe_state()
             self.check_not_running()
             self.store.refresh()
             take_files.write_approval(self.take, name)
-            return self._describe_state()
-
-    def withdraw(self) -> dict[str, Any]:
-        with self.lock:
-            self.take.approval_path.unlink(missing_ok=True)
             return self._describe_state()
 
     def start_cleaning(self, export: Mapping[str, object], report: Callable[[RunStatus], None]) -> RunStatus:
@@ -351,9 +353,9 @@ class OpenTake:
         with self.lock:
             root, self._view = self.take.folder, None
             self.take = replace(take_files.read_cleaned_take(root, root, self.take.stem), id=self.take.id)
-            self.store = take_files.DecisionStore(self.take.changes_path, self._check_correction)
+            self.store, self._grouped = DecisionStore(self.take.changes_path, self._check_correction), ([], [])
             if self.decided != self.started:
-                self.store.edit(self.store.revision, take_files.CarryEdit(before=self.started, after=self.decided))
+                self.store.edit(self.store.revision, CarryEdit(before=self.started, after=self.decided))
 
     def check_not_running(self) -> None:
         """Raise WriteError while the take is being cleaned."""
@@ -376,28 +378,20 @@ class OpenTake:
         return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
 
 
-def describe_change(change: ChangeModel) -> dict[str, Any]:
-    """Return a change as the page shows it."""
-    return {**change.model_dump(exclude={"reviewed"}), "is_reviewed": change.reviewed}
-
-
 def compare_cleanings(
     one: take_files.TakeView, before_ids: list[str], other: take_files.TakeView, after_ids: list[str]
 ) -> dict[str, Any]:
     """Return what differs between two cleanings of a take, of which views and ids of changes are given: samples and changes."""
-    markers: list[dict[str, Any]] = []
-    total = 0
+    markers, total = list[dict[str, Any]](), 0
     if one.after.shape == other.after.shape and one.labels == other.labels:
         differs = ~((one.after == other.after) | (np.isnan(one.after) & np.isnan(other.after))).all(-1)
         distance_mm = np.linalg.norm(one.after - other.after, axis=-1) * 1e3
         total = int(differs.sum())
         for m in np.argsort(-differs.sum(0), kind="stable")[:MAX_LISTED_DIFFERENCES]:
-            known = distance_mm[differs[:, m], m]
-            known = known[np.isfinite(known)]
-            if differs[:, m].any():
-                largest = round(float(known.max()), 1) if len(known) else None
-                runs = find_runs(differs[:, m])
-                markers.append({"label": one.labels[m], "samples": int(differs[:, m].sum()), "largest_mm": largest, "runs": runs})
+            known, runs = distance_mm[differs[:, m], m], find_runs(differs[:, m])
+            if runs:
+                largest = round(float(np.nanmax(known)), 1) if np.isfinite(known).any() else None
+                markers.append({"label": one.labels[m], "samples": len(known), "largest_mm": largest, "runs": runs})
     return {
         "samples": total,
         "markers": markers,
@@ -409,7 +403,6 @@ def compare_cleanings(
 Event = dict[str, Any]
 REVIEW_LOCK_NAME = ".review.lock"
 MAX_TAKES_READ_AT_ONCE = 30
-MAX_KEPT_FILLS = 50  # stretches whose estimates are kept
 MAX_OPEN_VIEWS = 2  # takes whose samples are kept in memory
 
 
@@ -516,15 +509,14 @@ class ReviewSession:
         """Return what `estimate_fills` does, in a process of its own. Raises as `OpenTake.request_fills`, and ReadError."""
         call = self.open_take(name).request_fills(marker, first, last)
         if (key := repr(call)) not in self._fills:
-            with self._lock:
-                self._process = self._process or ProcessPoolExecutor(1, get_context("spawn"), begin_second_process)
-                running = self._process.submit(call)
             try:
-                fills = running.result()
+                with self._lock:
+                    self._process = self._process or ProcessPoolExecutor(1, get_context("spawn"), begin_second_process)
+                fills = self._process.submit(call).result()
             except (BrokenExecutor, MemoryError) as error:
                 self._process = None
                 raise ReadError(f"{name}: the process that estimates fills has ended; try again.") from error
-            self._fills = {**dict(list(self._fills.items())[1 - MAX_KEPT_FILLS :]), key: fills}
+            self._fills = {**dict(list(self._fills.items())[-50:]), key: fills}  # of the last stretches
         return self._fills[key]
 
     def start_cleaning(self, name: str, export: Mapping[str, object]) -> RunStatus:
@@ -547,14 +539,9 @@ class ReviewSession:
 
         return opened.start_cleaning(export, report)
 
-    def approve(self, name: str, by: str) -> dict[str, Any]:
-        """Approve a take. Raises as `OpenTake.approve`."""
+    def approve(self, name: str, by: str | None) -> dict[str, Any]:
+        """Approve a take, or withdraw its approval. Raises as `OpenTake.approve`."""
         described = self.open_take(name).approve(by)
-        self.announce({"type": "session"})
-        return described
-
-    def withdraw(self, name: str) -> dict[str, Any]:
-        described = self.open_take(name).withdraw()
         self.announce({"type": "session"})
         return described
 
@@ -584,7 +571,7 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     entry = name_take(take)
     try:
         file, approval = read_yaml_model(ChangesFileModel, take.changes_path), take_files.read_approval(take)
-        revision = take_files.hash_changes(take.changes_path)
+        revision = hash_changes(take.changes_path)
     except MocapfixError as error:
         return entry | {"error": str(error)}
     state = take_files.determine_state(file, approval, revision)

@@ -23,10 +23,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
-from mocapfix.review.take_files import EditConflictError
+from mocapfix.review.edits import EditConflictError
 
 if TYPE_CHECKING:
-    from mocapfix.review.review_session import Event, ReviewSession
+    from mocapfix.review.review_session import Event, OpenTake, ReviewSession
 
 
 SERVER_HOST = "127.0.0.1"
@@ -88,7 +88,7 @@ PAGE_CLOSED_LIMIT_S = 10.0
 KEEP_ALIVE_S = 3.0
 MAX_BODY_BYTES = 1_000_000
 MAX_PORT = 65_535
-Handler = Callable[[Request], Awaitable[Response]]
+Handler = Callable[[Request, dict[str, Any]], Response]  # of a request and the object in its body, in a thread
 
 
 class ReviewServer:
@@ -146,15 +146,15 @@ class ReviewServer:
 
     def _build_application(self) -> Starlette:
         def route(path: str, handler: Handler, method: str = "GET") -> Route:
-            return Route(path, _explain_errors(handler), methods=[method])
+            return Route(path, _answer(handler), methods=[method])
 
         take = "/api/takes/{take:path}"
         return Starlette(
             routes=[
-                route("/", self._get_page),
+                route("/", lambda *_: FileResponse(ASSETS_FOLDER / "page.html", media_type="text/html")),
                 route("/assets/{name}", self._get_asset),
-                route("/api/session", self._get_session),
-                route("/api/events", self._get_events),
+                route("/api/session", lambda *_: JSONResponse(self.session.describe())),
+                Route("/api/events", self._get_events),
                 route("/api/close", self._close, "POST"),
                 route(f"{take}/samples", self._get_samples),
                 route(f"{take}/characters", self._get_character),
@@ -163,15 +163,14 @@ class ReviewServer:
                 route(f"{take}/clean", self._clean, "POST"),
                 route(f"{take}/cancel", self._cancel, "POST"),
                 route(f"{take}/approve", self._approve, "POST"),
-                route(f"{take}/withdraw", self._withdraw, "POST"),
-                route(take, self._get_take),
+                route(take, lambda request, _: JSONResponse(self._open(request).describe())),
             ]
         )
 
-    async def _get_page(self, _: Request) -> Response:
-        return FileResponse(ASSETS_FOLDER / "page.html", media_type="text/html")
+    def _open(self, request: Request) -> "OpenTake":
+        return self.session.open_take(request.path_params["take"])
 
-    async def _get_asset(self, request: Request) -> Response:
+    def _get_asset(self, request: Request, _: object) -> Response:
         name = request.path_params["name"]
         media_types = {".js": "text/javascript", ".css": "text/css"}
         path = find_three_module() if name == "three.js" else ASSETS_FOLDER / Path(name).name
@@ -179,61 +178,43 @@ class ReviewServer:
             return JSONResponse({"error": "There is no such file."}, 404)
         return FileResponse(path, media_type=media_types[path.suffix])
 
-    async def _get_session(self, _: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(self.session.describe))
+    def _get_samples(self, request: Request, _: object) -> Response:
+        frames = _read_number(request, "first"), _read_number(request, "count")
+        return Response(self._open(request).view.encode_frames(*frames), media_type="application/octet-stream")
 
-    async def _get_take(self, request: Request) -> Response:
-        opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
-        return JSONResponse(await run_in_threadpool(opened.describe))
-
-    async def _get_samples(self, request: Request) -> Response:
-        first, count = _read_number(request, "first"), _read_number(request, "count")
-        opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
-        view = await run_in_threadpool(lambda: opened.view)
-        return Response(await run_in_threadpool(view.encode_frames, first, count), media_type="application/octet-stream")
-
-    async def _get_character(self, request: Request) -> Response:
-        opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
-        path = opened.take.find_characters().get(request.query_params.get("name", ""))
+    def _get_character(self, request: Request, _: object) -> Response:
+        path = self._open(request).take.find_characters().get(request.query_params.get("name", ""))
         if path is None:
             raise ReadError("There is no such character; load the page again.")
         return FileResponse(path, media_type="model/gltf-binary")
 
-    async def _get_fills(self, request: Request) -> Response:
+    def _get_fills(self, request: Request, _: object) -> Response:
         stretch = request.query_params.get("marker", ""), _read_number(request, "first"), _read_number(request, "last")
-        return JSONResponse(await run_in_threadpool(self.session.estimate_fills, request.path_params["take"], *stretch))
+        return JSONResponse(self.session.estimate_fills(request.path_params["take"], *stretch))
 
-    async def _edit(self, request: Request) -> Response:
-        name, body = request.path_params["take"], await _read_body(request)
+    def _edit(self, request: Request, body: dict[str, Any]) -> Response:
         revision, action = body.get("revision"), body.get("action")
         if not isinstance(revision, str) or not isinstance(action, dict):
             raise SceneError("The page sent an edit without its revision; load it again.")
         try:
-            return JSONResponse(await run_in_threadpool(self.session.edit, name, revision, cast("dict[str, Any]", action)))
+            return JSONResponse(self.session.edit(request.path_params["take"], revision, cast("dict[str, Any]", action)))
         except EditConflictError as error:
-            opened = await run_in_threadpool(self.session.open_take, name)
-            return JSONResponse({"error": str(error), "take": await run_in_threadpool(opened.describe_review)}, 409)
+            return JSONResponse({"error": str(error), "take": self._open(request).describe_review()}, 409)
 
-    async def _clean(self, request: Request) -> Response:
-        export = await _read_body(request)
-        status = await run_in_threadpool(self.session.start_cleaning, request.path_params["take"], export)
-        return JSONResponse(asdict(status), 202)
+    def _clean(self, request: Request, body: dict[str, Any]) -> Response:
+        return JSONResponse(asdict(self.session.start_cleaning(request.path_params["take"], body)), 202)
 
-    async def _cancel(self, request: Request) -> Response:
-        opened = await run_in_threadpool(self.session.open_take, request.path_params["take"])
-        await run_in_threadpool(opened.cancel_cleaning)
+    def _cancel(self, request: Request, _: object) -> Response:
+        opened = self._open(request)
+        opened.cancel_cleaning()
         return JSONResponse(asdict(opened.status))
 
-    async def _approve(self, request: Request) -> Response:
-        name = (await _read_body(request)).get("name")
-        if not isinstance(name, str):
-            raise SceneError("An approval needs a name.")
-        return JSONResponse(await run_in_threadpool(self.session.approve, request.path_params["take"], name))
+    def _approve(self, request: Request, body: dict[str, Any]) -> Response:
+        if not isinstance(name := body.get("name", 0), str | None):
+            raise SceneError("An approval needs a name; null withdraws it.")
+        return JSONResponse(self.session.approve(request.path_params["take"], name))
 
-    async def _withdraw(self, request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(self.session.withdraw, request.path_params["take"]))
-
-    async def _close(self, _: Request) -> Response:
+    def _close(self, *_: object) -> Response:
         self._must_end.set()
         return JSONResponse({})
 
@@ -275,12 +256,12 @@ def find_three_module() -> Path:
     return path
 
 
-def _explain_errors(handler: Handler) -> Handler:
-    """Return a handler whose errors are answers with one sentence."""
+def _answer(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
+    """Return a handler that runs in a thread, and whose errors are answers with one sentence."""
 
     async def handle(request: Request) -> Response:
         try:
-            return await handler(request)
+            return await run_in_threadpool(handler, request, await _read_body(request))
         except WriteError as error:
             return JSONResponse({"error": str(error)}, 423)
         except MocapfixError as error:

@@ -1,36 +1,32 @@
-"""The cleaned takes in an output folder: their decisions and approvals, and what the page of a review shows of them.
-
-Every decision is saved at once in the changes file, and edits of others are never overwritten.
-"""
+"""The cleaned takes in an output folder: their approvals, and what the page of a review shows of them."""
 
 import glob
-import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, ValidationError
 
-from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
+from mocapfix.errors import MocapfixError, ReadError, SceneError
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import CHANGES_SUFFIX, format_change, join_changes_file
+from mocapfix.io.changes_file import CHANGES_SUFFIX
 from mocapfix.io.conventions import change_convention
 from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_atomically, return_free_memory
-from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel, NoteText, StrictModel, read_yaml_model
+from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, StrictModel
 from mocapfix.model.animation import Animation, build_tip_take
-from mocapfix.model.faults import Decision
 from mocapfix.model.take import Take
 from mocapfix.options import CHARACTER_PRESETS, RIG_NAMES, CleanOptions, ReadOptions, parse_arguments
 from mocapfix.output_formats import OPTIONAL_FORMATS
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
+from mocapfix.review.edits import hash_changes
 from mocapfix.stats.sequences import sample_evenly
 
 MARKER_FORMATS = ("c3d", "trc", "csv")
@@ -169,206 +165,12 @@ def write_approval(take: CleanedTake, name: str) -> Approval:
     return approval
 
 
-def hash_changes(path: Path) -> str:
-    """Return the hash of a changes file. Raises ReadError."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror or error}).") from error
-
-
 def determine_state(file: ChangesFileModel, approval: Approval | None, revision: str) -> ReviewState:
     """Return how far the review of a take is. `revision` is the hash of its changes file."""
     if approval and approval.changes_sha256 == revision:
         return "approved"
     is_touched = bool(file.corrections) or any(change.reviewed or change.note for change in file.changes)
     return "in review" if is_touched or approval else "untouched"
-
-
-class FileEdit(StrictModel):
-    """An edit of the content of a changes file. Each kind is a class, which `AnyEdit` names."""
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        """Return the content after the edit. Raises SceneError if it is not allowed."""
-        raise NotImplementedError
-
-    def apply(self, state: "EditedState") -> "EditedState":
-        """Return the state after the edit. Raises as `change`."""
-        return EditedState(self.change(state.file), (*state.done[-MAX_UNDO_STEPS + 1 :], state.file))
-
-
-class DecideEdit(FileEdit):
-    """A decision on changes."""
-
-    type: Literal["decide"]
-    ids: list[str]
-    decision: Decision
-    reviewer: NoteText = ""
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        return _update_changes(file, self.ids, {"decision": self.decision, "reviewed": True, "reviewer": self.reviewer})
-
-
-class NoteEdit(FileEdit):
-    """A note on a change."""
-
-    type: Literal["note"]
-    id: str
-    text: NoteText
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        return _update_changes(file, [self.id], {"note": self.text})
-
-
-class AddEdit(FileEdit):
-    """A new correction."""
-
-    type: Literal["add"]
-    correction: CorrectionModel
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        return file.model_copy(update={"corrections": [*file.corrections, self.correction]})
-
-
-class RemoveEdit(FileEdit):
-    """The end of a correction, by its index."""
-
-    type: Literal["remove"]
-    index: int
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        corrections = list(file.corrections)
-        if not 0 <= self.index < len(corrections):
-            raise SceneError(f"The changes file has no correction {self.index + 1}.")
-        del corrections[self.index]
-        return file.model_copy(update={"corrections": corrections})
-
-
-class CarryEdit(FileEdit):
-    """The decisions by which `after` differs from `before`, in a later file: on the same ids, else kinds, markers and frames."""
-
-    before: ChangesFileModel
-    after: ChangesFileModel
-
-    def change(self, file: ChangesFileModel) -> ChangesFileModel:
-        known = {id(change) for change in self.before.changes}
-        for each in (change for change in self.after.changes if id(change) not in known):
-            same_kind = [one for one in file.changes if (one.kind, one.markers) == (each.kind, each.markers)]
-            shared = [one.id for one in same_kind if one.first <= each.last and each.first <= one.last]
-            found = [each.id] if each.id in (one.id for one in file.changes) else shared
-            file = _update_changes(file, found, each.model_dump(include={"decision", "reviewed", "reviewer", "note"}))
-            if not found and each.decision != "accept":
-                file.changes.append(each.model_copy(update={"samples": 0, "after": each.before}))
-        return file.model_copy(update={"corrections": self.after.corrections})
-
-
-class StepEdit(StrictModel):
-    """The undoing of the last edit, or the making again of the edit that was undone last."""
-
-    type: Literal["undo", "redo"]
-
-    def apply(self, state: "EditedState") -> "EditedState":
-        """Return the state after the step. Raises SceneError if there is no such edit."""
-        if not (steps := state.done if self.type == "undo" else state.undone):
-            raise SceneError(f"There is nothing to {'undo' if self.type == 'undo' else 'make again'}.")
-        if self.type == "undo":
-            return EditedState(steps[-1], steps[:-1], (*state.undone, state.file))
-        return EditedState(steps[-1], (*state.done, state.file), steps[:-1])
-
-
-AnyEdit = DecideEdit | NoteEdit | AddEdit | RemoveEdit | StepEdit
-EDIT_ADAPTER: TypeAdapter[AnyEdit] = TypeAdapter(Annotated[AnyEdit, Field(discriminator="type")])
-MAX_UNDO_STEPS = 1000
-
-
-class EditedState(NamedTuple):
-    """The content of a changes file, its contents before the edits that can be undone, and after those that were undone."""
-
-    file: ChangesFileModel
-    done: tuple[ChangesFileModel, ...] = ()
-    undone: tuple[ChangesFileModel, ...] = ()
-
-
-def parse_edit(action: object) -> AnyEdit:
-    """Return an edit as the page sent it. Raises SceneError."""
-    try:
-        return EDIT_ADAPTER.validate_python(action)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise SceneError(f"The edit is not allowed: {key} {first['msg'].removeprefix('Value error, ')}.") from error
-
-
-def _update_changes(file: ChangesFileModel, ids: Sequence[str], values: dict[str, Any]) -> ChangesFileModel:
-    """Return the content with new values of some changes. Raises SceneError if there are no such changes."""
-    chosen = set(ids)
-    if unknown := chosen - {change.id for change in file.changes}:
-        raise SceneError(f"{file.take}: has no change {format_name_list(sorted(unknown))}.")
-    changes = [change.model_copy(update=values) if change.id in chosen else change for change in file.changes]
-    return file.model_copy(update={"changes": changes})
-
-
-class EditConflictError(MocapfixError):
-    """The changes file is not what the editor knows: another page, program or person has changed it."""
-
-
-class DecisionStore:
-    """A changes file that is read once, and written at each edit.
-
-    Attributes:
-        state, revision: Its content with the edits, and the hash of its bytes, when it was last read or written.
-        check_correction: Raises SceneError for a correction that the take does not allow.
-    """
-
-    def __init__(self, path: Path, check_correction: Callable[[CorrectionModel], object] = lambda _: None) -> None:
-        self.path = path
-        self._check_correction = check_correction
-        self._read()
-
-    @property
-    def file(self) -> ChangesFileModel:
-        """The content of the file."""
-        return self.state.file
-
-    def refresh(self) -> None:
-        """Read the file again if it was changed. Raises SceneError if it is invalid now."""
-        if hash_changes(self.path) != self.revision:
-            self._read()
-
-    def edit(self, revision: str, edit: AnyEdit | CarryEdit) -> None:
-        """Make an edit, and write the file.
-
-        Raises:
-            EditConflictError: If it is not the one that the editor knows.
-            SceneError: If the edit is not allowed.
-            WriteError: If it cannot be written.
-        """
-        if revision != self.revision or hash_changes(self.path) != self.revision:
-            self.refresh()
-            raise EditConflictError(
-                f"{self.path.name} was changed by another page, program or person; your last edit is not saved. "
-                "The page shows the file as it is now."
-            )
-        state = edit.apply(self.state)
-        for each in state.file.corrections:
-            if each not in self.file.corrections:
-                self._check_correction(each)
-        file = state.file
-        lines = {id(change): self._lines.get(id(change)) or format_change(change) for change in file.changes}
-        data = join_changes_file(file.take, file.frames, list(lines.values()), file.corrections).encode()
-        with replace_atomically(self.path) as part:
-            part.write_bytes(data)
-        self._lines, self.state, self.revision = lines, state, hashlib.sha256(data).hexdigest()
-
-    def _read(self) -> None:
-        """Read the file as it is. Raises SceneError, ReadError."""
-        revision = hash_changes(self.path)
-        while True:
-            file, before = read_yaml_model(ChangesFileModel, self.path), revision
-            if (revision := hash_changes(self.path)) == before:  # else it was replaced while it was read
-                break
-        self.state, self.revision = EditedState(file), revision
-        self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
 
 
 JOINT_BLOCK_FRAMES = 1000

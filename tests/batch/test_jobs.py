@@ -14,7 +14,7 @@ from mocapfix.characters.fbx import BLENDER_VARIABLE
 from mocapfix.errors import WriteError
 from mocapfix.options import CleanOptions, build_clean_options
 from mocapfix.result import CleaningResult
-from mocapfix.review.take_files import DecisionStore, parse_edit
+from mocapfix.review.edits import DecisionStore, parse_edit
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 clean = pipeline.clean

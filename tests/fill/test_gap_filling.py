@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
+from mocapfix.io.changes_file import locate_correction
+from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import find_unfilled_runs
 from mocapfix.model.detected import Detected
@@ -47,6 +49,24 @@ def fill(take, options=ANYTHING, is_inlier=None):
     durations, ends = gap_filling.compute_gap_durations(kept, take.rate), gap_filling.find_ends(kept)
     filled, reasons, _ = next(gap_filling.fill_take(take, kept, durations, ends, None, options))
     return filled, find_unfilled_runs(filled, reasons)
+
+
+def test_a_spline_by_hand_is_exact_where_the_path_is_a_line_and_goes_through_its_points():
+    frames = np.arange(200.0)
+    path = np.stack([0.002 * frames, np.full(200, 0.9), -0.001 * frames], 1)
+    take = Take(path[:, None], ("LKNE",), 100.0, 1)
+    points = [(frame, *np.round(path[frame - 1] * 1e3, 6)) for frame in (92, 97)]
+    entry = CorrectionModel(kind="keys", markers=["LKNE"], first=90, last=99, points=points)
+    positions = gap_filling.interpolate_keys(locate_correction(entry, take, "file"), path, 1)
+    np.testing.assert_allclose(positions, path[89:99], atol=1e-9)
+    empty = np.where((frames >= 85)[:, None] & (frames < 105)[:, None], np.nan, path)
+    positions = gap_filling.interpolate_keys(locate_correction(entry, take, "file"), empty, 1)
+    np.testing.assert_array_equal(np.isnan(positions[:, 0]), (frames[89:99] < 91) | (frames[89:99] > 96))  # between its points
+    moved = entry.model_copy(update={"points": [(frame, x, y + 50.0, z) for frame, x, y, z in points]})
+    positions = gap_filling.interpolate_keys(locate_correction(moved, take, "file"), path, 1)
+    np.testing.assert_allclose(positions[[2, 7], 1], 0.95)
+    assert np.abs(np.diff(positions[:, 1], 2)).max() < 0.02  # without a corner
+    assert np.abs(positions[[0, -1], 1] - 0.9).max() < 0.02  # on to the samples beside it
 
 
 def fill_with_body(take, body):

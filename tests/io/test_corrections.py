@@ -20,6 +20,7 @@ from mocapfix.io.changes_file import (
     write_changes_file,
 )
 from mocapfix.io.yaml_files import CorrectionModel
+from mocapfix.model.changes import KEYS_METHOD
 from mocapfix.model.faults import CorrectionKind, Fault, Fragment, RequestedFill
 from mocapfix.options import CleanOptions
 from mocapfix.synthetic import compose_take, write_synthetic_take
@@ -44,6 +45,7 @@ def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
         build_correction("swap", ("C7", "RBAC")),
         build_correction("assign", ("C7", "*12")),
         build_correction("fill", method="cluster"),
+        build_correction("keys", points=[(110, 1.25, 900.0, -3.0), (119, 2.0, 901.5, -4.0)]),
     ]
     review = replace(build_review(*entries), reviewers={"spike-C7-110": "Ann"}, notes={"gap-RBAC-110": "a: note"})
     changes = [build_change(), build_change("gap", ("RBAC",), decision="accept")]
@@ -51,7 +53,7 @@ def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
     write_changes_file(path, build_take(), changes, review)
     again = read_changes_file(path, build_take())
     assert [each.entry for each in again.corrections] == entries
-    assert [each.markers for each in again.corrections] == [(1,), (1,), (1, 2), (1, 3), (1,)]
+    assert [each.markers for each in again.corrections] == [(1,), (1,), (1, 2), (1, 3), (1,), (1,)]
     assert {(each.first, each.last) for each in again.corrections} == {(9, 18)}
     assert (again.reviewers, again.notes) == (review.reviewers, review.notes)
     write_changes_file(tmp_path / "again.yaml", build_take(), changes, again)
@@ -69,6 +71,10 @@ def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
         ({"kind": "assign", "markers": ["C7", "RBAC"]}, "corrections.0.markers: RBAC is a labelled marker"),
         ({"kind": "assign", "markers": ["*12", "C7"]}, "corrections.0.markers: assign must name labelled markers"),
         ({"kind": "fill", "markers": ["C7"]}, "corrections.0: fill must have a method"),
+        ({"kind": "keys", "markers": ["C7"]}, "corrections.0: keys must have two points or more"),
+        ({"kind": "keys", "markers": ["C7"], "points": [[111, 1, 2, 3], [111, 1, 2, 3]]}, "corrections.0: keys must have two"),
+        ({"kind": "keys", "markers": ["C7"], "points": [[109, 1, 2, 3], [111, 1, 2, 3]]}, "corrections.0: keys must have two"),
+        ({"kind": "wrong", "markers": ["C7"], "points": [[111, 1, 2, 3]]}, "corrections.0: keys must have two points or more"),
         ({"kind": "wrong", "markers": ["C7"], "method": "body"}, "corrections.0: only fill has a method."),
         ({"kind": "fill", "markers": ["C7"], "method": "magic"}, "corrections.0.method: must be 'spline', "),
         ({"kind": "wrong", "markers": ["C7"], "last": 151}, "corrections.0: frames 110 to 151 are not in walk.c3d"),
@@ -171,6 +177,30 @@ def test_a_requested_fill_is_used_or_the_samples_stay_empty(sound, tmp_path):
     assert np.isnan(methods.pop("rigid_group")).all()  # the marker is in no rigid group
     assert all(np.isfinite(positions).all() for positions in methods.values())
     assert len({positions.tobytes() for positions in methods.values()}) == len(methods)
+
+
+def test_points_set_by_hand_replace_samples_and_are_named(sound, tmp_path):
+    before = sound[1].take
+    path, first, label = before.markers[:, 3], before.first_frame, before.labels[3]
+    moved = path[[65, 72]] + [0.0, 0.03, 0.0]
+    points = [(frame + first, *np.round(at * 1e3, 2).tolist()) for frame, at in zip((65, 72), moved, strict=True)]
+    result = clean_with(sound, tmp_path, build_correction("keys", (label,), 60, 79, points=points))
+    after = result.take.markers[:, 3]
+    np.testing.assert_allclose(after[[65, 72]], moved, atol=1e-5)
+    is_kept = sound[1].input_take.visible[:, 3].copy()
+    is_kept[60:80] = False
+    np.testing.assert_array_equal(after[is_kept], path[is_kept])
+    steps = np.linalg.norm(np.diff(after[58:82], axis=0), axis=1)
+    assert steps.max() < 3 * np.linalg.norm(np.diff(path[58:82], axis=0), axis=1).max()  # it goes on from the samples beside it
+    [change] = [change for change in result.changes if change.markers == (label,) and change.kind == "marked"]
+    assert (change.why, change.method) == ("A reviewer set the samples by hand.", f"estimated, mostly from {KEYS_METHOD}")
+    [usual] = [
+        each for each in clean_with(sound, tmp_path, build_correction("wrong", (label,), 60, 79)).changes if each.kind == "marked"
+    ]
+    assert change.predicted_mm == pytest.approx(usual.predicted_mm, rel=0.1)  # that of the estimate in its place
+    target = tmp_path / "written.yaml"
+    write_changes_file(target, result.input_take, result.changes, result.review)
+    assert read_changes_file(target, result.input_take).corrections == result.review.corrections
 
 
 def test_exchanged_labels_stay_exchanged(sound, tmp_path):

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -377,6 +378,7 @@ def test_a_correction_has_the_frames_of_the_marker_that_was_clicked(page: Page) 
     expect(page.locator("#mark-first")).to_have_value(str(own["first"]))
     expect(page.locator("#mark-last")).to_have_value(str(own["last"]))
     page.keyboard.press("Escape")
+    expect(page.locator("#dialog-mark")).to_be_hidden()
     select_change(page, event["id"])  # no marker was clicked: the least certain change
     assert page.evaluate("review.app.change.id") == event["changes"][0]["id"]
     one, two = 3, 4
@@ -387,6 +389,24 @@ def test_a_correction_has_the_frames_of_the_marker_that_was_clicked(page: Page) 
     page.keyboard.press("s")
     expect(page.locator("#swap-one")).to_have_value(pair[1])
     expect(page.locator("#swap-other")).to_have_value(pair[0])
+
+
+def test_a_marker_with_two_changes_in_an_event_offers_the_one_at_this_frame(page: Page) -> None:
+    event = next(each for each in list_events(page) if len(each["changes"]) > 1)
+    worst, other = event["changes"][0], event["changes"][-1]
+    page.evaluate(  # the last change of the event is one of the marker of the first
+        """([id, worst, other]) => { const { app } = review, part = app.take.changes.find((each) => each.id === other.id);
+        part.markers = worst.markers; part.first = worst.last + 1; part.last = worst.last + 5;
+        app.renderReview(); app.select(id); }""",
+        [event["id"], worst, other],
+    )
+    assert page.evaluate("review.app.change.id") == worst["id"]
+    first = get_take(page)["first_frame"]
+    page.evaluate("t => review.app.playback.moveTo(t)", worst["last"] + 2 - first)
+    page.keyboard.press("w")
+    expect(page.locator("#mark-first")).to_have_value(str(worst["last"] + 1))
+    expect(page.locator("#mark-last")).to_have_value(str(worst["last"] + 5))
+    page.keyboard.press("Escape")
 
 
 def test_stars_follow_the_corrections(page: Page) -> None:
@@ -522,6 +542,167 @@ def test_an_estimate_of_a_stretch_is_taken_by_mouse(page: Page, running: Running
     page.evaluate("review.app.setStretch([0, 1])")
     page.keyboard.press("g")
     expect(page.locator("#status")).to_contain_text("no sample is missing or faulty")
+
+
+def test_points_are_set_by_hand_by_keyboard_and_are_what_the_next_cleaning_makes(page: Page, running: RunningServer) -> None:
+    take = get_take(page)
+    change = max((each for each in take["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
+    label, first, last = stretch = [change["markers"][0], change["first"], change["last"]]
+    select_change(page, change["id"])
+    start = first + (last - first) // 3
+    page.evaluate("frame => review.app.playback.moveTo(frame)", start - take["first_frame"])
+    before, before_it = page.evaluate(READ_MARKER, stretch), page.evaluate(READ_MARKER, [label, first - 5, first - 1])
+    page.keyboard.press("j")
+    for _ in range(20):
+        page.keyboard.press("Shift+ArrowUp")
+    page.keyboard.press("y")
+    page.keyboard.press("Shift+ArrowDown")
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("j")
+    expect(page.locator("#fills")).to_contain_text(f"{label}, frames {first}–{last}: 2 points by hand")
+    page.keyboard.press("j")
+    page.keyboard.press("Enter")
+    expect(page.locator("#status")).to_contain_text("two points")
+    page.keyboard.press("j")
+    press_and_wait(page, "Enter")
+    expect(page.locator("#fills")).to_be_hidden()
+    [entry] = read_changes(running)["corrections"]
+    at = start - first
+    expected = np.multiply(before[at], 1000) + [0, 20, -1]  # in mm
+    assert (entry["kind"], entry["markers"], entry["first"], entry["last"]) == ("keys", [label], first, last)
+    np.testing.assert_allclose(entry["points"][0], [start, *expected], atol=0.02)
+    shown = page.evaluate(READ_MARKER, stretch)
+    np.testing.assert_allclose(np.multiply(shown[at], 1000), expected, atol=0.02)
+    outside = [label, first - 5, first - 1]
+    assert page.evaluate(READ_MARKER, outside) == before_it  # the spline goes on from there
+    assert np.linalg.norm(np.diff([*before_it, *shown], axis=0), axis=1).max() < 0.1
+    expect(page.locator("#lanes-legend")).to_contain_text("set by hand")
+    page.keyboard.press("c")
+    page.wait_for_selector("#difference:not([hidden])")
+    page.wait_for_function("review.app.isComplete")
+    np.testing.assert_allclose(page.evaluate(READ_MARKER, stretch), shown, atol=2e-5)  # as shown, but for rounding
+    assert any("reviewer set by hand" in each["method"] for each in get_take(page)["changes"])
+
+
+def test_points_are_set_by_hand_with_the_mouse(page: Page, running: RunningServer) -> None:
+    take = get_take(page)
+    change = max((each for each in take["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
+    select_change(page, change["id"])
+    box = page.locator("#curves").bounding_box()
+    assert box
+    one, two = change["first"] + 10 - take["first_frame"], change["first"] + 30 - take["first_frame"]
+
+    def find_place(frame: int, value: str) -> tuple[float, float]:
+        x = page.evaluate("t => review.app.curves.window.x(t)", frame)
+        return box["x"] + x, box["y"] + page.evaluate(f"t => review.app.curves.rows[1].y({value})", frame)
+
+    shown = "1000 * review.app.samples.getPosition('after', t, review.app.marker)[1]"
+    page.keyboard.down("Control")
+    for frame in (one, two):
+        x, y = find_place(frame, shown)
+        page.mouse.click(x, y - 5)
+    keys = "[...review.app.keys.points.entries()].sort((a, b) => a[0] - b[0])"
+    assert [frame for frame, _ in page.evaluate(keys)] == pytest.approx([one, two], abs=1)
+    frame, at = page.evaluate(keys)[0]
+    x, y = find_place(frame, "1000 * review.app.keys.points.get(t)[1]")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y + 12, steps=3)
+    page.mouse.up()
+    moved = page.evaluate(keys)[0][1]
+    assert moved[1] < at[1]
+    assert (moved[0], moved[2]) == (at[0], at[2])
+    page.mouse.click(*find_place(frame, "1000 * review.app.keys.points.get(t)[1]"))  # a click takes the point away
+    assert len(page.evaluate(keys)) == 1
+    expect(page.locator("#fills button").first).to_be_disabled()
+    page.mouse.click(x, y + 12)
+    page.keyboard.up("Control")
+    click_and_wait(page, "#fills button:first-of-type")
+    [entry] = read_changes(running)["corrections"]
+    assert (entry["kind"], len(entry["points"])) == ("keys", 2)
+    click_and_wait(page, "#undo")
+    assert "corrections" not in read_changes(running)
+
+
+def test_labels_are_corrected_by_clicks_and_keys(browser: Browser, folder: Path, problems: list[str]) -> None:
+    path = folder.parent / "walk.c3d"
+    take = read_capture(path)
+    assert isinstance(take, Take)
+    loose = np.full((take.frame_count, 2, 3), np.nan)
+    loose[40:60, 0], loose[100:130, 1] = [0.3, 1.2, 0.4], [-0.4, 1.0, 0.2]
+    write_c3d(path, replace(take, unlabelled=Take(loose, ("*1", "*2"), take.rate, take.first_frame), layout=None))
+    with serve(folder) as running:
+        page = open_page(browser, running, problems)
+        page.wait_for_function("review.getState().isComplete")
+        first, labels = get_take(page)["first_frame"], get_take(page)["labels"]
+        stage, lanes = page.locator("#stage").bounding_box(), page.locator("#lanes").bounding_box()
+        assert stage
+        assert lanes
+
+        def find_place(marker: int, layer: str = "after") -> tuple[float, float]:
+            at = page.evaluate("([m, layer]) => review.app.scene.projectMarker(m, layer)", [marker, layer])
+            return stage["x"] + at["x"], stage["y"] + at["y"]
+
+        def click_name(label: str) -> None:
+            page.evaluate("review.app.lanes.box.scrollTop = 0")
+            row = page.evaluate("m => review.app.lanes.rows.findIndex((each) => each.marker === m)", labels.index(label))
+            revision = get_take(page)["revision"]
+            page.mouse.click(lanes["x"] + 20, lanes["y"] + 13 * row + 6)
+            page.wait_for_function("revision => review.getState().take.revision !== revision", arg=revision)
+
+        one, two = (
+            {"kind": "assign", "first": first + 40, "last": first + 59},
+            {"kind": "assign", "first": first + 100, "last": first + 129},
+        )
+        page.locator("#lanes-order").select_option("body")
+        page.keyboard.press("Escape")
+        page.keyboard.press("Home")
+        page.keyboard.press("Tab")
+        expect(page.locator("#marker-label")).to_have_text("*1")
+        click_name(labels[2])
+        page.keyboard.press("Home")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Tab")
+        page.keyboard.press("u")
+        page.locator("#assign-marker").select_option(labels[3])
+        press_and_wait(page, "Enter")
+        expected = [one | {"markers": [labels[2], "*1"]}, two | {"markers": [labels[3], "*2"]}]
+        assert read_changes(running)["corrections"] == expected
+        page.mouse.click(*find_place(1, "unlabelled"))
+        click_name(labels[4])
+        assert read_changes(running)["corrections"] == [*expected, two | {"markers": [labels[4], "*2"]}]
+        for _ in range(3):
+            press_and_wait(page, "Control+z")
+
+        pair = [labels.index("LKNE"), labels.index("RKNE")]
+        start = 150
+        page.evaluate("t => review.app.playback.moveTo(t)", start)
+        page.keyboard.press("1")
+        page.mouse.click(*find_place(pair[0]))
+        page.evaluate("t => review.app.playback.moveTo(t)", start)
+        page.keyboard.down("Control")
+        page.mouse.click(*find_place(pair[1]))
+        page.keyboard.up("Control")
+        expect(page.locator("#status")).to_contain_text("S swaps LKNE and RKNE")
+        press_and_wait(page, "s")
+        [swap] = read_changes(running)["corrections"]
+        is_shown = take.visible[start:, [take.labels.index(label) for label in ("LKNE", "RKNE")]]
+        end = start + np.argmin(np.r_[is_shown.min(1), False]) - 1
+        assert swap == {"kind": "swap", "markers": ["LKNE", "RKNE"], "first": first + start, "last": first + end}
+        press_and_wait(page, "Control+z")
+
+        page.keyboard.press("Escape")
+        page.keyboard.press("Shift+S")
+        expect(page.locator("#confirm-text")).to_contain_text("pairs of labels")
+        press_and_wait(page, "Enter")
+        swaps = read_changes(running)["corrections"]
+        sides = {(label, f"R{label[1:]}") for label in labels if label[0] == "L" and f"R{label[1:]}" in labels}
+        assert {tuple(each["markers"]) for each in swaps} == sides
+        assert {(each["first"], each["last"]) for each in swaps} == {(first, first + take.frame_count - 1)}
+        press_and_wait(page, "Control+z")
+        assert "corrections" not in read_changes(running)
+        page.context.close()
+    assert not problems
 
 
 def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_them(

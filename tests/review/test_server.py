@@ -185,7 +185,10 @@ def test_edits_at_the_same_time_are_all_in_the_file_or_refused(running: RunningS
         {"revision": "x", "action": []},
         {"revision": "x", "action": {"type": "decide", "ids": "all", "decision": "reject"}},
         {"revision": "x", "action": {"type": "decide", "ids": [], "decision": "maybe"}},
-        {"revision": "x", "action": {"type": "add", "correction": {"kind": "wrong", "markers": ["NOSE"], "first": 1, "last": 2}}},
+        {
+            "revision": "x",
+            "action": {"type": "add", "corrections": [{"kind": "wrong", "markers": ["NO"], "first": 1, "last": 2}]},
+        },
         {"revision": "x", "action": {"type": "remove", "index": 7}},
         [],
         "text",
@@ -224,7 +227,7 @@ def test_cleaning_again_writes_what_the_command_line_writes(running: RunningServ
     edit(running, {"type": "decide", "ids": [rejected["id"]], "decision": "reject"})
     other = take["labels"][0]
     frames = {"first": take["first_frame"] + 20, "last": take["first_frame"] + 29}
-    edit(running, {"type": "add", "correction": {"kind": "wrong", "markers": [other], **frames}})
+    edit(running, {"type": "add", "corrections": [{"kind": "wrong", "markers": [other], **frames}]})
     expected = running.folder.parent / "expected"
     shutil.copytree(running.folder, expected)
     command = ["clean", str(running.folder.parent / "walk.c3d"), "--prior", "none", "--out", str(expected), "--overwrite"]
@@ -302,7 +305,7 @@ def test_approval_has_name_and_date_and_ends_with_the_next_edit(running: Running
     (entry,) = fetch(running, "session")["takes"]
     assert (entry["state"], entry["approved_by"]) == ("approved", "Ann <b>")
     assert edit(running, {"type": "decide", "ids": [change], "decision": "accept"})["state"] == "in review"
-    assert fetch(running, "takes/walk/withdraw", {}) == {"approval": None, "state": "in review"}
+    assert fetch(running, "takes/walk/approve", {"name": None}) == {"approval": None, "state": "in review"}
     assert not (running.folder / "walk.approval.json").exists()
 
 

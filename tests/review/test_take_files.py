@@ -1,6 +1,7 @@
 """What the page shows of a take: its samples, their states, the body, and what it does without the input."""
 
 import json
+import pickle
 import shutil
 from dataclasses import replace
 from functools import reduce
@@ -20,17 +21,13 @@ from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, read_yaml_mode
 from mocapfix.model.animation import Animation
 from mocapfix.model.changes import serialize_changes
 from mocapfix.report.sample_states import SampleOutcome
+from mocapfix.review.edits import AnyEdit, CarryEdit, DecisionStore, EditConflictError, EditedState, parse_edit
 from mocapfix.review.review_session import OpenTake
 from mocapfix.review.take_files import (
     NO_INPUT_NOTE,
-    AnyEdit,
-    CarryEdit,
-    DecisionStore,
-    EditConflictError,
     classify_shown_samples,
     find_cleaned_takes,
     load_take_view,
-    parse_edit,
     replace_unstored_sd,
 )
 from tests.io.test_changes_file import build_change, build_take
@@ -164,7 +161,7 @@ def test_decisions_notes_and_corrections_are_in_the_file_at_once(tmp_path: Path)
     store = DecisionStore(path)
     edit(store, store.revision, type="decide", ids=[SPIKE], decision="reject", reviewer="Ann: <b>")
     edit(store, store.revision, type="note", id=GAP, text="looks <odd>: ask")
-    edit(store, store.revision, type="add", correction=WRONG)
+    edit(store, store.revision, type="add", corrections=[WRONG])
     review = read_changes_file(path, build_take())
     assert [(each.entry.id, each.entry.decision) for each in review.declined] == [(SPIKE, "reject")]
     assert (review.reviewers, review.notes) == ({SPIKE: "Ann: <b>"}, {GAP: "looks <odd>: ask"})
@@ -175,7 +172,7 @@ def test_file_is_written_as_a_cleaning_writes_it(tmp_path: Path) -> None:
     path = write_file(tmp_path)
     before, store = path.read_bytes(), DecisionStore(path)
     edit(store, store.revision, type="decide", ids=[GAP], decision="keep")
-    edit(store, store.revision, type="add", correction=WRONG)
+    edit(store, store.revision, type="add", corrections=[WRONG])
     assert path.read_bytes() != before
     edit(store, store.revision, type="undo")
     edit(store, store.revision, type="undo")
@@ -189,14 +186,14 @@ def test_after_a_thousand_edits_file_state_and_list_of_edits_are_equal(tmp_path:
     """Decisions, notes, corrections, undoing and redoing at random, beside a list of contents with a position in it."""
     rng, path = np.random.default_rng(seed), write_file(tmp_path)
     store = DecisionStore(path)
-    start, contents, position, edits = store.state, [store.file], 0, list[AnyEdit]()
+    start, edits, contents, position = store.state, list[AnyEdit](), [store.file], 0
     for n in range(1000):
         name, corrections = str(rng.choice([SPIKE, GAP])), store.file.corrections
         ids = [name] if rng.random() < 0.5 else [SPIKE, GAP]
         actions: list[dict[str, Any]] = [
             {"type": "decide", "ids": ids, "decision": str(rng.choice(["accept", "reject", "keep"]))},
             {"type": "note", "id": name, "text": "".join(map(chr, rng.integers(32, 0xD7FF, 8)))},
-            *[{"type": "add", "correction": WRONG | {"note": str(n)}}] * (len(corrections) < 20),
+            *[{"type": "add", "corrections": [WRONG | {"note": str(n)}]}] * (len(corrections) < 20),
             *[{"type": "remove", "index": len(corrections) - 1}] * bool(corrections),
             *[{"type": "undo"}] * (2 * bool(position)),
             *[{"type": "redo"}] * (2 * (position < len(contents) - 1)),
@@ -213,7 +210,8 @@ def test_after_a_thousand_edits_file_state_and_list_of_edits_are_equal(tmp_path:
         assert (len(store.state.done), len(store.state.undone)) == (position, len(contents) - 1 - position)
         if n % 20 == 0:
             assert read_yaml_model(ChangesFileModel, path) == store.file
-    assert reduce(lambda state, edit: edit.apply(state), edits, start) == store.state
+    state = reduce(lambda state, edit: edit.apply(state), edits, start)
+    assert (state.file, len(state.done), len(state.undone)) == (store.file, len(store.state.done), len(store.state.undone))
     while store.state.done:
         edit(store, store.revision, type="undo")
     assert read_yaml_model(ChangesFileModel, path) == start.file
@@ -241,6 +239,21 @@ def test_decisions_are_carried_to_the_changes_that_a_cleaning_found(tmp_path: Pa
     assert [each.reviewer for each in carried] == ["Ann", "", "Ann"]
     assert carried[2].samples == 0  # it is not found, and was not made
     assert CarryEdit(before=before, after=before).change(found) == found
+
+
+def test_undoing_a_decision_on_all_of_many_changes_takes_little_memory(tmp_path: Path) -> None:
+    path = write_file(tmp_path)
+    file = read_yaml_model(ChangesFileModel, path)
+    many = [file.changes[0].model_copy(update={"id": f"spike-{n}"}) for n in range(4000)]
+    state = EditedState(file.model_copy(update={"changes": many}))
+    for decision in ("reject", "keep"):
+        action = {"type": "decide", "ids": [each.id for each in many], "decision": decision}
+        state = parse_edit(action).apply(state)
+    assert sum(len(pickle.dumps(step)) for step in state.done) < 200_000  # bytes; a content has some millions
+    for decision in ("reject", "accept"):
+        state = parse_edit({"type": "undo"}).apply(state)
+        assert {each.decision for each in state.file.changes} == {decision}
+    assert state.file.changes == many
 
 
 def test_a_new_edit_ends_redoing(tmp_path: Path) -> None:
@@ -285,9 +298,9 @@ def test_file_that_became_invalid_is_named_and_not_overwritten(tmp_path: Path) -
         ({"type": "note", "id": "spike-NOSE-1", "text": ""}, "has no change spike-NOSE-1"),
         ({"type": "note", "id": GAP, "text": "x" * 3000}, "text String should have at most 2000 characters"),
         ({"type": "remove", "index": 0}, "has no correction 1"),
-        ({"type": "add", "correction": WRONG | {"kind": "wrng"}}, "The edit is not allowed: add.correction.kind"),
-        ({"type": "add", "correction": WRONG | {"markers": ["C7", "RBAC"]}}, "wrong must name one marker"),
-        ({"type": "add", "correction": "wrong"}, "The edit is not allowed"),
+        ({"type": "add", "corrections": [WRONG | {"kind": "wrng"}]}, "The edit is not allowed: add.corrections.0.kind"),
+        ({"type": "add", "corrections": [WRONG | {"markers": ["C7", "RBAC"]}]}, "wrong must name one marker"),
+        ({"type": "add", "corrections": "wrong"}, "The edit is not allowed"),
         ({"type": "undo"}, "nothing to undo"),
         ({"type": "redo"}, "nothing to make again"),
         ({"type": "erase"}, "The edit is not allowed"),

@@ -13,6 +13,12 @@ export const correctionActions = {
     return [this.playback.frame + this.take.first_frame, this.playback.frame + this.take.first_frame];
   },
 
+  // The frames of the selected change if it is one of the marker, else null.
+  findChangeFrames() {
+    const { change } = this;
+    return change?.markers.includes(this.getMarkerLabel()) ? [this.toIndex(change.first), this.toIndex(change.last)] : null;
+  },
+
   getMarkerLabel() { return this.take.labels[this.marker ?? 0]; },
 
   async add(question) {
@@ -24,6 +30,7 @@ export const correctionActions = {
   mark(kind) { return this.allows("mark") && this.add(dialogs.askMark(this.take.labels, this.getMarkerLabel(), this.getInterval(), kind)); },
   swap() {
     if (!this.allows("swap")) return false;
+    if (this.other !== null && this.other !== undefined) return this.swapPicked();
     const marker = this.getMarkerLabel(), other = this.change?.markers.find((label) => label !== marker && this.take.labels.includes(label));
     return this.add(dialogs.askSwap(this.take.labels, [marker, other], this.getInterval()));
   },
@@ -32,6 +39,7 @@ export const correctionActions = {
   requestFill() {
     if (!this.allows("fill")) return;
     const marker = this.marker ?? 0, isOfMarker = this.change?.markers.includes(this.take.labels[marker]);
+    this.keys.close();
     this.scene.frameMarkers([marker]);
     const { frame } = this.playback, run = this.lanes.findRun(marker, frame);
     this.fills.open(this.take, this.samples, marker, this.stretch || isOfMarker ? this.getInterval() : run.map((each) => each + this.take.first_frame));
@@ -39,6 +47,7 @@ export const correctionActions = {
 
   assign() {
     if (!this.allows("assign")) return false;
+    if (this.run) return this.add(dialogs.askAssign(this.take.labels, this.take.unlabelled, this.getMarkerLabel(), this.take.unlabelled[this.run[0]], this.nameRun()));
     const named = this.change?.markers.find((label) => this.take.unlabelled.includes(label));
     return this.add(dialogs.askAssign(this.take.labels, this.take.unlabelled, this.getMarkerLabel(), named, this.getInterval()));
   },
@@ -68,7 +77,7 @@ export const outputActions = {
     if (this.take.approval?.is_current) {
       const { name, date } = this.take.approval;
       if (!(await dialogs.confirmAction("Withdraw the approval", `${name} approved this take on ${date}. Withdraw the approval?`))) return;
-      return this.report(async () => this.applyReview(this.take, await api.withdrawApproval(this.take.id)));
+      return this.report(async () => this.applyReview(this.take, await api.approveTake(this.take.id, null)));
     }
     const name = await dialogs.askName(this.session?.reviewer ?? "");
     if (name !== null) await this.report(async () => this.applyReview(this.take, await api.approveTake(this.take.id, name)));

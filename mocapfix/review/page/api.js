@@ -41,7 +41,6 @@ export const sendEdit = (id, revision, action) => post(`${takePath(id)}/edit`, {
 export const startCleaning = (id, options) => post(`${takePath(id)}/clean`, options);
 export const cancelCleaning = (id) => post(`${takePath(id)}/cancel`, {});
 export const approveTake = (id, name) => post(`${takePath(id)}/approve`, { name });
-export const withdrawApproval = (id) => post(`${takePath(id)}/withdraw`, {});
 export const closeReview = () => post("close", {});
 
 // Calls receive(event) for every event, and report(isConnected) when the stream opens or is lost.

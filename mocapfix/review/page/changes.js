@@ -106,7 +106,7 @@ export function renderCorrections(element, corrections, selected, { onSelect, on
     row.dataset.index = index;
     const remove = buildCell("×");
     remove.title = "Remove (Delete)";
-    const method = each.method ? `: ${each.method}` : "";
+    const method = each.method ? `: ${each.method}` : each.points?.length ? `: ${each.points.length}` : "";
     row.append(buildCell(each.kind + method), buildCell(each.markers.join(", ")), buildCell(`${each.first}–${each.last}`, "number"), remove);
     row.addEventListener("click", () => onSelect(index));
     remove.addEventListener("click", (event) => { event.stopPropagation(); onRemove(index); });

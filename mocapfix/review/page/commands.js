@@ -23,7 +23,7 @@ function listCommands(app) {
     [["Ctrl+y", "Ctrl+Z"], "Ctrl-Y", "make again what was undone", () => app.redo(), "redo"],
     [["ArrowDown"], "↓", "next row in the list", () => app.selectNeighbour(1)],
     [["ArrowUp"], "↑", "previous row in the list", () => app.selectNeighbour(-1)],
-    [["Enter"], "Enter", "fold or unfold the event", () => app.toggleFold()],
+    [["Enter"], "Enter", "fold or unfold the event; set the points by hand, if there are any", () => (app.keys.isOpen ? app.keys.apply() : app.toggleFold())],
     [["PageDown"], "Page down", "next event in time", () => app.selectInTime(1), "next-change"],
     [["PageUp"], "Page up", "previous event in time", () => app.selectInTime(-1), "previous-change"],
     [[" "], "Space", "play or pause", () => playback.toggle(), "play"],
@@ -40,9 +40,15 @@ function listCommands(app) {
     [["Escape"], "Escape", "no stretch; close lists", () => app.leave()],
     [["w"], "W", "mark the stretch as wrong", () => app.mark("wrong"), "mark"],
     [["x"], "X", "mark the stretch as missing", () => app.mark("missing")],
-    [["s"], "S", "swap two labels", () => app.swap(), "swap"],
+    [["s"], "S", "swap two labels; click a marker in the view and Ctrl-click another to swap them up to the next break of either", () => app.swap(), "swap"],
+    [["Shift+S"], "Shift-S", "exchange left and right of the whole body, in the stretch or the whole take", () => app.swapSides()],
+    [["Tab"], "Tab", "next unlabelled trajectory; a click on the name of a marker labels it", () => app.pickNextRun()],
     [["u"], "U", "assign an unlabelled trajectory", () => app.assign(), "assign"],
     [["g"], "G", "see all estimates of a gap or stretch, of which a number takes one", () => app.requestFill(), "fill"],
+    [["j"], "J", "set a point of the marker by hand at this frame, or remove it; or Ctrl-click and Ctrl-drag on its curves", () => app.toggleKey()],
+    [["Shift+ArrowUp"], "Shift-↑", "move the point of this frame by 1 mm", () => app.keys.move(app, playback.frame, 0.001)],
+    [["Shift+ArrowDown"], "Shift-↓", "move it back", () => app.keys.move(app, playback.frame, -0.001)],
+    [["y"], "Y", "move points along another axis", () => app.keys.nextAxis()],
     [["Delete"], "Delete", "remove the selected correction", () => app.removeCorrection()],
     [["z"], "Z", "zoom the lanes to the selection, or to the whole take; the wheel zooms, with Shift it moves, as does Alt-drag", () => app.toggleZoom(), "lanes-zoom"],
     [["i"], "I", "curves of position, speed, distance; Ctrl-click on a lane adds its marker, Ctrl-wheel enlarges", () => app.curves.changeQuantity()],
@@ -78,7 +84,7 @@ function listCommands(app) {
 function nameKey(event) {
   const isLetter = event.key.length === 1 && event.key.toLowerCase() !== event.key.toUpperCase();
   if (event.ctrlKey || event.metaKey) return `Ctrl+${event.shiftKey ? event.key.toUpperCase() : event.key.toLowerCase()}`;
-  if (event.shiftKey && (event.key === "A" || event.key.startsWith("Arrow"))) return `Shift+${event.key}`;
+  if (event.shiftKey && (["A", "S"].includes(event.key) || event.key.startsWith("Arrow"))) return `Shift+${event.key}`;
   return isLetter ? event.key.toLowerCase() : event.key;
 }
 
@@ -98,6 +104,7 @@ export function connectCommands(app) {
     const key = nameKey(event), command = byKey.get(key);
     if (!command || !app.isReady || (isTyping(event.target) && !["Escape", "Ctrl+k"].includes(key))) return;
     if ((key === " " || key === "Enter") && event.target.matches("button")) return;
+    if (key === "Tab" && (event.target !== document.body || !app.take.unlabelled.length)) return;  // it goes on to the next control
     if (event.target.id === "limit" && key.startsWith("Arrow")) return;
     event.preventDefault();
     if (isTyping(event.target)) event.target.blur();

@@ -1,5 +1,6 @@
 // The filters and boxes of the page, and the pointer over the view.
 
+const CLICK_PX = 4;
 const find = (id) => document.getElementById(id);
 
 export function connectControls(app) {
@@ -21,9 +22,12 @@ export function connectControls(app) {
     app.hovered = app.scene.findTrajectory(event.clientX - box.left, event.clientY - box.top);
     app.placeLabels();
   });
-  stage.addEventListener("dblclick", () => {
-    if (!app.hovered || app.hovered.layer === "unlabelled") return;
-    app.pickLane(app.hovered.index, null, false);
+  let pressed = null;
+  stage.addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY]; }, { capture: true });
+  stage.addEventListener("click", (event) => {
+    if (!app.isReady || event.target !== app.scene.canvas || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > CLICK_PX) return;
+    const box = stage.getBoundingClientRect(), hit = app.scene.findTrajectory(event.clientX - box.left, event.clientY - box.top);
+    if (hit) app.pickTrajectory(hit, event.ctrlKey || event.metaKey);
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => app.applyTheme(localStorage.getItem("theme")));
 }

@@ -6,6 +6,7 @@ import { TimeWindow } from "./window.js";
 const CONTEXT_S = 1;
 const LEFT = 92, RIGHT = 14, TOP = 20, GAP = 6, BOTTOM = 14;
 const BAND_SDS = 2;
+const KEY_PX = 7;
 const SCALE_FACTOR = 1.25;  // of the values, for each step of the wheel
 const OTHER_COLOURS = ["#0072b2", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
 const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
@@ -23,17 +24,17 @@ const QUANTITIES = {
 };
 
 export class CurveView {
-  constructor(canvas, { onScrub, onStretch }) {
+  constructor(canvas, { onScrub, onStretch, onKey, onRemoveKey }) {
     const find = (id) => document.getElementById(id);
     Object.assign(this, {
       canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"), band: find("curves-band"),
-      onScrub, onStretch, markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1, estimates: [],
+      onScrub, onStretch, onKey, onRemoveKey, rows: [], markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1, estimates: [],
     });
     this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => !event.ctrlKey });
     canvas.addEventListener("wheel", (event) => this.scale(event), { passive: false });
     canvas.addEventListener("pointerdown", (event) => this.startDrag(event));
     canvas.addEventListener("pointermove", (event) => this.continueDrag(event));
-    canvas.addEventListener("pointerup", () => { this.drag = null; });
+    canvas.addEventListener("pointerup", () => this.endDrag());
     this.other.addEventListener("change", () => { this.isReferenceChosen = true; });
     for (const select of [this.quantity, this.other]) select.addEventListener("change", () => this.draw());
   }
@@ -104,11 +105,39 @@ export class CurveView {
     if (this.marker === null || event.button || event.altKey) return;
     this.canvas.setPointerCapture(event.pointerId);
     this.drag = { isStretch: event.shiftKey, from: this.window.frameAt(event.clientX) };
+    if (event.ctrlKey || event.metaKey) return this.startKey(event);
     if (!event.shiftKey) this.onScrub(this.drag.from);
+  }
+
+  // Begins to move the point under the pointer, or a new one.
+  startKey(event) {
+    const from = this.drag.from, at = event.clientY - this.canvas.getBoundingClientRect().top;
+    const axis = this.rows.findIndex(({ top, height }) => at >= top && at <= top + height), { points } = this.estimates[0] ?? {};
+    if (axis < 0 || this.quantity.value !== "position") { this.drag = null; return; }
+    const near = [...points?.keys() ?? []].find((t) => Math.abs(this.window.x(t) - this.window.x(from)) < KEY_PX && Math.abs(this.rows[axis].y(points.get(t)[axis] * 1000) - at) < KEY_PX);
+    Object.assign(this.drag, { axis, from: near ?? from, isKept: near !== undefined, row: this.rows[axis], y: at });
+    if (near === undefined) this.onKey(from, axis, this.readValue(at));
+  }
+
+  // The value in metres at a height of the row that is dragged, whose scale stays meanwhile.
+  readValue(at) {
+    const { top, height, low, high } = this.drag.row;
+    return (low + (1 - (at - top) / height) * (high - low)) / 1000;
+  }
+
+  endDrag() {
+    if (this.drag?.isKept) this.onRemoveKey(this.drag.from);
+    this.drag = null;
   }
 
   continueDrag(event) {
     if (!this.drag) return;
+    if (this.drag.row) {
+      const at = event.clientY - this.canvas.getBoundingClientRect().top;
+      if (this.drag.isKept && Math.abs(at - this.drag.y) < 2) return;
+      this.drag.isKept = false;
+      return this.onKey(this.drag.from, this.drag.axis, this.readValue(at));
+    }
     const frame = this.window.frameAt(event.clientX);
     if (this.drag.isStretch) this.onStretch([Math.min(this.drag.from, frame), Math.max(this.drag.from, frame)]);
     else this.onScrub(frame);
@@ -129,6 +158,7 @@ export class CurveView {
     if (!this.estimates.length) this.shade(context, this.interval, colour("--selected"), height);
     this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", height);
     context.font = "11px system-ui, sans-serif";
+    this.rows = [];
     quantity.rows.forEach(([name, evaluate], n) => {
       this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand && !this.estimates.length, isSigned: quantity.hasBand ?? false, value: (...args) => evaluate(this, ...args), evaluate }, colour);
     });
@@ -158,6 +188,7 @@ export class CurveView {
     const margin = Math.max(row.isSigned ? 1 : 0.001, 0.06 * (high - low));
     [low, high] = this.magnify(row.isSigned ? low - margin : Math.max(0, low - margin), high + margin, after);
     const y = (value) => row.top + (1 - (value - low) / (high - low)) * row.height, digits = high - low < 10 ? 2 : 0;
+    this.rows.push({ ...row, low, high, y });
     context.strokeStyle = colour("--line");
     context.lineWidth = 1;
     context.strokeRect(LEFT, row.top, this.window.width, row.height);
@@ -221,12 +252,20 @@ export class CurveView {
     return Float64Array.from({ length: scale.to - scale.from + 1 }, (_, n) => value(n + scale.from - from));
   }
 
-  drawEstimate(context, line, y, { colour, isActive, number, from, length }) {
+  drawEstimate(context, line, y, { colour, isActive, number, from, length, points }) {
     this.strokeLine(context, line, y, colour, isActive ? 3 : 1.3);
+    if (points) return this.drawKeys(context, points, y, colour);
     const at = Math.floor((from + (length * number) / 8 - line.from) / line.step);
     if (!(line.low[at] <= line.high[at])) return;
     context.fillStyle = colour;
     context.fillText(String(number), this.window.x(line.from + at * line.step), y(line.high[at]) - 3);
+  }
+
+  // Draws the points of the row that was begun last.
+  drawKeys(context, points, y, colour) {
+    const axis = this.rows.length - 1;
+    context.fillStyle = colour;
+    for (const [t, at] of this.quantity.value === "position" ? points : []) context.fillRect(this.window.x(t) - 3.5, y(at[axis] * 1000) - 3.5, 7, 7);
   }
 
   // Returns the limits of the uncertainty of a line.

@@ -22,7 +22,10 @@ export class NoteEdit extends Edit {
 }
 
 export class AddEdit extends Edit {
-  constructor(correction) { super({ type: "add", correction: { note: "", ...correction } }, `Correction "${correction.kind}" added.`); }
+  constructor(...corrections) {
+    const text = `Correction "${corrections[0].kind}" added: ${corrections[0].markers.join(", ")}${corrections.length > 1 ? `, and ${corrections.length - 1} more` : ""}.`;
+    super({ type: "add", corrections: corrections.map((each) => ({ note: "", ...each })) }, text);
+  }
 }
 
 export class RemoveEdit extends Edit {

@@ -13,6 +13,7 @@ const METHODS = [
   { word: "rigid group", name: "rigid group", colour: "#f0e442" }, { word: "move with it", name: "markers near it", colour: "#009e73" },
   { word: "body state", name: "similar frames", colour: "#3fc7a6" }, { word: "solved body", name: "body", colour: "#0072b2" },
   { word: "own motion", name: "its own motion", colour: "#56b4e9" }, { word: "interpolation", name: "interpolation", colour: "#8c96a0" },
+  { word: "by hand", name: "set by hand", colour: "#d0a0ff" },
   { word: "place at which the foot", name: "held foot", colour: "#b07aa1" }, { word: "", name: "otherwise", colour: "#6f9bc4" },
 ];
 const OUTCOMES = {
@@ -56,6 +57,9 @@ export class LaneView {
       for (const m of change.markers.map((label) => take.labels.indexOf(label)).filter((each) => each >= 0)) {
         for (let t = change.first; t <= change.last; t++) this.method[(t - take.first_frame) * take.labels.length + m] = number;
       }
+    }
+    for (const { kind, markers, first, last } of take.corrections) {
+      for (let t = first; kind === "keys" && t <= last; t++) this.method[(t - take.first_frame) * take.labels.length + take.labels.indexOf(markers[0])] = this.findMethod("set by hand");
     }
     const prefixes = new Set(take.labels.map((label) => label.match(NAME)?.[0] ?? ""));
     this.names = take.labels.map((label) => (prefixes.size === 1 ? label.replace(NAME, "") : label));

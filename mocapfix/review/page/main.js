@@ -11,7 +11,8 @@ import * as dialogs from "./dialogs.js";
 import { DecideEdit, EditQueue, NoteEdit, RedoEdit, UndoEdit } from "./edits.js";
 import { listEvents, listRows } from "./events.js";
 import { FillPreview } from "./fills.js";
-import { labelPlacement } from "./labels.js";
+import { KeyEditor } from "./keys.js";
+import { labelCorrection, labelPlacement } from "./labels.js";
 import { LaneView } from "./lanes.js";
 import { LimitBar } from "./limit.js";
 import { orderTakes, renderDetail, renderDifference, renderTakes } from "./panels.js";
@@ -31,9 +32,10 @@ class App {
     this.scene = new SceneView(find("scene"));
     this.curves = new CurveView(find("curves"), {
       onScrub: (frame) => this.playback.moveTo(frame), onStretch: (stretch) => this.setStretch(stretch),
+      onKey: (frame, axis, value) => this.setKey(frame, axis, value), onRemoveKey: (frame) => this.keys.toggle(this, frame),
     });
     this.lanes = new LaneView({
-      onPick: (marker, frame, isAdded) => this.pickLane(marker, frame, isAdded), onStretch: (stretch, marker) => this.setStretch(stretch, marker),
+      onPick: (marker, frame, isAdded) => this.pickLane(marker, frame, isAdded, true), onStretch: (stretch, marker) => this.setStretch(stretch, marker),
     });
     this.list = new ChangeList(find("changes"), { onSelect: (id) => this.select(id), onFold: (id) => this.toggleFold(id) });
     this.limit = new LimitBar({
@@ -45,6 +47,9 @@ class App {
     });
     this.fills = new FillPreview({
       onShow: (estimates) => this.showEstimates(estimates), send: (edit) => this.edits.send(edit), showStatus: (...args) => this.showStatus(...args),
+    });
+    this.keys = new KeyEditor({
+      onShow: (estimates) => this.showEstimates(estimates), onOpen: () => this.fills.close(), send: (edit) => this.edits.send(edit), showStatus: (...args) => this.showStatus(...args),
     });
     this.scene.afterRender = () => this.placeLabels();
     dialogs.prepareDialogs();
@@ -81,7 +86,7 @@ class App {
     this.isReady = false;
     if (this.samples) this.samples.isCancelled = true;
     this.playback.toggle(false);
-    this.fills.close();
+    this.closeEstimates();
     const isSame = this.take?.id === id;
     const take = await api.fetchTake(id);
     this.take = take;
@@ -166,10 +171,11 @@ class App {
   get lastFrame() { return this.take.frame_count - 1; }
   // What the selected row stands for: an event or a change; null without one.
   get entry() { return this.list.rows.find((each) => each.id === this.selectedId) ?? null; }
-  // The selected change; of an event that of the marker, of those the one that is predicted worst.
+  // The selected change; of an event that of the marker, at this frame if it has more, else the one that is predicted worst.
   get change() {
-    const label = this.take.labels[this.marker], own = this.entry?.changes.find((each) => each.markers.includes(label));
-    return own ?? this.entry?.changes[0] ?? null;
+    const label = this.take.labels[this.marker], own = this.entry?.changes.filter((each) => each.markers.includes(label)) ?? [];
+    const frame = this.playback.frame + this.take.first_frame, here = own.find((each) => each.first <= frame && frame <= each.last);
+    return here ?? own[0] ?? this.entry?.changes[0] ?? null;
   }
 
   toIndex(frame) { return frame - this.take.first_frame; }
@@ -192,23 +198,31 @@ class App {
     this.scene.setEstimates(estimates);
   }
 
-  select(id, { keepsFrame = false, marker = null } = {}) {
+  closeEstimates() {
     this.fills.close();
-    Object.assign(this, { selectedId: id, correctionIndex: null, marker });
+    this.keys.close();
+  }
+
+  setKey(frame, axis, value) { if (this.allows("fill")) this.keys.set(this, frame, axis, value); }
+  toggleKey() { if (this.marker !== null && this.allows("fill")) this.keys.toggle(this, this.playback.frame); }
+
+  select(id, { keepsFrame = false, marker = null } = {}) {
+    this.closeEstimates();
+    Object.assign(this, { selectedId: id, correctionIndex: null, marker, other: null, run: null });
     if (id && !this.entry) this.unfoldEventOf(id);
-    const { entry } = this;
+    const { entry, change } = this;
     this.list.selectedId = id;
     this.list.showSelected();
     this.renderDetail();
     this.renderCorrections();
     if (!entry) return;
-    const markers = this.findMarkers([...this.change.markers, ...entry.markers]), interval = [this.toIndex(this.change.first), this.toIndex(this.change.last)];
+    const markers = this.findMarkers([...change.markers, ...entry.markers]), interval = [this.toIndex(change.first), this.toIndex(change.last)];
     const ordered = [...new Set([marker ?? markers[0], ...markers])].filter((each) => each !== undefined);
     this.marker = ordered[0] ?? null;
     this.lanes.select(ordered, entry.changes);
     this.curves.showMarkers(entry.changes.length > 1 ? ordered.slice(0, 1) : ordered, interval);
     if (keepsFrame) return this.showFrame(this.playback.frame);
-    this.playback.moveTo(this.middleOf(this.change));
+    this.playback.moveTo(this.middleOf(change));
     this.scene.frameMarkers(null);
   }
 
@@ -240,8 +254,9 @@ class App {
   }
 
   // Shows the marker of a lane at a frame, and selects what was changed there; adds it to the curves, if asked.
-  pickLane(marker, frame, isAdded) {
+  pickLane(marker, frame, isAdded, isName = false) {
     if (isAdded) return this.curves.toggleMarker(marker);
+    if (frame === null && isName && this.run) return this.labelRun(marker);
     if (frame !== null) this.playback.moveTo(frame);
     const number = this.playback.frame + this.take.first_frame, label = this.take.labels[marker];
     const event = this.events.find((each) => each.changes.some((change) => change.markers.includes(label) && change.first <= number && number <= change.last));
@@ -251,9 +266,8 @@ class App {
 
   // Shows a marker without a change.
   showMarker(marker, interval = null) {
-    this.fills.close();
-    this.marker = marker;
-    this.selectedId = null;
+    this.closeEstimates();
+    Object.assign(this, { marker, selectedId: null, other: null, run: null });
     this.list.selectedId = null;
     this.list.render();
     this.renderDetail();
@@ -315,7 +329,8 @@ class App {
   }
 
   leave() {
-    this.fills.close();
+    this.closeEstimates();
+    Object.assign(this, { other: null, run: null });
     this.setStretch(null);
     find("takes").hidden = true;
     find("difference").hidden = true;
@@ -487,7 +502,7 @@ class App {
   }
 }
 
-Object.assign(App.prototype, correctionActions, outputActions, labelPlacement);
+Object.assign(App.prototype, correctionActions, outputActions, labelCorrection, labelPlacement);
 
 const app = new App();
 window.review = { app, getFrameRate: () => app.playback.frameRate, getState: () => ({ frame: app.playback.frame, selected: app.selectedId, take: app.take, isComplete: app.isComplete }) };

@@ -8,7 +8,7 @@ const SHIFT_KINDS = ["moved", "drift"];  // no sample differs
 
 export const STATE = { measured: 0, filled: 1, replaced: 2, relabelled: 3, reassigned: 4, suspect: 5, empty: 6, rejected: 7 };
 
-const describeFill = ({ markers, first, last, method }) => [markers[0], first, last, method].join(" ");
+const describeFill = ({ markers, first, last, method, points }) => JSON.stringify([markers, first, last, method ?? points]);
 
 export class Samples {
   constructor(take) {
