@@ -7,7 +7,9 @@ True paths are smoothed first, so that noise of the truth does not decide whethe
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -26,15 +28,16 @@ from mocapfix.contacts.find_contacts import (
 )
 from mocapfix.errors import TakeError
 from mocapfix.lab.cards import CardData, format_table, write_card
-from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.contacts import TRUE_STANDING_SPEED_M_S, draw_foot_losses, find_true_contacts, lose_feet, lose_markers
 from mocapfix.lab.networks import extract_layers, fit_perceptron, initialise_perceptron
 from mocapfix.lab.recordings import Recording, RecordingSource, read_recordings
 from mocapfix.lab.settings import ContactSettings
 from mocapfix.lab.sound_takes import PerformedMotion, cut_performance, perform_take
 from mocapfix.options import FEET_OFF, CleanOptions
+from mocapfix.pipeline import fit_subject
+from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.learned_ik import Perceptron, write_perceptron
-from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic import SyntheticTake, write_synthetic_take
 
 PIECE_S, MIN_PIECE_S = 8.0, 1.5  # longest and shortest duration of a piece of a recording
 TRUTH_SMOOTHING_S = 1 / 60  # standard deviation of the kernel that smooths true paths
@@ -95,10 +98,9 @@ def train_contact_network(
 def iterate_pieces(recording: Recording) -> Iterator[PerformedMotion]:
     """Yield pieces of at most PIECE_S of a recording without jumps."""
     whole, length = cut_performance(recording), round(PIECE_S * recording.rate_hz)
-    for start in range(0, whole.motion.frame_count, length):
-        piece = whole.motion.select_frames(np.arange(start, min(start + length, whole.motion.frame_count)))
-        if piece.frame_count >= MIN_PIECE_S * recording.rate_hz:
-            yield whole._replace(motion=piece)
+    for frames in np.split(np.arange(whole.motion.frame_count), np.arange(length, whole.motion.frame_count, length)):
+        if len(frames) >= MIN_PIECE_S * recording.rate_hz:
+            yield whole._replace(motion=whole.motion.select_frames(frames))
 
 
 def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterator[ContactExamples]:
@@ -107,10 +109,8 @@ def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterato
     The truth knows one level of the floor. A take with several has no examples, and a frame has no weight in which a joint is
     slow above it while the other foot does not stand there: it may stand on another.
     """
-    joints = [sound.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS]
-    smooth: Float[np.ndarray, "T C 3"] = gaussian_filter1d(
-        sound.joint_positions[:, joints], TRUTH_SMOOTHING_S * sound.rate, axis=0, mode="nearest"
-    )
+    joints, sd_frames = [sound.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS], TRUTH_SMOOTHING_S * sound.rate
+    smooth: Float[np.ndarray, "T C 3"] = gaussian_filter1d(sound.joint_positions[:, joints], sd_frames, axis=0, mode="nearest")
     is_true = np.stack([find_true_contacts(path, sound.rate) for path in smooth.swapaxes(0, 1)], axis=1)
     floor = estimate_floor(smooth[:, 1::2], is_true[:, 1::2], sound.rate)
     if len(floor.level_heights_m) != 1 or floor.tilt_deg > 0:
@@ -119,13 +119,14 @@ def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterato
     other_stands = np.repeat(np.any(is_true.reshape(-1, 2, 2), axis=2)[:, ::-1], 2, axis=1)
     is_unclear = is_slow & ~is_true & ~other_stands
     damaged = lose_feet(lose_markers(sound, rng), draw_foot_losses(sound, rng, at_any_time=True))
-    try:
-        result = clean_composed_take(damaged, CleanOptions().change(feet=FEET_OFF))
-    except TakeError:
+    standing = None
+    with TemporaryDirectory() as folder, suppress(TakeError):
+        write_synthetic_take(path := Path(folder) / "take.c3d", damaged)
+        standing = fit_subject(path, CleanOptions().change(feet=FEET_OFF), path.name)[0].standing
+    if standing is None or not standing.fit.subject.solved_joints[joints].all():
         return
-    if result.joint_position_world is None or result.motion is None:
-        return
-    solved, sd = result.joint_position_world[:, joints], result.motion.joint_sd[:, joints]
+    motion = standing.filling_motion  # with feet off that in which contacts are found, before priors are added for the outputs
+    solved, sd = compute_world_poses(standing.fit.subject.skeleton, motion)[0][:, joints], motion.joint_sd[:, joints]
     is_shown = find_shown_standing(solved, sd, sound.rate)[1]
     wild = solved + rng.normal(0, rng.choice(WILD_M), solved.shape) * ~is_shown[..., None]
     for position, step, weight in ((solved, 1, 1.0), (solved, DECIMATION, COPY_WEIGHT), (wild, 1, COPY_WEIGHT)):
@@ -155,8 +156,7 @@ def fit_contact_network(
 
 def compute_contact_loss(predicted: Tensor, true: Tensor, weight: Tensor) -> Tensor:
     """Return the mean cross-entropy of logits (N, 2), by weights (N, 2)."""
-    losses = nn.functional.binary_cross_entropy_with_logits(predicted, true, reduction="none")
-    return (losses * weight).sum() / weight.sum()
+    return nn.functional.binary_cross_entropy_with_logits(predicted, true, weight, reduction="sum") / weight.sum()
 
 
 def compute_contact_scores(network: Perceptron, examples: Sequence[ContactExamples]) -> Float[np.ndarray, "10 5"]:

@@ -7,6 +7,7 @@ import pytest
 import torch
 import yaml
 
+from mocapfix.contacts import find_contacts
 from mocapfix.contacts.find_contacts import FEATURE_COUNT, find_shown_standing
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import read_yaml_model
@@ -48,6 +49,21 @@ def test_examples_are_of_hidden_frames_and_tell_what_is_true(examples):
         assert (each.weight > 0).any(axis=1).all()
     # the composed walk stands on each foot for more than half of the time
     assert 0.4 < np.concatenate([each.is_standing[each.weight > 0] for each in solved]).mean() < 1
+
+
+def test_examples_are_of_the_motion_in_which_contacts_are_found(sound, monkeypatch):
+    judged: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def judge(position, sd, rate):
+        judged.append((position, sd))
+        return find_shown_standing(position, sd, rate)
+
+    monkeypatch.setattr(find_contacts, "find_shown_standing", judge)
+    monkeypatch.setattr(contact_training, "find_shown_standing", judge)
+    list(generate_examples(sound, np.random.default_rng(0)))
+    found, learned = judged[:2]  # the first is of the pipeline, the second of the training
+    for one, other in zip(found, learned, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def build_line(seed: int, count: int = 4000) -> ContactExamples:
