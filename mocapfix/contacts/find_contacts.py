@@ -217,14 +217,13 @@ def find_frames_near_floor(
     if not floor.level_heights_m:
         return np.zeros(is_standing.shape, bool)
     feet, stands = (each.reshape(len(position), len(FOOT_JOINTS), 2, *each.shape[2:]) for each in (position, is_standing))
-    height, is_near = floor.remove_slope(feet), np.zeros(stands.shape, bool)
+    height, base, is_near = floor.remove_slope(feet), np.zeros(stands.shape[1:]), np.zeros(stands.shape, bool)
     above = height - height[..., 1:] + floor.compute_height_above(feet[..., 1:, :])
     for foot, joint in np.ndindex(stands.shape[1:]):
         low = above[stands[:, foot, joint] & (above[:, foot, 1] > -TOE_HEIGHT_M), foot, joint]
-        base = float(np.percentile(low, BASE_PERCENTILE)) if len(low) else 0.0
-        is_near[:, foot, joint] = above[:, foot, joint] < base + MAX_LEVEL_DEVIATION_M
-    for foot, is_flat in enumerate(np.all(stands, axis=2).T):  # an ankle is lowered to the toes of a foot that stands flat
-        height[:, foot, 0] -= np.median(-np.diff(height[is_flat, foot])) if is_flat.any() else 0.0
+        base[foot, joint] = np.percentile(low, BASE_PERCENTILE) if len(low) else 0.0
+        is_near[:, foot, joint] = above[:, foot, joint] < base[foot, joint] + MAX_LEVEL_DEVIATION_M
+    height[..., 0] -= base[:, 0] - base[:, 1]  # an ankle is lowered to the toes of a foot that stands flat
     sole = np.where(stands, height, np.inf).min(2)
     is_support = sole <= sole.min(1, keepdims=True) + MAX_SUPPORT_ABOVE_OTHER_M
     for foot in range(len(FOOT_JOINTS)):

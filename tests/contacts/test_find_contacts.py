@@ -126,6 +126,16 @@ def test_a_foot_is_near_the_floor_or_bears_weight_where_it_stands(ankle_m, toe_m
     assert (found[140:, 2:] == is_near).all()
 
 
+def test_the_heel_of_a_foot_that_is_mostly_on_its_ball_is_not_near():
+    feet, is_standing = stand_and_raise(0.22, 0.08), np.ones((200, 4), bool)
+    feet = feet[120:]  # 20 frames flat, 60 on the ball, whose toes are higher than a level allows
+    is_standing = is_standing[120:]
+    is_standing[20:, :2] = is_standing[19, 2:] = False
+    found = find_frames_near_floor(feet, is_standing, Floor(0.0, 0.0, (0.0,)))
+    assert not found[20:, 2].any()
+    assert found[20:, 3].all()
+
+
 def test_without_a_floor_or_a_stance_nothing_is_near():
     feet, nothing = stand_and_raise(0.08, 0.025), np.zeros((200, 4), bool)
     assert not find_frames_near_floor(feet, nothing, Floor(0.0, 0.0, (0.0,))).any()
