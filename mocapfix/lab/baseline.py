@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from pydantic import RootModel, ValidationError
@@ -115,14 +114,14 @@ COUNT_TOLERANCE_PERCENT = 5.0  # of quantities that change by steps, such as the
 FALSE_ALARM_TOLERANCE = 6.0  # false alarms a minute: one in the short version's take
 CHANGED_TOLERANCE_PERCENT_POINTS = 0.02  # of sound samples that were changed
 COVERAGE_TOLERANCE_POINTS = 2.0  # percentage points
-SPEED_TOLERANCE_PERCENT = 33.0  # ratios of processor times on shared machines vary by less than this; see docs/benchmarks.md
+SPEED_TOLERANCE_PERCENT = 45.0  # of the same code in five runs and on two machines, whole cleans differed by 28 %, parts by 42 %
 SCIPY_TOLERANCE_PERCENT = 35.0  # scipy and the solver use memory and processor differently, so their ratio varies more
 PART_TOLERANCE = (
     1.0  # times the solver alone, of a part of a clean; those below ten differed by 0.5 between runs on a busy machine
 )
 MEMORY_TOLERANCE_PERCENT = 15.0
 TWO_SIGMA_SHARE = 0.9545  # of a normal distribution within two standard deviations
-REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; the median of all counts
+REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; the fastest counts
 
 TIME_NAME = ": time relative to the solver"
 
@@ -143,14 +142,17 @@ def measure_baseline(progress: ProgressCallback, run_count: int = 1) -> Entries:
 
 
 def repeat_slow_cleans(measured: Entries, baseline: Entries, progress: ProgressCallback) -> Entries:
-    """Return the measured quantities, with more runs of the cleans that took longer than the baseline allows."""
+    """Return the measured quantities, with more runs of the cleans that took longer than the baseline allows.
+
+    Other programs on the machine only make a clean slower, so the fastest run of each part counts.
+    """
     worse = {row.name for row in compare_with_baseline(measured, baseline) if row.is_worse}
     times = [key for key in measured if key.endswith(TIME_NAME)]
     slow = [name for name in CLEAN_SCENES if any(key.startswith(f"clean, {name}") for key in worse.intersection(times))]
     if not slow:
         return measured
     runs = [build_clean_entries(measure_clean_speed(1, progress, slow, warm_up=False)) for _ in range(REPEATED_RUNS)]
-    values = {key: median([measured[key].value, *(run[key].value for run in runs)]) for key in times if key in runs[0]}
+    values = {key: min(measured[key].value, *(run[key].value for run in runs)) for key in times if key in runs[0]}
     return measured | {key: measured[key].model_copy(update={"value": value}) for key, value in values.items()}
 
 
