@@ -19,7 +19,7 @@ from mocapfix.batch.records import (
     read_record,
     write_record,
 )
-from mocapfix.errors import MocapfixError, SceneError, WriteError
+from mocapfix.errors import MocapfixError, SceneError, WriteError, join_names
 from mocapfix.io.changes_file import CHANGES_SUFFIX
 from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
@@ -154,8 +154,17 @@ def clean_with_decisions(request: CleanRequest, input_sha256: str) -> tuple[Any,
             reasons |= {path: text.removeprefix(f"{path}: ") for path in files if text.startswith(f"{path}: ")}
             if len(reasons) == known:
                 raise
-    kept = {path.replace(path.with_suffix(f".earlier{path.suffix}")): reason for path, reason in reasons.items()}
-    return result, [f"The decisions of an earlier cleaning, now in {path.name}, are not used. {kept[path]}" for path in kept]
+    return result, [_set_aside(path, reason) for path, reason in reasons.items()]
+
+
+def _set_aside(path: Path, reason: str) -> str:
+    """Give a changes file a name of those that are free, and return the sentences on it."""
+    target, before = path.with_suffix(f".earlier{path.suffix}"), list[str]()
+    while target.exists():
+        before.append(target.name)
+        target = path.with_suffix(f".earlier-{len(before) + 1}{path.suffix}")
+    text = f"The decisions of an earlier cleaning, now in {path.replace(target).name}, are not used. {reason}"
+    return f"{text} Those set aside before stay in {join_names(before)}." if before else text
 
 
 def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:

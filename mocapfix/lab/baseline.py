@@ -116,12 +116,11 @@ CHANGED_TOLERANCE_PERCENT_POINTS = 0.02  # of sound samples that were changed
 COVERAGE_TOLERANCE_POINTS = 2.0  # percentage points
 SPEED_TOLERANCE_PERCENT = 45.0  # of the same code in five runs and on two machines, whole cleans differed by 28 %, parts by 42 %
 SCIPY_TOLERANCE_PERCENT = 35.0  # scipy and the solver use memory and processor differently, so their ratio varies more
-PART_TOLERANCE = (
-    1.0  # times the solver alone, of a part of a clean; those below ten differed by 0.5 between runs on a busy machine
-)
+# Times the solver alone, of a part of a clean: those below ten differed by 0.5 between runs on a busy machine.
+PART_TOLERANCE = 1.0
 MEMORY_TOLERANCE_PERCENT = 15.0
 TWO_SIGMA_SHARE = 0.9545  # of a normal distribution within two standard deviations
-REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; the fastest counts
+REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; other programs only make it slower, so the fastest counts
 
 TIME_NAME = ": time relative to the solver"
 
@@ -142,10 +141,7 @@ def measure_baseline(progress: ProgressCallback, run_count: int = 1) -> Entries:
 
 
 def repeat_slow_cleans(measured: Entries, baseline: Entries, progress: ProgressCallback) -> Entries:
-    """Return the measured quantities, with more runs of the cleans that took longer than the baseline allows.
-
-    Other programs on the machine only make a clean slower, so the fastest run of each part counts.
-    """
+    """Return the measured quantities, with more runs of the cleans that took longer than the baseline allows: the fastest counts."""
     worse = {row.name for row in compare_with_baseline(measured, baseline) if row.is_worse}
     times = [key for key in measured if key.endswith(TIME_NAME)]
     slow = [name for name in CLEAN_SCENES if any(key.startswith(f"clean, {name}") for key in worse.intersection(times))]

@@ -106,3 +106,19 @@ def test_decisions_that_do_not_fit_are_set_aside_with_a_note(tmp_path: Path, cau
     assert ("is not known" if cause == "input" else "91") in note
     assert read_decision(path.with_name("walk.changes.earlier.yaml"), name) == ("reject", True)
     assert not any(change.reviewed for change in DecisionStore(path).file.changes)
+
+
+def test_decisions_that_are_set_aside_again_keep_those_set_aside_before(tmp_path: Path) -> None:
+    request, path, _ = review_take(tmp_path)
+    names = ["walk.changes.earlier.yaml", "walk.changes.earlier-2.yaml", "walk.changes.earlier-3.yaml"]
+    note, kept = "", list[bytes]()
+    for n, decision in enumerate(("reject", "keep", "accept")):
+        write_synthetic_take(request.path, compose_take(seed=n + 1, seconds=3.0, rate=30.0))
+        store = DecisionStore(path)
+        decide = {"type": "decide", "ids": [store.file.changes[0].id], "decision": decision}
+        store.edit(store.revision, parse_edit(decide))
+        kept.append(path.read_bytes())
+        note = jobs.clean_recorded_take(replace(request, options=build_clean_options(prior="none"))).subjects[0].notes[0]
+        assert f"now in {names[n]}, are not used" in note
+        assert [path.with_name(each).read_bytes() for each in names[: n + 1]] == kept
+    assert f"Those set aside before stay in {names[0]} and {names[1]}." in note

@@ -245,6 +245,12 @@ def test_character_rate_and_frames_are_chosen_for_an_export(page: Page, running:
     page.locator("#export-rate").fill("3")  # the browser refuses it
     page.locator("#dialog-export button.primary").click()
     expect(page.locator("#dialog-export")).to_be_visible()
+    page.locator("#export-rate").press("Enter")  # by keyboard as well
+    page.locator("#export-rate").fill("30")
+    first.fill(str(take["first_frame"] - 1))
+    first.press("Enter")
+    expect(page.locator("#dialog-export")).to_be_visible()
+    assert page.evaluate("review.app.take.run.state") != "running"
 
 
 def test_events_are_decided_by_keyboard(page: Page, running: RunningServer) -> None:
@@ -864,6 +870,16 @@ def test_marker_names_are_complete_at_every_width(page: Page, width: int) -> Non
     assert page.evaluate(f"[...document.querySelectorAll('#changes :is(.name, .number)')].filter({is_cut}).length") == 0
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert page.evaluate("document.querySelector('#end').getBoundingClientRect().right <= innerWidth")
+    assert page.locator("#hint").bounding_box()["height"] < 30  # one line
+    page.locator("#division").select_option("states")
+    page.keyboard.press("0")
+    boxes = [page.locator(each).bounding_box() for each in ("#view-bar", "#legend")]
+    assert boxes[0]["y"] + boxes[0]["height"] <= boxes[1]["y"]
+    page.wait_for_function("review.getState().isComplete")
+    page.keyboard.press("0")
+    places = page.evaluate("review.app.take.labels.map((_, m) => review.app.scene.projectMarker(m)?.y).filter(Boolean)")
+    stage = page.locator("#stage").bounding_box()
+    assert min(places) + stage["y"] > boxes[1]["y"] + boxes[1]["height"]  # the legend is above the pictures
 
 
 def test_a_preview_is_shown_while_the_take_is_cleaned_in_full(browser: Browser, folder: Path, problems: list[str]) -> None:

@@ -153,7 +153,7 @@ export class CurveView {
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     this.title.replaceChildren();
     if (this.marker === null || !this.samples) return;
-    this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--green"))), quantity.unit);
+    this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--estimated"))), quantity.unit);
     const rowHeight = (height - TOP - BOTTOM - GAP * (quantity.rows.length - 1)) / quantity.rows.length;
     if (!this.estimates.length) this.shade(context, this.interval, colour("--selected"), height);
     this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", height);
@@ -202,14 +202,14 @@ export class CurveView {
     context.beginPath();
     context.rect(LEFT, row.top, this.window.width, row.height);
     context.clip();
-    context.fillStyle = `color-mix(in srgb, ${colour("--red")} 22%, transparent)`;
+    context.fillStyle = `color-mix(in srgb, ${colour("--faulty")} 22%, transparent)`;
     this.fillRuns(context, scale, state, row);
-    context.fillStyle = `color-mix(in srgb, ${colour("--green")} 25%, transparent)`;
+    context.fillStyle = `color-mix(in srgb, ${colour("--estimated")} 25%, transparent)`;
     if (band) this.fillBand(context, band, y);
     others.forEach((line, n) => this.strokeLine(context, line, y, OTHER_COLOURS[n], 1));
-    this.strokeLine(context, plain, y, colour("--muted"), 1.2);
-    this.strokeLine(context, changed, y, colour("--red"), 1.2);
-    this.strokeLine(context, after, y, colour("--green"), 1.4);
+    this.strokeLine(context, plain, y, colour("--before"), 1.2);
+    this.strokeLine(context, changed, y, colour("--faulty"), 1.2);
+    this.strokeLine(context, after, y, colour("--estimated"), 1.4);
     estimates.forEach((line, n) => this.drawEstimate(context, line, y, this.estimates[n]));
     context.restore();
   }

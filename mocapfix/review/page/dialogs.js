@@ -20,10 +20,10 @@ export function prepareDialogs() {
     actions.replaceChildren(cancel, accept);
   }
   for (const dialog of document.querySelectorAll("dialog")) {
-    dialog.addEventListener("keydown", (event) => {  // Enter confirms, also in a list
+    dialog.addEventListener("keydown", (event) => {  // Enter confirms, also in a list, what the browser finds valid
       if (event.key !== "Enter" || event.shiftKey || event.target.matches("button")) return;
       event.preventDefault();
-      dialog.close("yes");
+      (dialog.querySelector("button.primary") ?? dialog).click();
     });
   }
 }
@@ -35,8 +35,9 @@ function fillOptions(select, names, chosen) {
 }
 
 function writeInterval(name, [first, last]) {
-  find(`${name}-first`).value = first;
-  find(`${name}-last`).value = last;
+  const { min, max } = find("frame");  // of the take
+  Object.assign(find(`${name}-first`), { value: first, min, max, required: true });
+  Object.assign(find(`${name}-last`), { value: last, min, max, required: true });
 }
 
 const readInterval = (name) => ({ first: Number(find(`${name}-first`).value), last: Number(find(`${name}-last`).value) });
@@ -89,7 +90,6 @@ export async function askExport(take) {
   find("export-rate").value = rate ?? "";
   find("export-rate").placeholder = Number(take.rate.toFixed(3));
   writeInterval("export", trim ?? [take.first_frame, lastFrame]);
-  for (const end of ends) Object.assign(end, { min: take.first_frame, max: lastFrame });
   const checked = (name) => [...document.querySelectorAll(`#dialog-export input[name="${name}"]:checked`)].map((box) => box.value);
   const allowTrim = () => { for (const end of ends) end.disabled = !checked("characters").length; };
   find("export-characters").onchange = allowTrim;

@@ -85,6 +85,7 @@ export class SceneView {
 
   setDivision(division) {
     this.division = division;
+    document.getElementById("stage").classList.toggle("divided", division !== "one");
     document.getElementById("picture-names").replaceChildren(...this.listPictures().map(([, , name]) => Object.assign(document.createElement("span"), { textContent: name })));
     this.resize();
     this.update();
@@ -146,8 +147,8 @@ export class SceneView {
 
   // The share of the picture's half height and half width that is free of boxes: above, below, beside the middle.
   measureFreeShares() {
-    const { clientHeight: height } = this.canvas, { width } = this.labelledPicture, bar = document.getElementById("view-bar").offsetHeight;
-    return [[bar + MARGIN_PX, height], [MARGIN_PX, height], [MARGIN_PX, width]].map(([used, size]) => Math.max(0.3, 1 - (2 * used) / size));
+    const { clientHeight: height } = this.canvas, { width } = this.labelledPicture, box = document.getElementById(this.division === "one" ? "view-bar" : "legend");
+    return [[box.offsetTop + box.offsetHeight + MARGIN_PX / 2, height], [MARGIN_PX, height], [MARGIN_PX, width]].map(([used, size]) => Math.max(0.3, 1 - (2 * used) / size));
   }
 
   // Moves the view so that the markers (all by default) fill it; keeps its direction, or takes the one given: see `turn`.
