@@ -120,7 +120,7 @@ SCIPY_TOLERANCE_PERCENT = 35.0  # scipy and the solver use memory and processor 
 PART_TOLERANCE = 1.0
 MEMORY_TOLERANCE_PERCENT = 15.0
 TWO_SIGMA_SHARE = 0.9545  # of a normal distribution within two standard deviations
-REPEATED_RUNS = 2  # further runs of a scene that took longer than the baseline allows; other programs only make it slower, so the fastest counts
+REPEATED_RUNS = 2  # further runs of a slow scene; the fastest counts: other programs only make it slower
 
 TIME_NAME = ": time relative to the solver"
 
@@ -141,7 +141,7 @@ def measure_baseline(progress: ProgressCallback, run_count: int = 1) -> Entries:
 
 
 def repeat_slow_cleans(measured: Entries, baseline: Entries, progress: ProgressCallback) -> Entries:
-    """Return the measured quantities, with more runs of the cleans that took longer than the baseline allows: the fastest counts."""
+    """Return the measured quantities, with more runs of the cleans that took longer than allowed, of which the fastest counts."""
     worse = {row.name for row in compare_with_baseline(measured, baseline) if row.is_worse}
     times = [key for key in measured if key.endswith(TIME_NAME)]
     slow = [name for name in CLEAN_SCENES if any(key.startswith(f"clean, {name}") for key in worse.intersection(times))]
