@@ -279,8 +279,7 @@ def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: Clean
             has_events = are_written or not options.initialise.is_fast
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
             if conditioner:
-                is_held = standing.contacts.is_contact[:, : len(CONTACT_JOINTS)]
-                standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, is_held, conditioner, options))
+                standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
     return FittedSubject(choice, detected, standing)
 
 

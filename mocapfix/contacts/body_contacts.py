@@ -105,13 +105,19 @@ MIN_DISPLACEMENT_M = 2e-5  # displacement below which a frame is not solved
 
 
 def compute_held_displacements(
-    skeleton: Skeleton, joint_position: Float[np.ndarray, "T J 3"], contacts: BodyContacts, *, is_locked: bool
+    skeleton: Skeleton,
+    joint_position: Float[np.ndarray, "T J 3"],
+    contacts: BodyContacts,
+    *,
+    is_locked: bool,
+    joint_sd: Float[np.ndarray, "T J"] | None = None,
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet that holds them, in every frame."""
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     is_contact, is_known = contacts.is_contact[:, : len(feet)], contacts.is_known[:, : len(feet)]
     of_feet = replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known)
-    return compute_foot_displacements(joint_position[:, feet], of_feet, is_locked=is_locked)
+    position_sd = None if joint_sd is None else joint_sd[:, feet]
+    return compute_foot_displacements(joint_position[:, feet], of_feet, is_locked=is_locked, position_sd=position_sd)
 
 
 class LegMarkers(NamedTuple):
@@ -269,7 +275,9 @@ def hold_measured_feet(
         is_locked: Hold feet at one place; the limit for visible markers does then not count for those of feet and shins.
     """
     subject, names = body.extended_subject, body.subject.skeleton.names
-    displacement = compute_held_displacements(subject.skeleton, body.joint_positions, contacts, is_locked=is_locked)
+    displacement = compute_held_displacements(
+        subject.skeleton, body.joint_positions, contacts, is_locked=is_locked, joint_sd=body.motion.joint_sd
+    )
     leg_markers = build_leg_markers(subject, markers, body.marker_positions, contacts.rate)
     foot_of_joint = [n for n, joints in enumerate(FOOT_JOINTS.values()) for _ in joints]
     limit = np.ones((body.motion.frame_count, len(LEGS)))

@@ -1,9 +1,10 @@
 """Where a foot shall be while it stands, as a smooth displacement from where the motion has it.
 
 `soft` removes the fast part of a standing foot's motion: skin and cameras, but not the slow rolling of the foot. `lock` holds the
-foot at one place in the horizontal plane. Both keep its own height, except where no marker shows the foot. Between contacts the
-displacement returns to 0, with the least acceleration (`smooth_displacement`). A foot is rigid: `restore_foot_length` keeps the
-distance from ankle to toes.
+foot at one place in the horizontal plane. Both keep its own height, except where no marker shows the foot. A foot that markers
+show in no frame of a contact stands at one place in both (`compute_hidden_displacement`). Between contacts the displacement
+returns to 0, with the least acceleration (`smooth_displacement`). A foot is rigid: `restore_foot_length` keeps the distance from
+ankle to toes.
 
 The feet of an animation that slide because its path was stretched are held at the middle of their slide, as far as its steps
 allow: `compute_step_displacements`.
@@ -79,7 +80,12 @@ TAKE_LOCK = Lock()
 
 
 def compute_foot_displacements(
-    position: Float[np.ndarray, "T C 3"], contacts: BodyContacts, *, is_locked: bool, lock: Lock = TAKE_LOCK
+    position: Float[np.ndarray, "T C 3"],
+    contacts: BodyContacts,
+    *,
+    is_locked: bool,
+    lock: Lock = TAKE_LOCK,
+    position_sd: Float[np.ndarray, "T C"] | None = None,
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet, in every frame.
 
@@ -87,7 +93,9 @@ def compute_foot_displacements(
         position: Metres: the joints of `contacts`, which are CONTACT_JOINTS.
         is_locked: Hold each contact at one place; otherwise remove its fast motion.
         lock: How it is held there.
+        position_sd: Standard deviations of the positions in metres; without them all are as certain.
     """
+    position_sd = np.zeros(position.shape[:2]) if position_sd is None else position_sd
     is_held = contacts.is_contact.copy()
     if is_locked:
         for c in range(is_held.shape[1]):
@@ -98,7 +106,8 @@ def compute_foot_displacements(
         held = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, lock.largest_m if is_locked else None)
         wanted = np.column_stack([held - position[:, c], np.ones(len(position))])
         smooth = smooth_displacement(wanted, is_held[:, c], is_known | ~is_held[:, c], contacts.rate, lock)
-        moved[:, c], share[:, c] = smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
+        hidden = compute_hidden_displacement(position[:, c], is_held[:, c], is_known, position_sd[:, c], contacts.rate, lock)
+        moved[:, c], share[:, c] = smooth[:, :3] + hidden, np.clip(smooth[:, 3], 0, 1)
     target = position.copy()
     for ankle, toe in ([CONTACT_JOINTS.index(joint) for joint in joints] for joints in FOOT_JOINTS.values()):
         length_m = np.linalg.norm(position[:, toe] - position[:, ankle], axis=1)
@@ -152,6 +161,35 @@ def compute_target(
     return target
 
 
+STEP_ACCELERATION_M_S2 = 10.0  # with which a foot comes to or leaves the place where it stands
+HIDDEN_RETURN_SD_M = 0.03  # standard deviation of a joint at which the displacement of a hidden foot takes RETURN_TIME_S
+MIN_SD_M = 0.001  # smallest one that counts
+
+
+def compute_hidden_displacement(
+    path: Float[np.ndarray, "T 3"],
+    is_contact: Bool[np.ndarray, " T"],
+    is_known: Bool[np.ndarray, " T"],
+    position_sd: Float[np.ndarray, " T"],
+    rate: float,
+    lock: Lock,
+) -> Float[np.ndarray, "T 3"]:
+    """Return the displacement of a joint, in metres, for its contacts that markers show in no frame.
+
+    It stands at the mean of its path, in which a frame counts by its certainty; those beside the contact count the less, the
+    farther a foot may have moved. Where the path is certain it is not displaced.
+    """
+    wanted, frames, sd = np.zeros(path.shape), np.arange(len(path)), np.maximum(position_sd, MIN_SD_M)
+    for first, last in find_runs(is_contact):
+        if not is_known[first : last + 1].any():
+            beside_s = np.maximum(np.maximum(first - frames, frames - last), 0) / rate
+            variance = sd**2 + (STEP_ACCELERATION_M_S2 / 2 * beside_s**2) ** 2
+            wanted[first : last + 1] = np.average(path, axis=0, weights=1 / variance) - path[first : last + 1]
+    if not wanted.any():
+        return wanted
+    return smooth_displacement(wanted, is_contact, np.zeros(len(path), bool), rate, lock, (sd / HIDDEN_RETURN_SD_M) ** 4)
+
+
 def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[np.ndarray, "T 3"]:
     """Return vectors, those that are longer than the largest length shortened to it."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -164,17 +202,19 @@ def smooth_displacement(
     is_limited: Bool[np.ndarray, " T"],
     rate: float,
     lock: Lock = TAKE_LOCK,
+    between_variance: Float[np.ndarray, " T"] | float = 1.0,
 ) -> Float[np.ndarray, "T D"]:
     """Return the smoothest displacement that is near the given one in contacts and near 0 between them.
 
-    It minimises the integral of contact_weight |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
+    It minimises the integral of contact_weight |x - d|^2 over contacts, of |x|^2 between them, over a given variance, and of
+    RETURN_TIME_S^4 |x''|^2.
     The last weight is larger where x would accelerate too much, as between two contacts at different places that almost touch.
 
     Args:
         displacement: The first three columns are the displacement in metres.
         is_limited: Where the acceleration is limited; not where the given displacement removes an error of a hidden foot.
     """
-    variance = np.where(is_contact, rate / lock.contact_weight, rate)
+    variance = np.where(is_contact, rate / lock.contact_weight, rate * between_variance)
     power = np.full(len(displacement), RETURN_TIME_S**-4)
     wanted = np.where(is_contact[:, None], displacement, 0.0)
     smooth = smooth_path(wanted, variance, power, rate)

@@ -30,7 +30,7 @@ from mocapfix.solve import kinematics, occluded_joints, smoothing
 from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.solve.measured_segments import smooth_share, yield_to_markers
+from mocapfix.solve.measured_segments import yield_to_markers
 from mocapfix.solve.motion_prior import GapContext, combine_rotations, predict_shipped_gap
 from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.person_memory import PersonMemory
@@ -45,7 +45,7 @@ from mocapfix.solve.pose_problem import (
     list_window_frames,
     select_windows,
 )
-from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior, find_moved_joints
+from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
@@ -306,90 +306,66 @@ def place_body(subject: SubjectInTake, initial: Motion) -> BodyFit:
 def complete_body(
     body: BodyFit, conditioner: PriorConditioner | None, options: CleanOptions, memory: PersonMemory | None = None
 ) -> BodyFit:
-    """Infer the joints that no marker shows from the rest of the solved motion, and from the memory of the person."""
+    """Infer the joints that no marker shows: from the solved motion, the memory of the person, and the motion prior."""
     if body.evidence is None:
         return body
     problem = _build_body_problem(body, options)
     motion, evidence, remembered = complete_motion(problem, body.motion, body.evidence, conditioner, memory)
     if motion is body.motion:
         return body
+    if conditioner:
+        motion = add_motion_prior(problem, motion, evidence)
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
     return replace(_build_body_fit(body, replace(motion, status=status), evidence), remembered=tuple(remembered))
 
 
-def apply_prior(
-    body: BodyFit,
-    held_joints: Sequence[str],
-    is_held: Bool[np.ndarray, "T H"],
-    conditioner: PriorConditioner,
-    options: CleanOptions,
-) -> BodyFit:
-    """Return the body under the motion prior where limbs are lost, and under the pose prior where its scope says.
-
-    The standard deviations are those without these priors.
-
-    Args:
-        body: The solved body; without evidence it is returned as it is.
-        held_joints: Names of joints that keep their positions, if markers show them.
-        is_held: When each of them stands. A lost limb that carries it then keeps its pose.
-        conditioner: The pose prior.
-        options: Those of the solve.
-    """
-    if body.evidence is None:
-        return body
-    problem, held = _build_body_problem(body, options), [body.subject.skeleton.find_joint(name) for name in held_joints]
-    motion = add_motion_prior(problem, body.motion, body.evidence, held, is_held)
-    if options.prior.prior_scope == PRIOR_EVERY_FRAME:
-        held = [j for j in held if body.subject.solved_joints[j]]
-        motion = add_pose_prior(problem, motion, body.evidence, held, conditioner)
-    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
-
-
-def add_motion_prior(
-    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, held: list[int], is_held: Bool[np.ndarray, "T H"]
-) -> Motion:
+def add_motion_prior(problem: MotionProblem, motion: Motion, evidence: PoseEvidence) -> Motion:
     """Return the motion with the lost limbs, whose variances are in the evidence, combined with the motion prior's predictions.
 
-    It yields to visible markers. The joints `held` stand when `is_held` says; the limb's pose is then taken as certain.
+    It yields to visible markers. The standard deviations are those without it.
     """
     parts, rate, size_ratio = (motion.root_position, motion.local_rotations), problem.rate, problem.subject.skeleton.size_ratio
     joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
     has_body = KnownMotion(*parts, evidence.rotation_variance, problem.is_unobserved, joints, rate).has_body[:, None]
-    carried, local_rotations = find_moved_joints(problem.pose_problem.tree.parents)[:, held], motion.local_rotations.copy()
+    local_rotations = motion.local_rotations.copy()
     for gap, lost in group_gaps(problem.is_unobserved & has_body).items():
         context = GapContext(*parts, has_body & ~problem.is_unobserved, *gap, rate)
         is_within_body = has_body[max(0, context.first - 1) : context.last + 2].all()  # known poses on both sides
         if is_within_body and (prediction := predict_shipped_gap(context.crop(), size_ratio)):
-            share = np.stack([smooth_share(1.0 - each, rate)[context.frames] for each in carried[lost] @ is_held.T], axis=1)
             rotations, variance = (each[context.frames][:, lost] for each in (motion.local_rotations, evidence.rotation_variance))
-            combined, _ = combine_rotations(rotations, share * variance, prediction.select_joints(lost))
-            local_rotations[context.frames, lost] = combined
+            local_rotations[context.frames, lost] = combine_rotations(rotations, variance, prediction.select_joints(lost))[0]
     if (local_rotations == motion.local_rotations).all():
         return motion
     inferred = replace(motion, local_rotations=local_rotations)
     return yield_to_markers(problem.subject, problem.pose_problem.marker_positions, motion, inferred, rate)
 
 
-def add_pose_prior(
-    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, held: list[int], conditioner: PriorConditioner
-) -> Motion:
-    """Return the motion under the pose prior in every frame, which yields to visible markers; joints `held` keep their places.
+def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorConditioner, options: CleanOptions) -> BodyFit:
+    """Return the body under the pose prior in every frame, which yields to visible markers. Standard deviations are those before.
 
     What it changes is computed at POSE_RATE_HZ, and interpolated in between. It is weighed against the actual errors of markers:
     the solve assumes larger ones, to be robust.
+
+    Args:
+        body: The solved body; without evidence it is returned as it is, and so it is without this prior in its options.
+        held_joints: Names of joints that keep their positions, if markers show them.
     """
-    subject, poses = problem.subject, (motion.root_position, motion.local_rotations)
+    if body.evidence is None or options.prior.prior_scope != PRIOR_EVERY_FRAME:
+        return body
+    problem, held = _build_body_problem(body, options), [body.subject.skeleton.find_joint(name) for name in held_joints]
+    subject, motion, poses = problem.subject, body.motion, (body.motion.root_position, body.motion.local_rotations)
     frames, rate = list_posed_frames(motion.frame_count, problem.rate), min(problem.rate, POSE_RATE_HZ)
-    marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, evidence.marker_sd)
+    marker_sd = estimate_actual_marker_sd(problem.pose_problem, poses, subject, body.evidence.marker_sd)
     pose_problem = replace(problem.pose_problem, marker_sd=marker_sd)
     known = motion.select_frames(frames)
-    before = known.root_position, known.local_rotations
-    found = apply_pose_prior(pose_problem, problem.prior, conditioner, before, np.array(held, int), rate)
+    before, held = (known.root_position, known.local_rotations), np.array([j for j in held if body.subject.solved_joints[j]], int)
+    found = apply_pose_prior(pose_problem, problem.prior, conditioner, before, held, rate)
     inferred = replace(known, root_position=found[0], local_rotations=found[1])
     inferred = yield_to_markers(subject, pose_problem.marker_positions[frames], known, inferred, rate)
     changes = inferred.root_position - before[0], before[1].swapaxes(-1, -2) @ inferred.local_rotations
     step, turn = kinematics.interpolate_poses(changes, frames, motion.frame_count)
-    return replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
+    motion = replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
+    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
 
 
 def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:

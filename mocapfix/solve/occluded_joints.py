@@ -19,7 +19,7 @@ same pose. Each take has an offset of its own. Beside that of the process these 
 hidden elsewhere in the take are predicted best. If they are predicted best without the memory, it is not used.
 
 Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision (`motion_prior`). In takes
-of markers fills do not gain from it: there it is added to the motion alone (`motion_solver.add_motion_prior`).
+of markers it is added to the completed motion (`motion_solver.add_motion_prior`).
 """
 
 import math

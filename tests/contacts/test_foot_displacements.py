@@ -87,6 +87,22 @@ def test_a_hidden_foot_stays_where_it_stood(is_locked):
     np.testing.assert_allclose(held[90:150], feet[90:150], atol=0.001)
 
 
+@pytest.mark.parametrize("is_locked", [False, True])
+def test_a_foot_hidden_throughout_a_contact_stands_where_its_path_is_most_certain(is_locked):
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (240, 1, 1))
+    is_contact, is_known, sd = np.zeros((240, 4), bool), np.ones((240, 4), bool), np.full((240, 4), 0.004)
+    is_known[70:170, :2], is_contact[80:140, :2] = False, True
+    wrong = feet.copy()
+    wrong[70:170, :2] += np.sin(np.pi * np.linspace(0, 1, 100))[:, None, None] * [0.2, 0.02, 0.1]
+    sd[70:170, :2] = 0.004 + 0.1 * np.sin(np.pi * np.linspace(0, 1, 100))[:, None]
+    held = wrong + compute_foot_displacements(wrong, build_contacts(is_contact, is_known), is_locked=is_locked, position_sd=sd)
+    assert np.ptp(held[82:138, :2], axis=0).max() < 0.002  # at one place
+    assert np.abs(held[82:138, :2] - feet[82:138, :2]).max() < 0.1  # nearer than on average: its path was right at the border
+    np.testing.assert_allclose(held[:70, :2], feet[:70, :2], atol=0.002)  # what markers show is not moved
+    np.testing.assert_allclose(held[180:, :2], feet[180:, :2], atol=0.002)
+    np.testing.assert_allclose(held[:, 2:], feet[:, 2:], atol=1e-12)
+
+
 def test_displacement_begins_and_ends_smoothly():
     displacement = np.zeros((240, 1))
     displacement[80:160] = 0.02

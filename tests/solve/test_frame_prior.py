@@ -156,7 +156,7 @@ def hide_limbs(markers, subject, joints=(*ARM, *LEG), frames=LOST):
     return hidden
 
 
-def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
+def test_lost_limbs_have_the_motion_prior(monkeypatch):
     truth = compose_take(seed=4, seconds=3.0, rate=60.0)
     take = Take(hide_limbs(truth.marker_positions, truth.subject), truth.labels, 60.0)
     problem = pose_problem.build_motion_problem(take, truth.subject, BODY, PRIOR, LIMITS, SolveOptions())
@@ -165,9 +165,6 @@ def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
     motion = replace(truth.motion, local_rotations=inferred)
     variance = np.full((frame_count, JOINTS), 0.04)
     evidence = PoseEvidence(np.zeros(take.visible.shape), variance, variance, np.zeros(frame_count))
-    is_held = np.zeros((frame_count, len(FEET)), bool)
-    is_held[50:80, 1] = True
-
     sizes = set()
 
     def predict(context, size_ratio):  # the first frame of the context is that of the take
@@ -177,13 +174,10 @@ def test_lost_limbs_have_the_motion_prior_unless_their_foot_stands(monkeypatch):
         return GapPrediction(rotations, variance, context.root_position[context.frames], np.ones(len(rotations)))
 
     monkeypatch.setattr(motion_solver, "predict_shipped_gap", predict)
-    found = motion_solver.add_motion_prior(problem, motion, evidence, FEET.tolist(), is_held)
+    found = motion_solver.add_motion_prior(problem, motion, evidence)
     turned = Rotation.from_matrix((truth.motion.local_rotations.swapaxes(-1, -2) @ found.local_rotations).reshape(-1, 3, 3))
     error_rad = turned.magnitude().reshape(frame_count, JOINTS)
-    np.testing.assert_allclose(error_rad[LOST, ARM], 0.15, atol=1e-6)  # half of the weight
-    np.testing.assert_allclose(error_rad[60:80, LEG], 0.3, atol=1e-6)
-    np.testing.assert_allclose(error_rad[110:120, LEG], 0.15, atol=1e-6)
-    assert np.abs(np.diff(error_rad[LOST, LEG], axis=0)).max() < 0.03
+    np.testing.assert_allclose(error_rad[LOST, [*ARM, *LEG]], 0.15, atol=1e-6)  # half of the weight
     is_lost = np.zeros((frame_count, JOINTS), bool)
     is_lost[LOST, [*ARM, *LEG]] = True
     assert (found.local_rotations == inferred)[~is_lost].all()
@@ -203,7 +197,7 @@ def test_limbs_lost_together_with_the_body_do_not_jump():
     local_rotations[LOST, ARM] @= Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
     motion, variance = replace(truth.motion, local_rotations=local_rotations), np.full((frame_count, JOINTS), 0.04)
     evidence = PoseEvidence(np.zeros(markers.shape[:2]), variance, variance, np.zeros(frame_count))
-    found = motion_solver.add_motion_prior(problem, motion, evidence, [], np.zeros((frame_count, 0), bool))
+    found = motion_solver.add_motion_prior(problem, motion, evidence)
     step, before = (
         Rotation.from_matrix((each[89:90, ARM].swapaxes(-1, -2) @ each[90:91, ARM])[0]).magnitude()
         for each in (found.local_rotations, local_rotations)
@@ -211,14 +205,15 @@ def test_limbs_lost_together_with_the_body_do_not_jump():
     np.testing.assert_allclose(step, before, atol=0.02)
 
 
-def test_fills_and_deviations_do_not_have_the_motion_prior(cleaned, tmp_path, monkeypatch):
+def test_motion_and_fills_of_lost_limbs_have_the_motion_prior_and_deviations_do_not(cleaned, tmp_path, monkeypatch):
     truth, subject, path = cleaned.truth, cleaned.result.subject, tmp_path / "lost.c3d"
     path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
     with_prior = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
     monkeypatch.setattr(motion_solver, "predict_shipped_gap", lambda *_: None)
     without = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
-    np.testing.assert_array_equal(with_prior.take.markers, without.take.markers)
-    assert [each.predicted_mm for each in with_prior.changes] == [each.predicted_mm for each in without.changes]
+    is_filled = (with_prior.take.markers != without.take.markers).any(2)
+    assert is_filled.any()
+    assert set(np.flatnonzero(is_filled.any(1))) <= set(range(LOST.start, LOST.stop))
     assert with_prior.motion is not None
     assert without.motion is not None
     np.testing.assert_array_equal(with_prior.motion.joint_sd, without.motion.joint_sd)
