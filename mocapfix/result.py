@@ -250,6 +250,7 @@ class CleaningResult:
                 f"{what} the time of a force plate in the cleaned file; its description there tells the time before."
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
+        final_report["corrections"] = [each.entry.model_dump(mode="json") for each in self.review.own_corrections]
         final_report["times"] = timer.part_times
         result = replace(self, report=final_report)._drop_samples(unstorable)
         written = result.contacts, result.changes, result.review, result.subject_report, result.comparison
@@ -360,7 +361,7 @@ def list_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: 
 def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
     """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
 
-    The labels that subjects exchanged are changes of the subject of the first marker of each exchange. Where two subjects took
+    The labels that subjects exchanged are changes of the take of the first marker of each exchange. Where two subjects took
     samples from the same unlabelled trajectory, the first one keeps them.
     """
     take = exchanges.original_take
@@ -382,7 +383,7 @@ def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningRe
     changes = exchanges.build_changes(cleaned)
     with_exchanges: list[CleaningResult] = []
     for each in subject_results:
-        if added := changes.get(each.input_take.subject_name):
+        if added := [change for change in changes if change.markers[0] in each.input_take.labels]:
             own = (*added, *each.changes)
             each = replace(each, changes=own, report={**each.subject_report, "changes": serialize_changes(own)})
         with_exchanges.append(each)

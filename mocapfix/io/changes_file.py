@@ -39,12 +39,13 @@ class Correction:
     markers: tuple[int, ...]  # indices of its markers and of an unlabelled trajectory in the take
     first: int  # first, last: frame indices, inclusive
     last: int
+    is_exchange: bool = False  # a swap with a marker of another subject, in whose review it stands with that marker only
 
     @property
     def label_fault(self) -> Fault | None:
-        """The fault of a swap or an assignment, None for other corrections."""
+        """The fault of a swap within the take or an assignment, None for other corrections."""
         marker, frames = self.markers[0], (self.first, self.last)
-        if self.entry.kind == "swap":
+        if self.entry.kind == "swap" and not self.is_exchange:
             return Fault("swap", marker, *frames, np.nan, SWAP_REASON, other_markers=self.markers[1:])
         if self.entry.kind == "assign":
             reason, donor = ASSIGNMENT_REASON, self.markers[1]
@@ -63,19 +64,20 @@ def list_label_corrections(corrections: Sequence[Correction]) -> list[Fault]:
     return [fault for each in corrections if (fault := each.label_fault)]
 
 
-def locate_correction(entry: "CorrectionModel", take: Take, place: str) -> Correction:
-    """Return a correction with the indices of its markers and frames.
+def locate_correction(entry: "CorrectionModel", take: Take, place: str, all_labels: Sequence[str] = ()) -> Correction:
+    """Return a correction with the indices of its markers and frames; the second label of a swap may be one of `all_labels`.
 
     Raises:
         SceneError: If the take does not have the markers or the frames.
     """
-    markers, first, last = _locate_entry(entry, take, _index_labels(take), place)
-    labelled = markers[:1] if entry.kind == "assign" else markers
+    markers, first, last = _locate_entry(entry, take, _index_labels(take, all_labels if entry.kind == "swap" else ()), place)
+    is_exchange = markers[-1] >= len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    labelled = markers[:1] if entry.kind == "assign" or is_exchange else markers
     if any(marker >= len(take.labels) for marker in labelled):
         raise SceneError(f"{place}.markers: {entry.kind} must name labelled markers; assign gives a trajectory to a marker.")
     if entry.kind == "assign" and markers[1] < len(take.labels):
         raise SceneError(f"{place}.markers: {entry.markers[1]} is a labelled marker; exchange labels with swap.")
-    return Correction(entry, markers, first, last)
+    return Correction(entry, markers, first, last, is_exchange)
 
 
 def _index_labels(take: Take, all_labels: Sequence[str] = ()) -> dict[str, int]:
@@ -183,6 +185,11 @@ class Review:
     reviewers: Mapping[str, str] = field(default_factory=dict[str, str])  # who has decided on a change, by its id; "" if unknown
     notes: Mapping[str, str] = field(default_factory=dict[str, str])  # the reviewer's notes by id of the change
 
+    @property
+    def own_corrections(self) -> list[Correction]:
+        """Those in the changes file of the take; exchanges with a subject may stand in the file of that subject."""
+        return [each for each in self.corrections if len(each.markers) == len(each.entry.markers)]
+
     def select_frames(self, frames: slice) -> "Review":
         """Return the review of a part of the take."""
         declined, corrections = (crop_intervals(each, frames) for each in (self.declined, self.corrections))
@@ -201,7 +208,7 @@ def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], 
     remarks = partial(_describe_remarks, review.reviewers, review.notes)
     lines = [_format_entry({**entry, **remarks(entry["id"])}) for entry in serialize_changes(changes)]
     frames = (take.first_frame, take.get_frame_number(take.frame_count - 1))
-    text = join_changes_file(take.name, frames, lines, [each.entry for each in review.corrections])
+    text = join_changes_file(take.name, frames, lines, [each.entry for each in review.own_corrections])
     with replace_atomically(Path(path)) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
@@ -264,9 +271,11 @@ def _format_plain_value(value: object) -> str:
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:
     """Return the review of each take, from the file on that take, if there is one.
 
-    `all_labels` are those of the file: a subject may exchange labels with another one.
+    `all_labels` are those of the file: a subject may exchange labels with another one. An exchange that a reviewer makes stands
+    in the file of the subject of its first marker, and is among the corrections of both.
 
-    Raises SceneError as `read_changes_file`, and if two files are on one take or a file is on none of them.
+    Raises SceneError as `read_changes_file`, if two files are on one take or a file is on none of them, and for an exchange with
+    a subject that is not among the takes.
     """
     names = [take.name for take in takes]
     path_by_take: dict[str, str | Path] = {}
@@ -281,9 +290,19 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
         if name in path_by_take:
             raise SceneError(f"{path}: take: {path_by_take[name]} is for {name} as well; give one of them.")
         path_by_take[name] = path
-    return [
-        read_changes_file(path_by_take[take.name], take, all_labels) if take.name in path_by_take else NO_REVIEW for take in takes
-    ]
+    reviews = {
+        take.name: read_changes_file(path_by_take[take.name], take, all_labels) if take.name in path_by_take else NO_REVIEW
+        for take in takes
+    }
+    for name, each in [(name, each) for name, review in reviews.items() for each in review.corrections if each.is_exchange]:
+        other = next((take for take in takes if each.entry.markers[1] in take.labels), None)
+        if other is None:
+            raise SceneError(
+                f"{path_by_take[name]}: corrections: {each.entry.markers[1]} is not cleaned with it; clean all subjects."
+            )
+        mirrored = replace(each, markers=(other.labels.index(each.entry.markers[1]),))
+        reviews[other.name] = replace(reviews[other.name], corrections=(*reviews[other.name].corrections, mirrored))
+    return list(reviews.values())
 
 
 def _read_model(path: str | Path) -> "ChangesFileModel":
@@ -308,7 +327,9 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
     index_by_label = _index_labels(take, all_labels)
     located = [(each, _locate_entry(each, take, index_by_label, f"{path}: changes.{n}")) for n, each in enumerate(file.changes)]
     declined = tuple(ReviewedChange(each, *places) for each, places in located if each.decision != "accept")
-    corrections = (locate_correction(entry, take, f"{path}: corrections.{n}") for n, entry in enumerate(file.corrections))
+    corrections = (
+        locate_correction(entry, take, f"{path}: corrections.{n}", all_labels) for n, entry in enumerate(file.corrections)
+    )
     reviewers = {entry.id: entry.reviewer for entry in file.changes if entry.reviewed}
     return Review(declined, tuple(corrections), reviewers, {entry.id: entry.note for entry in file.changes if entry.note})
 
@@ -327,6 +348,8 @@ def build_fault_review(take: Take, review: Review) -> FaultReview:
     labels, has_corrected_label = list_label_corrections(review.corrections), np.zeros(kept.shape, bool)
     for fault in labels:
         has_corrected_label[fault.frame_slice, list(fault.markers)] = True
+    for each in (correction for correction in review.corrections if correction.is_exchange):
+        has_corrected_label[each.first : each.last + 1, each.markers[0]] = True
 
     def is_accepted(fault: Fault) -> bool:
         if fault.kind in MISSING_KINDS:

@@ -29,7 +29,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import TakeError, format_name_list, join_names
-from mocapfix.io.changes_file import Review, read_changes_files
+from mocapfix.io.changes_file import SWAP_REASON, Review, read_changes_files
 from mocapfix.labels.label_swaps import build_exchange_fault
 from mocapfix.labels.tracklets import link_points
 from mocapfix.model.changes import Change, build_changes, compute_editable_mask
@@ -394,31 +394,32 @@ class SubjectExchanges:
         ]
         return replace(part, notes=(*part.notes, *notes))
 
-    def build_changes(self, cleaned: Take) -> dict[str, list[Change]]:
-        """Return the changes by subject, that of the first marker of each. `cleaned` is the cleaned take of all subjects."""
-        changes: dict[str, list[Change]] = {}
+    def build_changes(self, cleaned: Take) -> list[Change]:
+        """Return the changes. `cleaned` is the cleaned take of all subjects."""
         methods = np.full(cleaned.visible.shape, "", object)
-        for change, fault in build_changes(self.original_take, self.take, cleaned, self.faults, None, methods):
-            changes.setdefault(self.take.marker_subjects[fault.marker], []).append(change)
-        return changes
+        return [each for each, _ in build_changes(self.original_take, self.take, cleaned, self.faults, None, methods)]
 
 
 def correct_subject_labels(
     take: Take, parts: Sequence[Take], reviews: Sequence[Review], options: CleanOptions
 ) -> SubjectExchanges:
-    """Find the labels that subjects exchanged, and exchange them back.
+    """Find the labels that subjects exchanged, and exchange them back, after those that a reviewer exchanged.
 
     Args:
-        reviews: The review of each part: exchanges that it declined are left as they are.
+        reviews: The review of each part: exchanges that it declined or made are left as they are.
         options: `detect.repair_kinds`, `fill.keep` and `fill.frames` restrict what is changed.
     """
     names = [part.subject_name for part in parts if part.subject_name != UNASSIGNED_SUBJECT]
-    if len(names) < 2 or (options.detect.repair_kinds and "swap" not in options.detect.repair_kinds):
-        return SubjectExchanges(take, take)
     is_editable = compute_editable_mask(take, options.fill)
     declined = [each for review in reviews for each in review.declined if each.entry.kind == "swap"]
-    faults: list[Fault] = []
-    corrected = take
+    own = (each for review in reviews for each in review.own_corrections if each.is_exchange)
+    made = [(each, tuple(map(take.labels.index, each.entry.markers))) for each in own]
+    faults = [Fault("swap", m, each.first, each.last, np.nan, SWAP_REASON, other_markers=(other,)) for each, (m, other) in made]
+    faults = [each for each in faults if is_editable[each.frame_slice][:, list(each.markers)].all()]
+    corrected = take.exchange_labels_in_turn([(each.markers, each.first, each.last) for each in faults]) if faults else take
+    if len(names) < 2 or (options.detect.repair_kinds and "swap" not in options.detect.repair_kinds):
+        return SubjectExchanges(take, corrected, tuple(faults))
+    made_faults = tuple(faults)
     pairs, done, subjects = list(combinations(names, 2)), 0, np.array(take.marker_subjects, object)
     columns = {name: np.flatnonzero(subjects == name) for name in names}
     while done < len(pairs):
@@ -437,13 +438,14 @@ def correct_subject_labels(
                     each.entry.markers == [take.labels[m] for m in fault.markers] and overlap_in_time(each, fault)
                     for each in declined
                 )
+                and not any({*each.markers} & {*fault.markers} and overlap_in_time(each, fault) for each in made_faults)
             ]
             if found:  # the pairs that follow are compared with these labels corrected
                 corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])
                 faults += found
                 done = n + 1
                 break
-    return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
+    return SubjectExchanges(take, corrected, tuple(faults))
 
 
 MIN_UNASSIGNED_MARKERS = 3  # the number of unassigned markers visible in one frame that is needed to fill them from each other

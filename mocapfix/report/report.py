@@ -1,6 +1,6 @@
 """The JSON report of a cleaned take: typed sections with stable keys. `report.build_report` builds them."""
 
-from typing import NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 from mocapfix.labels.label_summary import LabellingSection
 from mocapfix.model.changes import ChangeEntry
@@ -236,6 +236,7 @@ class Report(TypedDict):
     contacts: NotRequired[ContactSection]  # contacts with the floor, of a take or an animation with a body
     rigid_groups: NotRequired[list[RigidGroupEntry]]  # props; without a body also segments that are rigid, if there are any
     arguments: NotRequired[list[str]]  # the input and the options of `mocapfix clean`, files relative to the folder of the report
+    corrections: NotRequired[list[dict[str, Any]]]  # those of the reviewer that were made, as in the changes file
     seconds: dict[str, float]  # time by stage, and "total"
     times: dict[str, PartTime]  # the same by part, such as "solve/poses", with processor time
     notes: list[str]  # sentences on what else needs attention

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import ExitStack, suppress
@@ -218,18 +219,11 @@ class OpenTake:
             output, choices = self.take.options.output, self.take.export_choices
             written = {name: list(map(str, getattr(output, name))) for name in choices}
             return {
-                "id": self.take.id,
-                "name": self.take.name,
-                "subject": self.take.subject,
-                "rate": view.rate,
-                "first_frame": view.first_frame,
-                "frame_count": view.frame_count,
+                **{key: getattr(self.take, key) for key in ("id", "name", "subject")},
+                **{key: getattr(view, key) for key in ("rate", "first_frame", "frame_count", "labels", "bones", "sticks")},
                 "floor_m": view.floor_height_m,
-                "labels": view.labels,
                 "unlabelled": view.unlabelled_labels,
                 "joints": view.joint_names,
-                "bones": view.bones,
-                "sticks": view.sticks,
                 "characters": list(self.take.find_characters()),
                 "motion_floor_m": output.floor_height_m,
                 "motion_start": max(0, output.trim[0] - view.first_frame) if output.trim else 0,
@@ -259,7 +253,7 @@ class OpenTake:
                     if id(each) not in known
                 ],
                 **({} if before else {"events": self._grouped[1]}),
-                "corrections": [each.model_dump() for each in file.corrections],
+                "corrections": describe_corrections(file.corrections, self.take.report.get("corrections")),
                 "undo_count": len(self.store.state.done),
                 "redo_count": len(self.store.state.undone),
                 **self._describe_state(),
@@ -284,7 +278,9 @@ class OpenTake:
             file, subjects = self.store.file, [each.changes_path for each in self.subjects]
             wanted = CorrectionModel(kind="fill", markers=[marker], first=first, last=last, method="spline")
             self._check_correction(wanted)
-            fills = [each for each in file.corrections if each.kind == "fill"]
+            stretch = {"markers", "first", "last"}
+            same = wanted.model_dump(include=stretch)
+            fills = [each for each in file.corrections if each.kind == "fill" and each.model_dump(include=stretch) != same]
             others = [each.model_dump() for each in file.corrections if each.kind != "fill"]
             declined = [each for each in file.changes if each.decision != "accept"]
             kept = [each.id for each in declined if each.decision == "keep" or each.kind in SHIFT_KINDS]
@@ -369,13 +365,25 @@ class OpenTake:
             raise SceneError(f"{self.take.name} is an animation: corrections are for takes of markers.")
         loose = Take(view.unlabelled, view.unlabelled_labels, view.rate, view.first_frame)
         take = Take(view.after, view.labels, view.rate, view.first_frame, Path(self.take.name), unlabelled=loose)
-        locate_correction(correction, take, "The correction")
+        labels = [label for each in self.subjects for label in each.report["take"].get("labels", ())]
+        locate_correction(correction, take, "The correction", labels)
 
     def _describe_state(self) -> dict[str, Any]:
         """Return how far the review is, and its approval."""
         approval, revision = take_files.read_approval(self.take), self.store.revision
         entry = approval and {"name": approval.name, "date": approval.date, "is_current": approval.changes_sha256 == revision}
         return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
+
+
+def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[object] | None) -> list[dict[str, Any]]:
+    """Return corrections as the page has them, and whether the samples are without them; older reports do not tell."""
+    entries = [each.model_dump(mode="json") for each in corrections]
+    left = Counter(json.dumps(each, sort_keys=True) for each in (entries if made is None else made))
+    for entry in entries:
+        key = json.dumps(entry, sort_keys=True)
+        left[key] -= 1
+        entry["is_pending"] = left[key] < 0
+    return entries
 
 
 def compare_cleanings(
@@ -577,11 +585,6 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     state = take_files.determine_state(file, approval, revision)
     approved = approval if state == "approved" else None
     worst = find_worst_change(file.changes)
-    return entry | {
-        "state": state,
-        "change_count": len(file.changes),
-        "reviewed_count": sum(change.reviewed for change in file.changes),
-        "worst_mm": worst.predicted_mm if worst else None,
-        "approved_by": approved.name if approved else "",
-        "approved_at": approved.date if approved else "",
-    }
+    entry |= {"approved_by": approved.name, "approved_at": approved.date} if approved else {}
+    entry |= {"change_count": len(file.changes), "reviewed_count": sum(change.reviewed for change in file.changes)}
+    return entry | {"state": state, "worst_mm": worst.predicted_mm if worst else None}

@@ -30,7 +30,7 @@ from mocapfix.review.edits import hash_changes
 from mocapfix.stats.sequences import sample_evenly
 
 MARKER_FORMATS = ("c3d", "trc", "csv")
-KEPT_REPORT_KEYS = ("take", "arguments", "notes", "times")
+KEPT_REPORT_KEYS = ("take", "arguments", "corrections", "notes", "times")
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,18 @@
 import json
 import os
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from mocapfix import pipeline
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.io.capture import read_take
-from mocapfix.io.changes_file import NO_REVIEW, read_changes_files
+from mocapfix.io.changes_file import NO_REVIEW, SWAP_REASON, read_changes_files
+from mocapfix.io.yaml_files import ChangesFileModel
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import SubjectExchanges, correct_subject_labels
 from mocapfix.labels.requested_labels import label_take
@@ -356,6 +359,70 @@ def test_exchanges_between_subjects_can_be_declined(exchanged, corrected, tmp_pa
     assert not [fault for fault in result.faults.items if fault.kind == "swap" and fault.first == 50]
     changes = [change for change in result.subject_results[0].changes if change.kind == "swap" and "Ann:LANK" in change.markers]
     assert [change.decision for change in changes] == ["reject"]
+
+
+def write_exchanges(source: Path, target: Path, names: tuple[str, str], frames: tuple[int, int]) -> Path:
+    """Write a changes file with an exchange of all labels of two subjects."""
+    entries = [
+        {"kind": "swap", "markers": [f"{name}:{label}" for name in names], "first": frames[0], "last": frames[1]}
+        for label in CMU41
+    ]
+    content = yaml.safe_load(source.read_text(encoding="utf-8"))
+    target.write_text(yaml.safe_dump({**content, "corrections": entries}), encoding="utf-8")
+    return target
+
+
+@pytest.mark.parametrize("names", [("Jim", "Ann"), ("Ann", "Jim")])
+def test_a_reviewer_exchanges_all_labels_of_two_subjects(files, two, names, tmp_path):
+    """Where the labels of the whole take are exchanged no fault shows; the correction gives the cleaning of the right labels."""
+    take = read_take(files / "two.c3d")
+    columns = [[take.labels.index(f"{name}:{label}") for label in CMU41] for name in ("Jim", "Ann")]
+    points = take.markers.copy()
+    points[:, columns[0] + columns[1]] = points[:, columns[1] + columns[0]]
+    (tmp_path / "two.c3d").write_bytes(build_c3d(points, take.labels, first=FIRST_FRAME))
+    frames = (FIRST_FRAME, FIRST_FRAME + FRAMES - 1)
+    path = write_exchanges(two[1][f"{names[0]}.changes.yaml"], tmp_path / "made.yaml", names, frames)
+    result = pipeline.clean(tmp_path / "two.c3d", review_files=(path,))
+    np.testing.assert_array_equal(result.take.markers, two[0].take.markers)
+    for each, known in zip(result.subject_results, two[0].subject_results, strict=True):
+        own = [change for change in each.changes if change.why == SWAP_REASON]
+        is_file = each.input_take.subject_name == names[0]
+        assert [change.markers for change in own] == [tuple(f"{name}:{label}" for name in names) for label in CMU41] * is_file
+        assert [change for change in each.changes if change not in own] == list(known.changes)
+        assert any("exchanged the labels" in note for note in each.subject_report["notes"]) == (
+            each.input_take.subject_name != "others"
+        )
+    outputs = result.write(tmp_path / "out")
+    written = {
+        name: ChangesFileModel.model_validate(yaml.safe_load(outputs[f"{name}.changes.yaml"].read_text())) for name in names
+    }
+    assert [len(written[name].corrections) for name in names] == [len(CMU41), 0]
+    reports = [json.loads(outputs[f"{name}.report.json"].read_text())["corrections"] for name in names]
+    assert reports == [[each.model_dump(mode="json") for each in written[name].corrections] for name in names]
+    again = pipeline.clean(tmp_path / "two.c3d", review_files=tuple(outputs[f"{name}.changes.yaml"] for name in names))
+    np.testing.assert_array_equal(again.take.markers, result.take.markers)
+
+
+def test_no_detection_undoes_what_a_reviewer_exchanged(files, two, tmp_path):
+    path = write_exchanges(two[1]["Jim.changes.yaml"], tmp_path / "made.yaml", ("Jim", "Ann"), (61, 100))
+    before, result = read_take(files / "two.c3d"), pipeline.clean(files / "two.c3d", review_files=(path,))
+    jim, ann = ([before.labels.index(f"{name}:{label}") for label in CMU41] for name in ("Jim", "Ann"))
+    frames, expected = slice(30, 70), before.markers.copy()
+    expected[frames, jim + ann] = before.markers[frames, ann + jim]
+    known = result.relabelled_take.visible[:, jim + ann]
+    np.testing.assert_array_equal(result.relabelled_take.markers[:, jim + ann][known], expected[:, jim + ann][known])
+    assert known.sum() == np.isfinite(expected[:, jim + ann, 0]).sum()
+    kept = pipeline.clean(files / "two.c3d", review_files=(path,), frames=(31, 70))
+    assert not [fault for fault in kept.faults.items if fault.reason == SWAP_REASON]  # frames that may not change
+
+
+def test_an_exchange_with_a_subject_that_is_not_cleaned_is_refused(files, two, tmp_path):
+    path = write_exchanges(two[1]["Jim.changes.yaml"], tmp_path / "made.yaml", ("Jim", "Ann"), (61, 100))
+    with pytest.raises(SceneError, match=r"made\.yaml: corrections: Ann:.* is not cleaned with it"):
+        pipeline.clean(files / "two.c3d", review_files=(path,), subject_prefix="Jim")
+    write_exchanges(two[1]["Jim.changes.yaml"], path, ("Jim", "Tom"), (61, 100))
+    with pytest.raises(SceneError, match=r"made\.yaml: corrections\.0\.markers: .* has no marker Tom:"):
+        pipeline.clean(files / "two.c3d", review_files=(path,))
 
 
 @pytest.mark.parametrize(

@@ -509,6 +509,10 @@ def test_an_estimate_of_a_gap_is_taken_by_a_number_and_is_what_the_next_cleaning
     assert page.evaluate(READ_MARKER, stretch) == before
     press_and_wait(page, "Control+y")
     assert page.evaluate(READ_MARKER, stretch) == shown
+    page.reload()
+    wait_until_ready(page)
+    page.wait_for_function("review.app.samples.requested.size")  # it is shown before it is cleaned
+    assert page.evaluate(READ_MARKER, stretch) == shown
     page.keyboard.press("c")
     page.wait_for_selector("#difference:not([hidden])")
     page.wait_for_function("review.app.isComplete")
@@ -583,6 +587,10 @@ def test_points_are_set_by_hand_by_keyboard_and_are_what_the_next_cleaning_makes
     assert page.evaluate(READ_MARKER, outside) == before_it  # the spline goes on from there
     assert np.linalg.norm(np.diff([*before_it, *shown], axis=0), axis=1).max() < 0.1
     expect(page.locator("#lanes-legend")).to_contain_text("set by hand")
+    page.reload()
+    wait_until_ready(page)
+    page.wait_for_function("review.getState().isComplete")
+    assert page.evaluate(READ_MARKER, stretch) == shown
     page.keyboard.press("c")
     page.wait_for_selector("#difference:not([hidden])")
     page.wait_for_function("review.app.isComplete")
@@ -699,7 +707,7 @@ def test_labels_are_corrected_by_clicks_and_keys(browser: Browser, folder: Path,
 
         page.keyboard.press("Escape")
         page.keyboard.press("Shift+S")
-        expect(page.locator("#confirm-text")).to_contain_text("pairs of labels")
+        expect(page.locator("#exchange-what")).to_contain_text("left and right: ")
         press_and_wait(page, "Enter")
         swaps = read_changes(running)["corrections"]
         sides = {(label, f"R{label[1:]}") for label in labels if label[0] == "L" and f"R{label[1:]}" in labels}
@@ -709,6 +717,123 @@ def test_labels_are_corrected_by_clicks_and_keys(browser: Browser, folder: Path,
         assert "corrections" not in read_changes(running)
         page.context.close()
     assert not problems
+
+
+@pytest.fixture(scope="module")
+def cleaned_duo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a take of two people, duo.c3d, and of its outputs, duo.mocapfix. Not to be changed."""
+    folder = tmp_path_factory.mktemp("duo")
+    one, other = (compose_take(seed=seed, seconds=3.0, rate=60.0) for seed in (3, 4))
+    markers = np.concatenate([one.damaged_positions, other.damaged_positions + [1.2, 0.0, 0.3]], axis=1)
+    labels = (*(f"Ann:{label}" for label in one.labels), *(f"Bob:{label}" for label in other.labels))
+    write_c3d(folder / "duo.c3d", Take(markers, labels, 60.0))
+    pipeline.clean(folder / "duo.c3d", prior="none").write(folder / "duo.mocapfix")
+    return folder
+
+
+READ_PEOPLE = """layer => Object.fromEntries(review.app.scene.people.map(({ take, samples }) => [take.subject,
+    take.labels.map((_, m) => [...Array(take.frame_count).keys()].map((t) => samples.getPosition(layer, t, m)))]))"""
+
+
+def read_people(page: Page, layer: str) -> dict[str, np.ndarray]:
+    """Return the positions (M, T, 3) of each person as the page has them."""
+    return {name: np.array(rows, float) for name, rows in page.evaluate(READ_PEOPLE, layer).items()}
+
+
+@pytest.mark.parametrize("is_by_mouse", [False, True])
+def test_labels_of_two_people_are_exchanged_as_the_command_line_does(
+    browser: Browser, cleaned_duo: Path, tmp_path: Path, problems: list[str], is_by_mouse: bool
+) -> None:
+    shutil.copytree(cleaned_duo, tmp_path / "session")
+    folder = tmp_path / "session" / "duo.mocapfix"
+    with serve(folder) as running:
+        page = open_page(browser, running, problems)
+        page.wait_for_function("review.app.scene.people.length === 2 && review.getState().isComplete")
+        take, other = page.evaluate("review.app.scene.people.map(each => ({ ...each.take }))")
+        path, first = folder / f"duo.{take['subject']}.changes.yaml", take["first_frame"]
+        untouched, before = path.read_bytes(), read_people(page, "before")
+        start, end = (40, 70) if is_by_mouse else (0, take["frame_count"] - 1)  # a stretch, or the whole take
+        if is_by_mouse:
+            page.evaluate("review.app.playback.moveTo(40)")
+            for key in ("[", *["Shift+ArrowRight"] * 3, "]"):
+                page.keyboard.press(key)
+            page.locator("#exchange").click()
+            page.locator("#exchange-what").select_option(index=1)
+            click_and_wait(page, "#dialog-exchange button.primary")
+        else:
+            page.keyboard.press("Shift+S")
+            page.keyboard.press("ArrowDown")
+            press_and_wait(page, "Enter")
+        swaps = yaml.safe_load(path.read_text(encoding="utf-8"))["corrections"]
+        names = [label.removeprefix("Ann:") for label in [*take["labels"], *other["labels"]] if label.startswith("Ann:")]
+        pairs = {tuple(f"{each['subject']}:{name}" for each in (take, other)) for name in names}
+        assert {tuple(each["markers"]) for each in swaps} == pairs
+        assert {(each["kind"], each["first"], each["last"]) for each in swaps} == {("swap", first + start, first + end)}
+        assert get_take(page)["undo_count"] == 1  # one edit
+        order = [other["labels"].index(label.replace(take["subject"], other["subject"])) for label in take["labels"]]
+        shown, frames = read_people(page, "after"), slice(start, end + 1)
+        np.testing.assert_array_equal(shown[take["subject"]][:, frames], before[other["subject"]][order, frames])
+        np.testing.assert_array_equal(shown[other["subject"]][order, frames], before[take["subject"]][:, frames])
+        press_and_wait(page, "Control+z")
+        assert path.read_bytes() == untouched
+        assert not np.array_equal(read_people(page, "after")["Ann"], shown["Ann"], equal_nan=True)
+        press_and_wait(page, "Control+y")
+
+        one, two = (np.isfinite(before[each["subject"]][..., 0]).min(1) for each in (take, other))
+        marker = int(np.flatnonzero(one & two[order])[0])
+        if is_by_mouse:
+            for index, person in ((marker, 0), (order[marker], 1)):
+                page.evaluate("review.app.playback.moveTo(120)")
+                page.keyboard.press("1")
+                place = page.evaluate(
+                    "([m, n]) => review.app.scene.projectMarker(m, 'after', review.app.scene.people[n])", [index, person]
+                )
+                stage = page.locator("#stage").bounding_box()
+                assert stage
+                page.keyboard.down("Control") if person else None
+                page.mouse.click(stage["x"] + place["x"], stage["y"] + place["y"])
+            page.keyboard.up("Control")
+            page.evaluate("review.app.playback.moveTo(120)")
+        else:
+            page.keyboard.press("Escape")
+            page.keyboard.press("s")
+            page.locator("#swap-one").select_option(take["labels"][marker])
+            page.locator("#swap-other").select_option(other["labels"][order[marker]])
+            page.locator("#swap-first").fill(str(first + 120))
+            page.locator("#swap-last").fill(str(first + take["frame_count"] - 1))
+        press_and_wait(page, "s" if is_by_mouse else "Enter")
+        last = yaml.safe_load(path.read_text(encoding="utf-8"))["corrections"][-1]
+        pair = [take["labels"][marker], other["labels"][order[marker]]]
+        assert last == {"kind": "swap", "markers": pair, "first": first + 120, "last": first + take["frame_count"] - 1}
+        shown = read_people(page, "after")
+        page.reload()
+        wait_until_ready(page)
+        page.wait_for_function("review.app.scene.people.length === 2")
+        for name, positions in read_people(page, "after").items():
+            np.testing.assert_array_equal(positions, shown[name])
+
+        expected = tmp_path / "session" / "expected"
+        shutil.copytree(folder, expected)
+        page.keyboard.press("c")
+        expect(page.locator("#status")).to_have_text("Cleaned again.")
+        page.wait_for_function("review.app.scene.people.length === 2")
+        assert not any(each["is_pending"] for each in get_take(page)["corrections"])
+        for name, positions in read_people(page, "after").items():
+            is_equal = (positions == shown[name]) | np.isnan(shown[name])
+            assert is_by_mouse or is_equal.mean() > 0.95  # but for faults of its samples; what is of another person is faulty
+            assert np.isfinite(positions).mean() > 0.99
+        page.keyboard.press("q")
+        expect(page.locator("#cover")).to_contain_text("The review has ended")
+        page.context.close()
+    assert not problems
+    command = [sys.executable, "-m", "mocapfix", "clean", str(tmp_path / "session" / "duo.c3d"), "--prior", "none"]
+    command += [part for name in ("Ann", "Bob") for part in ("--changes", str(expected / f"duo.{name}.changes.yaml"))]
+    subprocess.run([*command, "--out", str(expected), "--overwrite"], check=True, stdout=subprocess.DEVNULL)
+    names = {each.name for each in folder.iterdir()} - {".review.lock"}
+    assert names == {each.name for each in expected.iterdir()} - {".review.lock"}
+    for name in names:
+        if not name.endswith(RUN_DEPENDENT_SUFFIXES):
+            assert (folder / name).read_bytes() == (expected / name).read_bytes(), name
 
 
 def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_them(
@@ -870,16 +995,16 @@ def test_marker_names_are_complete_at_every_width(page: Page, width: int) -> Non
     assert page.evaluate(f"[...document.querySelectorAll('#changes :is(.name, .number)')].filter({is_cut}).length") == 0
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert page.evaluate("document.querySelector('#end').getBoundingClientRect().right <= innerWidth")
-    assert page.locator("#hint").bounding_box()["height"] < 30  # one line
+    find_box = "id => document.getElementById(id).getBoundingClientRect().toJSON()"
+    assert page.evaluate(find_box, "hint")["height"] < 30  # one line
     page.locator("#division").select_option("states")
     page.keyboard.press("0")
-    boxes = [page.locator(each).bounding_box() for each in ("#view-bar", "#legend")]
-    assert boxes[0]["y"] + boxes[0]["height"] <= boxes[1]["y"]
+    bar, legend, stage = (page.evaluate(find_box, each) for each in ("view-bar", "legend", "stage"))
+    assert bar["bottom"] <= legend["top"]
     page.wait_for_function("review.getState().isComplete")
     page.keyboard.press("0")
     places = page.evaluate("review.app.take.labels.map((_, m) => review.app.scene.projectMarker(m)?.y).filter(Boolean)")
-    stage = page.locator("#stage").bounding_box()
-    assert min(places) + stage["y"] > boxes[1]["y"] + boxes[1]["height"]  # the legend is above the pictures
+    assert min(places) + stage["top"] > legend["bottom"]  # the legend is above the pictures
 
 
 def test_a_preview_is_shown_while_the_take_is_cleaned_in_full(browser: Browser, folder: Path, problems: list[str]) -> None:

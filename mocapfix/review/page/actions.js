@@ -32,7 +32,8 @@ export const correctionActions = {
     if (!this.allows("swap")) return false;
     if (this.other !== null && this.other !== undefined) return this.swapPicked();
     const marker = this.getMarkerLabel(), other = this.change?.markers.find((label) => label !== marker && this.take.labels.includes(label));
-    return this.add(dialogs.askSwap(this.take.labels, [marker, other], this.getInterval()));
+    const others = this.scene.people.slice(1).flatMap(({ take }) => take.labels);
+    return this.add(dialogs.askSwap(this.take.labels, others, [marker, other], this.getInterval()));
   },
 
   // Shows the estimates of the chosen marker in the chosen stretch, or in the gap at this frame.

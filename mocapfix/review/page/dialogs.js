@@ -56,12 +56,20 @@ export async function askMark(labels, marker, interval, kind) {
   return { kind: find("mark-kind").value, markers: [find("mark-marker").value], ...readInterval("mark") };
 }
 
-export async function askSwap(labels, markers, interval) {
+export async function askSwap(labels, others, markers, interval) {
   fillOptions(find("swap-one"), labels, markers[0]);
-  fillOptions(find("swap-other"), labels, markers[1] ?? labels.find((label) => label !== markers[0]));
+  fillOptions(find("swap-other"), [...labels, ...others], markers[1] ?? labels.find((label) => label !== markers[0]));
   writeInterval("swap", interval);
   if (!(await showModal(find("dialog-swap")))) return null;
   return { kind: "swap", markers: [find("swap-one").value, find("swap-other").value], ...readInterval("swap") };
+}
+
+// Resolves to the swaps of one of some choices, each a name and pairs of labels.
+export async function askExchange(choices, interval) {
+  find("exchange-what").replaceChildren(...choices.map(([name, pairs], n) => new Option(`${name}: ${pairs.length} pairs, such as ${pairs[0].join(" and ")}`, n)));
+  writeInterval("exchange", interval);
+  if (!(await showModal(find("dialog-exchange")))) return null;
+  return choices[Number(find("exchange-what").value)][1].map((markers) => ({ kind: "swap", markers, ...readInterval("exchange") }));
 }
 
 export async function askAssign(labels, trajectories, marker, trajectory, interval) {

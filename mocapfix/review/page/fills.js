@@ -85,6 +85,16 @@ export class FillPreview {
     return true;
   }
 
+  // Estimates the fills that were taken elsewhere, or before the page was loaded, and calls draw() after each.
+  async restore(take, samples, draw) {
+    for (const each of take.corrections.filter((one) => one.kind === "fill" && one.is_pending && samples.claim(one))) {
+      const [label] = each.markers, known = each.method === "empty" ? [] : await fetchFills(take.id, label, each.first, each.last);
+      if (samples.isCancelled) return;
+      samples.request(each, take.labels.indexOf(label), known.find(({ method }) => method === each.method)?.samples ?? [], METHOD_NAMES[each.method]);
+      draw();
+    }
+  }
+
   async takeEstimate({ method, samples, name }) {
     const correction = { kind: "fill", markers: [this.label], first: this.first, last: this.last, method };
     this.samples.request(correction, this.marker, samples, name);

@@ -2,6 +2,7 @@
 
 import { AddEdit } from "./edits.js";
 import { getMethodColour } from "./lanes.js";
+import { buildSpline } from "./samples.js";
 
 const find = (id) => document.getElementById(id);
 const AXES = ["x", "y up", "z"];
@@ -74,24 +75,9 @@ export class KeyEditor {
     return this.stretch && this.stretch[0] <= own[0] && own[1] <= this.stretch[1] ? this.stretch : own;
   }
 
-  // Returns the spline through the points and the samples beside them, as the next cleaning sets it (fill/gap_filling.py).
   buildSpline() {
-    const [first, last] = this.interval, length = last - first + 1, values = new Float32Array(Math.max(0, length || 0) * 3).fill(NaN);
-    const isShown = (t) => t >= 0 && t < this.take.frame_count && !Number.isNaN(this.samples.getPosition("after", t, this.marker)[0]);
-    const beside = [first - 2, first - 1, last + 1, last + 2].filter(isShown).map((t) => [t, this.samples.getPosition("after", t, this.marker)]);
-    const knots = [...this.points, ...beside].sort(byFrame);
-    const slopes = knots.map((_, n) => {
-      const [[from, a], [to, b]] = [knots[Math.max(n - 1, 0)], knots[Math.min(n + 1, knots.length - 1)]];
-      return a.map((each, axis) => (b[axis] - each) / Math.max(to - from, 1));
-    });
-    for (let t = first, n = 0; t <= last; t++) {
-      while (n < knots.length - 2 && knots[n + 1][0] <= t) n++;
-      if (knots.length < 2 || t < knots[n][0] || t > knots[n + 1][0]) continue;
-      const [[from, a], [to, b]] = [knots[n], knots[n + 1]], span = to - from, u = (t - from) / span;
-      const weights = [2 * u ** 3 - 3 * u ** 2 + 1, u ** 3 - 2 * u ** 2 + u, 3 * u ** 2 - 2 * u ** 3, u ** 3 - u ** 2];
-      values.set(a.map((each, axis) => weights[0] * each + weights[1] * span * slopes[n][axis] + weights[2] * b[axis] + weights[3] * span * slopes[n + 1][axis]), (t - first) * 3);
-    }
-    return { number: "", name: NAME, colour: getMethodColour(NAME), from: first, length, layer: { values, counts: { values: 1 } }, points: this.points };
+    const [first] = this.interval, values = buildSpline(this.samples, this.marker, [...this.points], this.interval);
+    return { number: "", name: NAME, colour: getMethodColour(NAME), from: first, length: values.length / 3, layer: { values, counts: { values: 1 } }, points: this.points };
   }
 
   render() {
@@ -112,11 +98,9 @@ export class KeyEditor {
 
   async apply() {
     if (this.points.size < 2) return this.showStatus("A spline needs two points or more: J or Ctrl-click sets one.", true);
-    const [first, last] = this.interval, { values } = this.buildSpline().layer, start = this.take.first_frame, round = (each) => Math.round(each * 1e5) / 100;
+    const [first, last] = this.interval, start = this.take.first_frame, round = (each) => Math.round(each * 1e5) / 100;
     const points = [...this.points].sort(byFrame).map(([t, at]) => [t + start, ...at.map(round)]);
     const correction = { kind: "keys", markers: [this.take.labels[this.marker]], first: first + start, last: last + start, points };
-    const samples = Array.from({ length: last - first + 1 }, (_, n) => (Number.isNaN(values[n * 3]) ? null : [...values.subarray(n * 3, n * 3 + 3)]));
-    this.samples.request(correction, this.marker, samples, NAME);
     this.close();
     await this.send(new AddEdit(correction));
   }

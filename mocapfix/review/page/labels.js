@@ -1,6 +1,6 @@
 // The labels of markers over the 3-D view, and their correction by clicks: swaps of two trajectories, labels of unlabelled ones.
 
-import { confirmAction } from "./dialogs.js";
+import { askExchange } from "./dialogs.js";
 import { AddEdit } from "./edits.js";
 
 const find = (id) => document.getElementById(id);
@@ -13,6 +13,13 @@ export function pairSides(labels) {
   const known = new Set(labels);
   const findRight = (label) => SIDES.map(([left, right]) => label.replace(left, right)).find((each) => each !== label && known.has(each));
   return labels.map((label) => [label, findRight(label)]).filter(([, right]) => right);
+}
+
+// Returns the pairs of markers of two takes that have the same name without that of the subject.
+function pairSubjects(one, other) {
+  const name = ({ labels, subject }) => labels.map((label) => [label.startsWith(subject) ? label.slice(subject.length + 1) : label, label]);
+  const known = new Map(name(other));
+  return name(one).map(([bare, label]) => [label, known.get(bare)]).filter(([, same]) => same);
 }
 
 // Returns the runs [trajectory, first, last] of measured frames of unlabelled trajectories, in order of time.
@@ -32,17 +39,21 @@ export function listUnlabelledRuns({ unlabelled, counts: { unlabelled: count }, 
 // Methods of the application.
 export const labelCorrection = {
   // Picks a trajectory in the view: a marker, a second one to swap with it, or an unlabelled one, which a marker's name then labels.
-  pickTrajectory({ layer, index }, isAdded) {
+  pickTrajectory({ layer, index, person }, isAdded) {
     if (layer === "unlabelled") return this.pickRun(listUnlabelledRuns(this.samples).find(([u, , last]) => u === index && this.playback.frame <= last));
-    if (!isAdded || this.marker === null || index === this.marker) return this.pickLane(index, null, false);
-    this.other = index;
-    const [one, other] = [this.marker, index].map((m) => this.take.labels[m]), interval = this.findSwapInterval();
-    this.showStatus(interval ? `S swaps ${one} and ${other}, frames ${interval.join("–")}.` : `${one} or ${other} is missing at this frame.`, !interval);
+    if (person.isChosen && (!isAdded || this.marker === null || index === this.marker)) return this.pickLane(index, null, false);
+    if (!isAdded || this.marker === null) return this.showStatus(`${person.take.labels[index]}: click a marker of ${this.take.subject}, then Ctrl-click this one to swap them.`);
+    this.other = { person, index };
+    const interval = this.findSwapInterval(), labels = this.namePicked();
+    this.showStatus(interval ? `S swaps ${labels.join(" and ")}, frames ${interval.join("–")}.` : `${labels.join(" or ")} is missing at this frame.`, !interval);
   },
+
+  namePicked() { return [this.take.labels[this.marker], this.other.person.take.labels[this.other.index]]; },
 
   // The frames, in the file's own numbers, from this one to the next at which one of the picked markers is missing.
   findSwapInterval() {
-    const { frame } = this.playback, { samples } = this, isShown = (t) => [this.marker, this.other].every((m) => !Number.isNaN(samples.getPosition("before", t, m)[0]));
+    const { frame } = this.playback, { person, index } = this.other;
+    const isShown = (t) => ![this.samples.getPosition("before", t, this.marker), person.samples.getPosition("before", t, index)].some(([x]) => Number.isNaN(x));
     let last = frame;
     if (!isShown(frame)) return null;
     while (last < this.lastFrame && isShown(last + 1)) last++;
@@ -50,7 +61,7 @@ export const labelCorrection = {
   },
 
   async swapPicked() {
-    const interval = this.findSwapInterval(), markers = [this.marker, this.other].map((m) => this.take.labels[m]);
+    const interval = this.findSwapInterval(), markers = this.namePicked();
     if (!interval) return this.showStatus(`${markers.join(" or ")} is missing at this frame.`, true);
     this.other = null;
     await this.edits.send(new AddEdit({ kind: "swap", markers, first: interval[0], last: interval[1] }));
@@ -81,13 +92,14 @@ export const labelCorrection = {
     if (this.allows("assign")) await this.edits.send(new AddEdit({ kind: "assign", markers, first, last }));
   },
 
-  // Exchanges the labels of left and right in the chosen stretch or in the whole take, as one edit.
-  async swapSides() {
-    if (!this.allows("swap")) return;
-    const pairs = pairSides(this.take.labels), [first, last] = (this.stretch ?? [0, this.lastFrame]).map((each) => each + this.take.first_frame);
-    if (!pairs.length) return this.showStatus("No two labels differ in left and right only.", true);
-    const text = `Exchange ${pairs.length} pairs of labels, such as ${pairs[0].join(" and ")}, in frames ${first} to ${last}?`;
-    if (await confirmAction("Exchange left and right", text)) await this.edits.send(new AddEdit(...pairs.map((markers) => ({ kind: "swap", markers, first, last }))));
+  // Exchanges the labels of left and right, or those of two people, in the chosen stretch or in the whole take, as one edit.
+  async exchange() {
+    if (!this.allows("exchange")) return;
+    const people = this.scene.people.slice(1).map(({ take }) => [`${this.take.subject} and ${take.subject}`, pairSubjects(this.take, take)]);
+    const choices = [["left and right", pairSides(this.take.labels)], ...people].filter(([, pairs]) => pairs.length);
+    if (!choices.length) return this.showStatus("No two labels differ in left and right only, or in the subject only.", true);
+    const chosen = await askExchange(choices, (this.stretch ?? [0, this.lastFrame]).map((each) => each + this.take.first_frame));
+    if (chosen && (await this.edits.send(new AddEdit(...chosen)))) this.setStretch(null);
   },
 };
 
@@ -108,10 +120,10 @@ export const labelPlacement = {
   },
 
   placeLabel(trajectory, isChosen) {
-    const label = find("marker-label"), at = trajectory && this.scene.projectMarker(trajectory.index, trajectory.layer);
+    const label = find("marker-label"), at = trajectory && this.scene.projectMarker(trajectory.index, trajectory.layer, trajectory.person), { take } = trajectory?.person ?? this;
     label.hidden = !at;
     if (!at) return;
-    label.textContent = (trajectory.layer === "unlabelled" ? this.take.unlabelled : this.take.labels)[trajectory.index];
+    label.textContent = (trajectory.layer === "unlabelled" ? take.unlabelled : take.labels)[trajectory.index];
     label.classList.toggle("chosen", isChosen);
     label.style.transform = `translate(${at.x + 9}px, ${at.y - 22}px)`;
   },

@@ -113,8 +113,8 @@ class App {
     const load = this.samples.load(target, () => this.drawBlock(take, kept, target));
     this.isComplete = false;
     load.then(() => {
-      this.lanes.update();
       this.isComplete = this.take === take;
+      this.showDecisions(take);
       return this.addOtherPeople(take);
     }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
@@ -130,6 +130,8 @@ class App {
       await samples.load(this.playback.frame, () => {});
       if (this.take !== take || samples.frameCount !== take.frame_count) return;
       this.scene.addPerson(other, samples);
+      this.samples.others.push(samples);
+      this.showDecisions(take);
       find("division").querySelector("[value=people]").disabled = false;
     }
   }
@@ -370,13 +372,23 @@ class App {
     if (byId.size) take.changes = take.changes.map((each) => byId.get(each.id) ?? each);
     if (take !== this.take) return;
     this.renderReview();
-    this.samples.showDecisions();
-    if (this.isReady) this.showFrame(this.playback.frame);
-    this.curves.draw();
-    this.lanes.update();
+    this.showDecisions(take);
     const entry = this.session?.takes.find((each) => each.id === take.id);
     if (entry) Object.assign(entry, { state: take.state, reviewed_count: take.changes.filter((each) => each.is_reviewed).length });
     this.renderTakes();
+  }
+
+  // Shows what follows from the decisions and corrections; fills that were taken before are estimated again.
+  showDecisions(take) {
+    const { samples } = this, draw = () => {
+      if (this.take !== take) return;
+      samples.showDecisions();
+      if (this.isReady) this.showFrame(this.playback.frame);
+      this.curves.draw();
+      this.lanes.update();
+    };
+    draw();
+    if (this.isComplete) this.fills.restore(take, samples, draw).catch((error) => this.showStatus(error.message, true));
   }
 
   renderReview() {
@@ -404,7 +416,7 @@ class App {
     const { take } = this, running = this.isRunning ? "The take is being cleaned; wait until that has ended." : "";
     const correcting = take.can_correct ? "" : "Corrections are for takes of markers, not for animations.";
     const obstacles = {
-      accept: "", reject: "", keep: "", note: "", approve: running, mark: correcting, swap: correcting, fill: running || correcting,
+      accept: "", reject: "", keep: "", note: "", approve: running, mark: correcting, swap: correcting, exchange: correcting, fill: running || correcting,
       assign: correcting || (take.unlabelled.length ? "" : "The take has no unlabelled trajectory."),
       undo: take.undo_count ? "" : "There is nothing to undo.", redo: take.redo_count ? "" : "There is nothing to make again.",
       export: running || take.cannot_clean_reason, clean: this.isRunning ? "" : take.cannot_clean_reason,

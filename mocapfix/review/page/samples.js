@@ -8,6 +8,7 @@ const SHIFT_KINDS = ["moved", "drift"];  // no sample differs
 
 export const STATE = { measured: 0, filled: 1, replaced: 2, relabelled: 3, reassigned: 4, suspect: 5, empty: 6, rejected: 7 };
 
+const NO_POSITION = [NaN, NaN, NaN];
 const describeFill = ({ markers, first, last, method, points }) => JSON.stringify([markers, first, last, method ?? points]);
 
 export class Samples {
@@ -23,7 +24,8 @@ export class Samples {
     this.state = new Uint8Array(this.frameCount * this.counts.after).fill(STATE.empty);
     this.cleaned = new Map();  // of samples that a decision hides, by their index: [x, y, z, sd, state] as they were cleaned
     this.requested = new Map();  // of samples that a correction fills by an estimate, by their index: the name of its method
-    this.fills = new Map();  // of corrections that request a fill, by their content: [marker, [x, y, z, sd] of each frame, method]
+    this.fills = new Map();  // of corrections that request a fill, by their content: [marker, [x, y, z, sd] of each frame, method], null until it is known
+    this.others = [];  // samples of the other people of the file, with which labels are exchanged
     this.columns = new Map(take.labels.map((label, m) => [label, m]));
     this.isCancelled = false;
   }
@@ -60,6 +62,34 @@ export class Samples {
 
   // Shows what follows from the decisions, in some frames or in all: rejected and kept samples are as they were measured.
   showDecisions([from, to] = [0, this.frameCount - 1]) {
+    const all = [this, ...this.others];
+    for (const each of all) each.showCleaned(from, to);
+    this.showSwaps(all.flatMap((each) => each.take.corrections).filter((each) => each.is_pending && each.kind === "swap"), from, to);
+    for (const each of all) each.showOwnDecisions(from, to);
+  }
+
+  // Exchanges labels as the next cleaning does, of what was measured; what it fills is not known yet.
+  showSwaps(swaps, from, to) {
+    const locate = (label) => [this, ...this.others].map((samples) => ({ samples, index: samples.columns.get(label) })).find(({ index }) => index !== undefined);
+    const located = swaps.map(({ markers, first, last }) => ({ places: markers.map(locate), first: Math.max(first - this.take.first_frame, from), last: Math.min(last - this.take.first_frame, to) }))
+      .filter(({ places }) => places.every(Boolean));
+    const visit = (act) => located.forEach(({ places, first, last }) => { for (let t = first; t <= last; t++) act(places, t); });
+    const read = ({ samples, index }, t, layer) => samples.getPosition(layer, t, index);
+    visit((places, t) => { for (const each of places) each.samples.showMeasured(t * each.samples.counts.after + each.index, read(each, t, "before")); });
+    visit((places, t) => {
+      const positions = places.map((each) => read(each, t, "after")).reverse();
+      places.forEach(({ samples, index }, n) => samples.showMeasured(t * samples.counts.after + index, positions[n]));
+    });
+  }
+
+  showMeasured(index, position) {
+    this.keepCleaned(index);
+    this.after.set(position, index * 3);
+    this.sd[index] = NaN;
+    this.state[index] = Number.isNaN(position[0]) ? STATE.empty : position[0] === this.before[index * 3] ? STATE.measured : STATE.relabelled;
+  }
+
+  showCleaned(from, to) {
     const width = this.counts.after;
     for (const [index, [x, y, z, sd, state]] of this.cleaned) {
       if (index < from * width || index >= (to + 1) * width) continue;
@@ -68,6 +98,10 @@ export class Samples {
       this.cleaned.delete(index);
       this.requested.delete(index);
     }
+  }
+
+  showOwnDecisions(from, to) {
+    const width = this.counts.after;
     for (const correction of this.take.corrections) this.showRequested(correction, from, to);
     for (const change of this.take.changes) {
       if (change.decision === "accept" || SHIFT_KINDS.includes(change.kind)) continue;
@@ -78,20 +112,31 @@ export class Samples {
     }
   }
 
+  // Returns whether the samples of a correction are neither known nor asked for; they are to be asked for then.
+  claim(correction) { return !this.fills.has(describeFill(correction)) && Boolean(this.fills.set(describeFill(correction), null)); }
+
   // Notes the samples of a correction that requests a fill; they are shown once it is among the corrections.
   request(correction, marker, samples, name) { this.fills.set(describeFill(correction), { marker, samples, name }); }
 
   showRequested(correction, from, to) {
-    const fill = this.fills.get(describeFill(correction)), first = correction.first - this.take.first_frame;
+    const first = correction.first - this.take.first_frame;
+    const fill = correction.kind === "keys" && correction.is_pending ? this.evaluateKeys(correction) : this.fills.get(describeFill(correction));
     for (let t = Math.max(first, from); fill && t <= Math.min(correction.last - this.take.first_frame, to); t++) {
       const index = t * this.counts.after + fill.marker, sample = fill.samples[t - first] ?? null, state = this.state[index];
       if (![STATE.filled, STATE.replaced, STATE.empty, STATE.suspect].includes(state) && !sample) continue;  // it is measured
       this.keepCleaned(index);
-      this.after.set(sample?.slice(0, 3) ?? [NaN, NaN, NaN], index * 3);
+      this.after.set(sample?.slice(0, 3) ?? NO_POSITION, index * 3);
       this.sd[index] = sample?.[3] ?? NaN;
       this.state[index] = !sample ? STATE.empty : Number.isNaN(this.before[index * 3]) ? STATE.filled : STATE.replaced;
       this.requested.set(index, fill.name);
     }
+  }
+
+  evaluateKeys({ markers, first, last, points }) {
+    const start = this.take.first_frame, marker = this.columns.get(markers[0]);
+    const values = buildSpline(this, marker, points.map(([t, ...at]) => [t - start, at.map((each) => each / 1000)]), [first - start, last - start]);
+    const samples = Array.from({ length: last - first + 1 }, (_, n) => (Number.isNaN(values[n * 3]) ? null : [...values.subarray(n * 3, n * 3 + 3)]));
+    return { marker, samples, name: "set by hand" };
   }
 
   keepCleaned(index) {
@@ -103,7 +148,7 @@ export class Samples {
     const wasMissing = Number.isNaN(before[index * 3]);
     if (!isGap && wasMissing && state[index] !== STATE.relabelled) return;  // this sample belongs to a gap
     this.keepCleaned(index);
-    after.set(isGap ? [NaN, NaN, NaN] : before.subarray(index * 3, index * 3 + 3), index * 3);
+    after.set(isGap ? NO_POSITION : before.subarray(index * 3, index * 3 + 3), index * 3);
     sd[index] = NaN;
     if (change.decision === "reject" && (isGap || !wasMissing)) state[index] = STATE.rejected;
     else state[index] = isGap || wasMissing ? STATE.empty : STATE.measured;
@@ -114,4 +159,25 @@ export class Samples {
     const start = (frame * this.counts[layer] + index) * 3;
     return [this[layer][start], this[layer][start + 1], this[layer][start + 2]];
   }
+}
+
+// Returns the spline through points [frame, [x, y, z]] of a marker and the samples beside the frames, as the next cleaning sets
+// it (fill/gap_filling.py): three coordinates for each frame, NaN where it is not known.
+export function buildSpline(samples, marker, points, [first, last]) {
+  const values = new Float32Array(Math.max(0, last - first + 1 || 0) * 3).fill(NaN);
+  const isShown = (t) => t >= 0 && t < samples.frameCount && !Number.isNaN(samples.getPosition("after", t, marker)[0]);
+  const beside = [first - 2, first - 1, last + 1, last + 2].filter(isShown).map((t) => [t, samples.getPosition("after", t, marker)]);
+  const knots = [...points, ...beside].sort(([one], [other]) => one - other);
+  const slopes = knots.map((_, n) => {
+    const [[from, a], [to, b]] = [knots[Math.max(n - 1, 0)], knots[Math.min(n + 1, knots.length - 1)]];
+    return a.map((each, axis) => (b[axis] - each) / Math.max(to - from, 1));
+  });
+  for (let t = first, n = 0; t <= last; t++) {
+    while (n < knots.length - 2 && knots[n + 1][0] <= t) n++;
+    if (knots.length < 2 || t < knots[n][0] || t > knots[n + 1][0]) continue;
+    const [[from, a], [to, b]] = [knots[n], knots[n + 1]], span = to - from, u = (t - from) / span;
+    const weights = [2 * u ** 3 - 3 * u ** 2 + 1, u ** 3 - 2 * u ** 2 + u, 3 * u ** 2 - 2 * u ** 3, u ** 3 - u ** 2];
+    values.set(a.map((each, axis) => weights[0] * each + weights[1] * span * slopes[n][axis] + weights[2] * b[axis] + weights[3] * span * slopes[n + 1][axis]), (t - first) * 3);
+  }
+  return values;
 }

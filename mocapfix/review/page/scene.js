@@ -197,9 +197,9 @@ export class SceneView {
   }
 
   // Sets `point` to a place in the canvas in pixels; returns whether the trajectory is shown there.
-  projectTrajectory(layer, m, picture = this.labelledPicture) {
+  projectTrajectory(layer, m, picture = this.labelledPicture, { samples } = this) {
     const { point } = this;
-    point.fromArray(this.samples[layer], (this.frame * this.samples.counts[layer] + m) * 3);
+    point.fromArray(samples[layer], (this.frame * samples.counts[layer] + m) * 3);
     if (Number.isNaN(point.x)) return false;
     point.project(this.camera);
     point.x = picture.left + ((point.x + 1) / 2) * picture.width;
@@ -208,20 +208,21 @@ export class SceneView {
   }
 
   // Returns {x, y} of a marker after cleaning (or before) in the canvas, null where it is not shown.
-  projectMarker(m, layer = "after") {
-    if (this.projectTrajectory(layer, m)) return { x: this.point.x, y: this.point.y };
+  projectMarker(m, layer = "after", person = this.people[0]) {
+    if (this.projectTrajectory(layer, m, this.labelledPicture, person)) return { x: this.point.x, y: this.point.y };
     return layer === "after" && this.projectTrajectory("before", m) ? { x: this.point.x, y: this.point.y } : null;
   }
 
-  // Returns {layer, index} of the trajectory nearest to a place in the canvas, null if none is near.
+  // Returns {layer, index, person} of the trajectory nearest to a place in the canvas, null if none is near.
   findTrajectory(x, y) {
     let best = null, nearest = PICK_RADIUS_PX;
     const picture = this.labelledPicture;
-    for (const layer of ["after", "before", "unlabelled"]) {
-      for (let m = 0; m < this.samples.counts[layer]; m++) {
-        if (!this.projectTrajectory(layer, m, picture)) continue;
+    const people = this.people.slice(0, this.division === "people" ? 1 : undefined);
+    for (const [person, layer] of people.flatMap((each) => (each.isChosen ? ["after", "before", "unlabelled"] : ["after"]).map((name) => [each, name]))) {
+      for (let m = 0; m < person.samples.counts[layer]; m++) {
+        if (!this.projectTrajectory(layer, m, picture, person)) continue;
         const distance = Math.hypot(this.point.x - x, this.point.y - y);
-        if (distance < nearest) [best, nearest] = [{ layer, index: m }, distance];
+        if (distance < nearest) [best, nearest] = [{ layer, index: m, person }, distance];
       }
     }
     return best;
