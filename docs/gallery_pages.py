@@ -67,6 +67,11 @@ def make_review_page(studio: Studio) -> str:
                 page.wait_for_timeout(1000)
                 save_page(name, page)
                 if name == "review-page":
+                    page.keyboard.press("g")
+                    page.wait_for_selector("#fills button", timeout=CLEANING_TIMEOUT_MS)
+                    page.wait_for_timeout(1000)
+                    save_page("review-fills", page)
+                    page.keyboard.press("Escape")
                     page.keyboard.press("r")
                     page.wait_for_function("review.getState().take.changes.some(each => each.is_reviewed)")
                     page.keyboard.press("c")

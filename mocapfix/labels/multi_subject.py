@@ -419,8 +419,7 @@ def correct_subject_labels(
     corrected = take.exchange_labels_in_turn([(each.markers, each.first, each.last) for each in faults]) if faults else take
     if len(names) < 2 or (options.detect.repair_kinds and "swap" not in options.detect.repair_kinds):
         return SubjectExchanges(take, corrected, tuple(faults))
-    made_faults = tuple(faults)
-    pairs, done, subjects = list(combinations(names, 2)), 0, np.array(take.marker_subjects, object)
+    pairs, done, made_count, subjects = list(combinations(names, 2)), 0, len(faults), np.array(take.marker_subjects, object)
     columns = {name: np.flatnonzero(subjects == name) for name in names}
     while done < len(pairs):
         markers = replace(corrected, unlabelled=None, labelled_file=None, computed_points=None)
@@ -438,7 +437,7 @@ def correct_subject_labels(
                     each.entry.markers == [take.labels[m] for m in fault.markers] and overlap_in_time(each, fault)
                     for each in declined
                 )
-                and not any({*each.markers} & {*fault.markers} and overlap_in_time(each, fault) for each in made_faults)
+                and not any({*each.markers} & {*fault.markers} and overlap_in_time(each, fault) for each in faults[:made_count])
             ]
             if found:  # the pairs that follow are compared with these labels corrected
                 corrected = corrected.exchange_labels_in_turn([(fault.markers, fault.first, fault.last) for fault in found])

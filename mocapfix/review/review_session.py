@@ -60,17 +60,9 @@ class CleaningRun:
 
     def __init__(self, command: Sequence[str], take: take_files.CleanedTake, report: Callable[[RunStatus], None]) -> None:
         self._report, self._is_cancelled, self._times = report, False, take.report.get("times", {})
-        self._process = subprocess.Popen(
-            command,
-            cwd=take.folder,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            env={**os.environ, STAGE_LINES_VARIABLE: "1"},
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-        )
+        pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        pipes |= {"encoding": "utf-8", "errors": "replace"}
+        self._process = subprocess.Popen(command, cwd=take.folder, env={**os.environ, STAGE_LINES_VARIABLE: "1"}, **pipes)
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
 

@@ -24,6 +24,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
 from mocapfix.review.edits import EditConflictError
+from mocapfix.review.take_files import trace_marker
 
 if TYPE_CHECKING:
     from mocapfix.review.review_session import Event, OpenTake, ReviewSession
@@ -100,13 +101,8 @@ class ReviewServer:
         self._socket = _open_loopback_socket(port)
         self.port = int(self._socket.getsockname()[1])
         self._page_count, self._had_page, self._must_end = 0, False, asyncio.Event()
-        config = uvicorn.Config(
-            AccessGuard(self._build_application(), self.port, self._token),
-            log_level="critical",
-            access_log=False,
-            timeout_graceful_shutdown=1,
-            lifespan="off",
-        )
+        guard = AccessGuard(self._build_application(), self.port, self._token)
+        config = uvicorn.Config(guard, log_level="critical", access_log=False, timeout_graceful_shutdown=1, lifespan="off")
         self._server = uvicorn.Server(config)
 
     @property
@@ -159,6 +155,7 @@ class ReviewServer:
                 route(f"{take}/samples", self._get_samples),
                 route(f"{take}/characters", self._get_character),
                 route(f"{take}/fills", self._get_fills),
+                route(f"{take}/trace", self._get_trace),
                 route(f"{take}/edit", self._edit, "POST"),
                 route(f"{take}/clean", self._clean, "POST"),
                 route(f"{take}/cancel", self._cancel, "POST"),
@@ -187,6 +184,10 @@ class ReviewServer:
         if path is None:
             raise ReadError("There is no such character; load the page again.")
         return FileResponse(path, media_type="model/gltf-binary")
+
+    def _get_trace(self, request: Request, _: object) -> Response:
+        opened, marker = self._open(request), request.query_params.get("marker", "")
+        return Response(trace_marker(opened.take, opened.view, marker).astype("<f4").tobytes())
 
     def _get_fills(self, request: Request, _: object) -> Response:
         stretch = request.query_params.get("marker", ""), _read_number(request, "first"), _read_number(request, "last")

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from pydantic import Field, ValidationError
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError
+from mocapfix.io.bvh import read_bvh
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import CHANGES_SUFFIX
@@ -176,9 +177,7 @@ def determine_state(file: ChangesFileModel, approval: Approval | None, revision:
 JOINT_BLOCK_FRAMES = 1000
 STICK_VARIATION_WEIGHT, MAX_STICK_M = 5.0, 0.7  # longer sticks would join two people
 MAX_SAMPLES_COMPARED_AT_ONCE = 20_000  # samples that are compared with all others of their frame at a time
-NO_INPUT_NOTE = (
-    "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
-)
+NO_INPUT_NOTE = "The input file {name} is not where it was, so the markers before cleaning are not shown."
 LABELLED_NOTE = "The input file has no labels, so the markers before cleaning are shown without those that were filled."
 
 
@@ -395,3 +394,33 @@ def _compute_joints(
         positions[block] = animation.replace_values(animation.values[frames[block]]).compute_world_poses()[0]
     positions[..., 1] += shift_m
     return positions, animation
+
+
+def trace_marker(take: CleanedTake, view: TakeView, label: str) -> Float[np.ndarray, "T C"]:
+    """Return what curves of a marker need besides its samples: where the body has it (T, 3), in metres, no columns if nowhere.
+
+    Of a joint of an animation it is the angles in degrees about its axes x, y and z, before and after (T, 6).
+    """
+    if take.report["take"].get("animation"):
+        angles = np.full((view.frame_count, 6), np.nan)
+        for n, path in enumerate((take.input_path or take.cleaned_path, take.cleaned_path)):
+            if isinstance(each := _read_file(path, take.options.read), Animation) and label in each.names:
+                columns, axes = each.get_rotation_channels(each.names.index(label))
+                angles[:, 3 * n + axes] = each.values[:, columns]
+        return angles
+    from mocapfix.subject.library import choose_marker_set, read_subject  # slow to import
+
+    subject = read_subject(take.get_path("subject.yaml")) if view.joint_names else None
+    found = marker_set.match_labels(view.labels) if (marker_set := choose_marker_set(view.labels).marker_set) else {}
+    name = {view.labels[m]: name for name, m in found.items()}.get(label, label.rpartition(":")[2])
+    if subject is None or name not in subject.labels:
+        return np.zeros((view.frame_count, 0))
+    k, trace = subject.labels.index(name), np.zeros((view.frame_count, 3))
+    joint = view.joint_names.index(subject.skeleton.names[subject.joints[k]])
+    body = read_bvh(take.get_path("bvh"), options=ReadOptions(unit="cm", up_axis="Y"))
+    frames = np.minimum(np.rint(np.arange(len(trace)) * (body.rate / view.rate)).astype(int), body.frame_count - 1)
+    for first in range(0, len(frames), JOINT_BLOCK_FRAMES):
+        block = slice(first, first + JOINT_BLOCK_FRAMES)
+        _, rotations = body.replace_values(body.values[frames[block]]).compute_world_poses()
+        trace[block] = view.joints[block, joint] + rotations[:, joint] @ subject.marker_offsets[k]
+    return trace

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mocapfix import pipeline
 from mocapfix.errors import ReadError
+from mocapfix.io.bvh import read_bvh
 from mocapfix.io.capture import read_capture
 from mocapfix.io.yaml_files import ChangeModel
 from mocapfix.model.animation import Animation
@@ -24,6 +25,7 @@ from mocapfix.review.take_files import (
     find_cleaned_takes,
     load_take_view,
     replace_unstored_sd,
+    trace_marker,
 )
 from tests.io.test_changes_file import build_change
 
@@ -134,3 +136,33 @@ def test_animation_is_shown_by_its_joints(cleaned_take: Path, tmp_path: Path) ->
     assert view.frame_count == animation.frame_count
     assert view.joint_names == animation.names
     assert len(view.labels) == len(view.joint_names) + 1
+
+
+def test_a_marker_is_traced_where_the_solved_body_has_it(cleaned_take: Path) -> None:
+    (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
+    result, view = pipeline.clean(cleaned_take / "walk.c3d", prior="none"), load_take_view(take)
+    assert result.residual_m is not None
+    for m, label in enumerate(view.labels):
+        distance_m = np.linalg.norm(view.after[:, m] - trace_marker(take, view, label), axis=1)
+        known = np.isfinite(result.residual_m[:, m])
+        assert known.mean() > 0.5
+        np.testing.assert_allclose(distance_m[known], result.residual_m[known, m], atol=1e-4)
+    assert trace_marker(take, replace(view, labels=("Box:1",)), "Box:1").shape == (view.frame_count, 0)
+
+
+def test_a_joint_of_an_animation_is_traced_by_its_angles(cleaned_take: Path, tmp_path: Path) -> None:
+    path = tmp_path / "walk.bvh"
+    animation = read_bvh(cleaned_take / "walk.mocapfix" / "walk.bvh")
+    joint, values = animation.names.index("LeftForeArm"), animation.values.copy()
+    columns, axes = animation.get_rotation_channels(joint)
+    values[100:104, columns[0]] += 60.0  # a pop, which is repaired
+    rows = "\n".join(" ".join(f"{value:.6f}" for value in row) for row in values)
+    text = (cleaned_take / "walk.mocapfix" / "walk.bvh").read_text(encoding="utf-8")
+    head = text[: text.index("Frame Time:")]
+    path.write_text(f"{head}{text[len(head) :].splitlines()[0]}\n{rows}\n", encoding="utf-8")
+    pipeline.clean(path, prior="none").write(tmp_path / "walk.mocapfix")
+    (take,) = find_cleaned_takes(tmp_path / "walk.mocapfix")
+    trace = trace_marker(take, load_take_view(take), "LeftForeArm")
+    np.testing.assert_allclose(trace[:, axes], values[:, columns], atol=1e-5)
+    assert np.abs(trace[100:104, 3 + axes[0]] - animation.values[100:104, columns[0]]).max() < 30.0
+    np.testing.assert_array_equal(trace[:90, 3:], trace[:90, :3])

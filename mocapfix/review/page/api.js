@@ -34,6 +34,7 @@ export const fetchSession = async () => (await request("session")).json();
 export const fetchTake = async (id) => (await request(takePath(id))).json();
 export const fetchSamples = async (id, first, count) =>
   (await request(`${takePath(id)}/samples?first=${first}&count=${count}`)).arrayBuffer();
+export const fetchTrace = async (id, marker) => (await request(`${takePath(id)}/trace?marker=${encodeURIComponent(marker)}`)).arrayBuffer();
 export const fetchFills = async (id, marker, first, last) =>
   (await request(`${takePath(id)}/fills?marker=${encodeURIComponent(marker)}&first=${first}&last=${last}`)).json();
 export const getCharacterUrl = (id, name) => `api/${takePath(id)}/characters?name=${encodeURIComponent(name)}`;

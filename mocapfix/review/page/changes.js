@@ -1,7 +1,7 @@
 // The list of events and their changes: its rows, few of which exist at a time, however many there are.
 
 const ROW_HEIGHT = 25;
-const SPARE_ROWS = 12;
+const SPARE_ROWS = 12, MAX_NAME_LENGTH = 14;  // of two markers in a row
 
 export class ChangeList {
   constructor(element, { onSelect, onFold }) {
@@ -79,7 +79,7 @@ export class ChangeList {
     const marks = (entry.note ? "✎ " : "") + (entry.is_correction ? "★ " : "");
     row.append(
       fold,
-      buildCell(`${marks}${label}${others.length > 1 ? ` +${others.length}` : others.map((each) => `, ${each}`)}`, "name"),
+      buildCell(`${marks}${label}${others.length > 1 || `${label}${others[0] ?? ""}`.length > MAX_NAME_LENGTH ? ` +${others.length}` : others.map((each) => `, ${each}`)}`, "name"),
       buildCell(entry.kind, "kind"),
       buildCell(frames, "number"),
       buildCell(entry.predicted_mm === null ? "" : `${entry.predicted_mm.toFixed(entry.predicted_mm < 100 ? 1 : 0)} mm`, "number"),

@@ -51,7 +51,7 @@ function listCommands(app) {
     [["y"], "Y", "move points along another axis", () => app.keys.nextAxis()],
     [["Delete"], "Delete", "remove the selected correction", () => app.removeCorrection()],
     [["z"], "Z", "zoom the lanes to the selection, or to the whole take; the wheel zooms, with Shift it moves, as does Alt-drag", () => app.toggleZoom(), "lanes-zoom"],
-    [["i"], "I", "curves of position, speed, distance; Ctrl-click on a lane adds its marker, Ctrl-wheel enlarges", () => app.curves.changeQuantity()],
+    [["i"], "I", "curves of position, speed, distance to a marker or the body, rotation of a joint; Ctrl-click on a lane adds its marker, Ctrl-wheel enlarges", () => app.curves.changeQuantity()],
     [["c"], "C", "clean again with the decisions, or stop it", () => (app.isRunning ? app.report(() => api.cancelCleaning(app.take.id)) : app.clean()), "clean"],
     [["e"], "E", "export further files", () => app.export(), "export"],
     [["p"], "P", "approve, or withdraw the approval", () => app.approve(), "approve"],

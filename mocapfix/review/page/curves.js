@@ -17,18 +17,26 @@ const between = (samples, layer, one, t, other, s) => {
   const values = samples[layer], a = (t * samples.counts[layer] + one) * 3, b = (s * samples.counts[layer] + other) * 3;
   return Math.hypot(values[a] - values[b], values[a + 1] - values[b + 1], values[a + 2] - values[b + 2]);
 };
+// Where the body has a marker, and the angles of a joint of an animation, are loaded for each marker when they are first shown.
+const toBody = ({ samples }, layer, m, t) => {
+  const at = (t * samples.counts[layer] + m) * 3, body = samples.traces?.get(m);
+  return body ? Math.hypot(...[0, 1, 2].map((n) => samples[layer][at + n] - body[3 * t + n])) * 1000 : NaN;
+};
+const angle = (n) => ({ samples }, layer, m, t) => samples.traces?.get(m)?.[6 * t + n + (layer === "before" ? 0 : 3)] ?? NaN;
 const QUANTITIES = {
-  position: { unit: "mm", rows: [["x", axis(0)], ["y up", axis(1)], ["z", axis(2)]], hasBand: true },
-  speed: { unit: "m/s", rows: [["speed", ({ samples, take }, layer, m, t) => (t ? between(samples, layer, m, t, m, t - 1) * take.rate : NaN)]] },
+  position: { unit: "mm", rows: [["x", axis(0)], ["y up", axis(1)], ["z", axis(2)]], hasBand: true, isSigned: true, hasEstimates: true },
+  speed: { unit: "m/s", rows: [["speed", ({ samples, take }, layer, m, t) => (t ? between(samples, layer, m, t, m, t - 1) * take.rate : NaN)]], hasEstimates: true },
   distance: { unit: "mm", rows: [["distance", ({ samples, reference }, layer, m, t) => between(samples, layer, m, t, reference, t) * 1000]] },
+  body: { unit: "mm", rows: [["to body", toBody]], isTraced: true },
+  rotation: { unit: "°", rows: [["x", angle(0)], ["y", angle(1)], ["z", angle(2)]], isSigned: true, isTraced: true },
 };
 
 export class CurveView {
-  constructor(canvas, { onScrub, onStretch, onKey, onRemoveKey }) {
+  constructor(canvas, { onScrub, onStretch, onKey, onRemoveKey, onError }) {
     const find = (id) => document.getElementById(id);
     Object.assign(this, {
       canvas, title: find("curves-title"), cursor: find("curves-cursor"), quantity: find("curves-quantity"), other: find("curves-reference"), band: find("curves-band"),
-      onScrub, onStretch, onKey, onRemoveKey, rows: [], markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1, estimates: [],
+      onScrub, onStretch, onKey, onRemoveKey, onError, rows: [], markers: [], interval: null, stretch: null, frame: 0, drag: null, magnification: 1, estimates: [],
     });
     this.window = new TimeWindow(canvas, { left: LEFT, right: RIGHT, onChange: () => this.draw(), accepts: (event) => !event.ctrlKey });
     canvas.addEventListener("wheel", (event) => this.scale(event), { passive: false });
@@ -42,6 +50,8 @@ export class CurveView {
   setTake(take, samples) {
     Object.assign(this, { take, samples, markers: [], interval: null, stretch: null, isReferenceChosen: false });
     this.other.replaceChildren(...take.labels.map((label, m) => new Option(label, m)));
+    for (const option of this.quantity.options) option.hidden = option.disabled = { body: !take.can_correct || !take.joints.length, rotation: take.can_correct }[option.value] ?? false;
+    if (this.quantity.selectedOptions[0].disabled) this.quantity.value = "position";
     this.window.setCount(take.frame_count);
   }
 
@@ -73,7 +83,8 @@ export class CurveView {
 
   // Shows the next quantity.
   changeQuantity() {
-    this.quantity.selectedIndex = (this.quantity.selectedIndex + 1) % this.quantity.options.length;
+    const options = [...this.quantity.options].filter((each) => !each.disabled);
+    this.quantity.value = options[(options.indexOf(this.quantity.selectedOptions[0]) + 1) % options.length].value;
     this.draw();
   }
 
@@ -154,13 +165,15 @@ export class CurveView {
     this.title.replaceChildren();
     if (this.marker === null || !this.samples) return;
     this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--estimated"))), quantity.unit);
+    if (quantity.isTraced) for (const m of this.markers) this.samples.loadTrace(m).then((isNew) => isNew && this.draw(), (error) => this.onError(error.message));
+    if (quantity.isTraced && this.samples.traces.get(this.marker)?.length === 0) this.title.append(": not on the body");
     const rowHeight = (height - TOP - BOTTOM - GAP * (quantity.rows.length - 1)) / quantity.rows.length;
     if (!this.estimates.length) this.shade(context, this.interval, colour("--selected"), height);
     this.shade(context, this.stretch, "rgba(224, 160, 48, 0.35)", height);
     context.font = "11px system-ui, sans-serif";
     this.rows = [];
     quantity.rows.forEach(([name, evaluate], n) => {
-      this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand && !this.estimates.length, isSigned: quantity.hasBand ?? false, value: (...args) => evaluate(this, ...args), evaluate }, colour);
+      this.drawRow(context, { name, top: TOP + n * (rowHeight + GAP), height: rowHeight, hasBand: quantity.hasBand && !this.estimates.length, isSigned: quantity.isSigned ?? false, value: (...args) => evaluate(this, ...args), evaluate }, colour);
     });
     context.fillStyle = colour("--muted");
     const [from, to] = [this.window.first, this.window.last].map((each) => String(Math.round(this.take.first_frame + each)));
@@ -183,7 +196,7 @@ export class CurveView {
     const others = values.slice(1).map((each) => reduce(each, scale, isAny)), after = reduce(values[0], scale, isShown);
     const plain = reduce(before, scale, (t) => !isChanged(t)), changed = reduce(before, scale, isChanged);
     const band = row.hasBand ? this.readBand(values[0], scale) : null;
-    const estimates = (this.quantity.value === "distance" ? [] : this.estimates).map((each) => reduce(this.readEstimate(row, each, scale), scale, isAny));
+    const estimates = (QUANTITIES[this.quantity.value].hasEstimates ? this.estimates : []).map((each) => reduce(this.readEstimate(row, each, scale), scale, isAny));
     let [low, high] = findRange([plain, changed, after, ...others, ...estimates, ...(band ? [band] : [])]);
     const margin = Math.max(row.isSigned ? 1 : 0.001, 0.06 * (high - low));
     [low, high] = this.magnify(row.isSigned ? low - margin : Math.max(0, low - margin), high + margin, after);

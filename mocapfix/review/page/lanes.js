@@ -58,9 +58,6 @@ export class LaneView {
         for (let t = change.first; t <= change.last; t++) this.method[(t - take.first_frame) * take.labels.length + m] = number;
       }
     }
-    for (const { kind, markers, first, last } of take.corrections) {
-      for (let t = first; kind === "keys" && t <= last; t++) this.method[(t - take.first_frame) * take.labels.length + take.labels.indexOf(markers[0])] = this.findMethod("set by hand");
-    }
     const prefixes = new Set(take.labels.map((label) => label.match(NAME)?.[0] ?? ""));
     this.names = take.labels.map((label) => (prefixes.size === 1 ? label.replace(NAME, "") : label));
     this.window.setCount(take.frame_count);

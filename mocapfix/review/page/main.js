@@ -32,7 +32,7 @@ class App {
     this.scene = new SceneView(find("scene"));
     this.curves = new CurveView(find("curves"), {
       onScrub: (frame) => this.playback.moveTo(frame), onStretch: (stretch) => this.setStretch(stretch),
-      onKey: (frame, axis, value) => this.setKey(frame, axis, value), onRemoveKey: (frame) => this.keys.toggle(this, frame),
+      onKey: (frame, axis, value) => this.setKey(frame, axis, value), onRemoveKey: (frame) => this.keys.toggle(this, frame), onError: (text) => this.showStatus(text, true),
     });
     this.lanes = new LaneView({
       onPick: (marker, frame, isAdded) => this.pickLane(marker, frame, isAdded, true), onStretch: (stretch, marker) => this.setStretch(stretch, marker),
@@ -350,15 +350,11 @@ class App {
     this.scene.setDivision(select.value);
   }
 
-  switchTheme() { this.applyTheme(this.isDark ? "light" : "dark"); }
+  switchTheme() { this.applyTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"); }
 
-  get isDark() {
-    const { theme } = document.documentElement.dataset;
-    return theme === "dark" || (theme !== "light" && matchMedia("(prefers-color-scheme: dark)").matches);
-  }
-
+  // Shows a theme, null for that of the system.
   applyTheme(theme) {
-    document.documentElement.dataset.theme = theme ?? "auto";
+    document.documentElement.dataset.theme = theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     if (theme) localStorage.setItem("theme", theme);
     this.scene.setTheme();
     if (this.samples && this.isReady) this.showFrame(this.playback.frame);

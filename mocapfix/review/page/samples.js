@@ -1,7 +1,7 @@
 // The samples of a take, loaded in blocks: positions before and after cleaning, joints, uncertainty and state.
 // What follows from the decisions is shown at once: `after`, `sd` and `state` are as they will be once the take is cleaned again.
 
-import { fetchSamples } from "./api.js";
+import { fetchSamples, fetchTrace } from "./api.js";
 
 const BLOCK_FRAMES = 600;
 const SHIFT_KINDS = ["moved", "drift"];  // no sample differs
@@ -25,6 +25,7 @@ export class Samples {
     this.cleaned = new Map();  // of samples that a decision hides, by their index: [x, y, z, sd, state] as they were cleaned
     this.requested = new Map();  // of samples that a correction fills by an estimate, by their index: the name of its method
     this.fills = new Map();  // of corrections that request a fill, by their content: [marker, [x, y, z, sd] of each frame, method], null until it is known
+    this.traces = new Map();  // by marker: where the body has it (three coordinates a frame), or the angles of its joint (before and after)
     this.others = [];  // samples of the other people of the file, with which labels are exchanged
     this.columns = new Map(take.labels.map((label, m) => [label, m]));
     this.isCancelled = false;
@@ -152,6 +153,13 @@ export class Samples {
     sd[index] = NaN;
     if (change.decision === "reject" && (isGap || !wasMissing)) state[index] = STATE.rejected;
     else state[index] = isGap || wasMissing ? STATE.empty : STATE.measured;
+  }
+
+  // Loads the trace of a marker; resolves to whether it is new.
+  async loadTrace(m) {
+    if (this.traces.has(m)) return false;
+    this.traces.set(m, null);
+    return Boolean(this.traces.set(m, new Float32Array(await fetchTrace(this.id, this.take.labels[m]))));
   }
 
   // Position of a trajectory in a layer as [x, y, z], NaN where missing.
