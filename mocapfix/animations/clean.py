@@ -102,9 +102,9 @@ def find_animation_contacts(
         shifted = tuple(event._replace(time_s=event.time_s + delay_s, source=JOINT_SOURCE) for event in events)
         contacts = replace(contacts, events=shifted)
     padding = ((start, 0), (0, 0))
-    is_contact = np.pad(contacts.is_contact, padding)
+    is_contact, probability = (np.pad(each, padding) for each in (contacts.is_contact, contacts.probability))
     is_known = np.pad(contacts.is_known, padding, constant_values=contacts.has_feet)
-    contacts = replace(contacts, is_contact=is_contact, is_known=is_known)
+    contacts = replace(contacts, is_contact=is_contact, probability=probability, is_known=is_known)
     return SlidingFeet(contacts, np.pad(slide, padding, mode="edge"), is_given=given is not None)
 
 

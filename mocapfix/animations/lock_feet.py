@@ -184,9 +184,8 @@ def _hold_legs(
     frames = np.maximum(np.arange(motion.frame_count), int(animation.has_reference_pose and animation.frame_count > 1))
     columns, rate = [skeleton.names.index(joint) for joint in CONTACT_JOINTS], animation.rate
     share = np.repeat(np.stack([smooth_share(each.astype(float), rate) for each in is_held[frames].T], axis=1), 2, axis=1)
-    is_contact = feet.contacts.is_contact[frames, : len(columns)] & np.repeat(is_held[frames], 2, axis=1)
-    is_known = feet.contacts.is_known[frames, : len(columns)]
-    contacts = replace(feet.contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known)
+    contacts = feet.contacts.select_feet(frames)
+    contacts = contacts.change_contacts(contacts.is_contact & np.repeat(is_held[frames], 2, axis=1))
     positions, rotations = compute_world_poses(skeleton, motion.select_frames(frames))
     fitting = positions[:, columns] - feet.slide[frames, None]
     lock = GIVEN_LOCK if feet.is_given else ANIMATION_LOCK

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.characters.character import SIDES
-from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.foot_displacements import compute_foot_displacements
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations
 
@@ -233,6 +233,4 @@ def hold_kept_feet(
 def resample_foot_contacts(contacts: BodyContacts, frame_count: int, rate: float) -> BodyContacts:
     """Return the contacts of heels and balls of the feet at another rate: those of the nearest frames."""
     frames = np.rint(np.arange(frame_count) * contacts.rate / rate).clip(0, max(len(contacts.is_contact) - 1, 0)).astype(int)
-    columns = [contacts.joints.index(joint) for joint in CONTACT_JOINTS]
-    is_contact, is_known = (mask[frames][:, columns] for mask in (contacts.is_contact, contacts.is_known))
-    return replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known, rate=rate)
+    return replace(contacts.select_feet(frames), rate=rate)

@@ -114,10 +114,8 @@ def compute_held_displacements(
 ) -> Float[np.ndarray, "T C 3"]:
     """Return the displacement in metres of each joint of the feet that holds them, in every frame."""
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
-    is_contact, is_known = contacts.is_contact[:, : len(feet)], contacts.is_known[:, : len(feet)]
-    of_feet = replace(contacts, joints=CONTACT_JOINTS, is_contact=is_contact, is_known=is_known)
-    position_sd = None if joint_sd is None else joint_sd[:, feet]
-    return compute_foot_displacements(joint_position[:, feet], of_feet, is_locked=is_locked, position_sd=position_sd)
+    position, position_sd = joint_position[:, feet], None if joint_sd is None else joint_sd[:, feet]
+    return compute_foot_displacements(position, contacts.select_feet(), is_locked=is_locked, position_sd=position_sd)
 
 
 class LegMarkers(NamedTuple):

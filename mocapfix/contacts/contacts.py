@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.motion import Motion
@@ -158,6 +158,7 @@ class BodyContacts:
 
     joints: tuple[str, ...]  # C names of joints of the skeleton
     is_contact: Bool[np.ndarray, "T C"]  # (T, C): whether the joint stands on the floor or another surface
+    probability: Float[np.ndarray, "T C"]  # (T, C): that it does; 1 or 0 where a force plate or a file of contacts decides
     is_known: Bool[np.ndarray, "T C"]  # (T, C): whether markers show the position of the joint; otherwise the contact is inferred
     floor: Floor  # the floor on which they stand
     rate: float  # frames per second
@@ -179,8 +180,20 @@ class BodyContacts:
         """Return the contacts of all joints that can be in contact, with none of those that were not looked for."""
         others = OTHER_CONTACT_JOINTS if len(self.joints) == len(CONTACT_JOINTS) else ()
         nothing = np.zeros((len(self.is_contact), len(others)), bool)
-        is_contact, is_known = np.hstack([self.is_contact, nothing]), np.hstack([self.is_known, ~nothing])
-        return replace(self, joints=(*self.joints, *others), is_contact=is_contact, is_known=is_known)
+        is_contact, probability = (np.hstack([each, nothing]) for each in (self.is_contact, self.probability))
+        is_known = np.hstack([self.is_known, ~nothing])
+        return replace(self, joints=(*self.joints, *others), is_contact=is_contact, probability=probability, is_known=is_known)
+
+    def change_contacts(self, is_contact: Bool[np.ndarray, "T C"]) -> "BodyContacts":
+        """Return others that are certain: they have a probability of 1 or 0 where they differ."""
+        probability = np.where(is_contact == self.is_contact, self.probability, is_contact)
+        return replace(self, is_contact=is_contact, probability=probability)
+
+    def select_feet(self, frames: Int[np.ndarray, " N"] | slice = slice(None)) -> "BodyContacts":
+        """Return the contacts of heels and balls of the feet in some frames."""
+        feet = (each[frames, : len(CONTACT_JOINTS)] for each in (self.is_contact, self.probability, self.is_known))
+        is_contact, probability, is_known = feet
+        return replace(self, joints=CONTACT_JOINTS, is_contact=is_contact, probability=probability, is_known=is_known)
 
     def move_events(self, delay_s: float, duration_s: float) -> "BodyContacts":
         """Return the contacts with the events at a later time, those within a duration from the first frame on."""
@@ -202,7 +215,7 @@ class BodyContacts:
 def build_no_contacts(frame_count: int, rate: float) -> BodyContacts:
     """Return the contacts of a body whose feet no marker shows."""
     nothing = np.zeros((frame_count, len(CONTACT_JOINTS)), bool)
-    return BodyContacts(CONTACT_JOINTS, nothing, nothing, NO_FLOOR, rate)
+    return BodyContacts(CONTACT_JOINTS, nothing, nothing * 0.0, nothing, NO_FLOOR, rate)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Find the contacts of a body with the floor, from the positions of its joints.
 
-A joint is in contact while it stands still, near the floor or another level on which the person stands. `detect_standing` finds
-the cheapest sequence of the states moving and standing (Viterbi), whose cost is linear in the logarithm of the speed. The
+A joint is in contact while it stands still, near the floor or another level on which the person stands. The costs of sequences of
+the states moving and standing, linear in the logarithm of the speed, give the probability that it stands. The
 solved motion is smooth, so the speed is the difference of neighbouring frames; that of a foot that bears weight falls to 0.02
 to 0.1 m/s, since it rolls. While no marker shows a foot, a network tells the probability of its contact from what the solver
 made of its motion, which follows from the rest of the body.
@@ -13,6 +13,7 @@ of the body, and the contacts are those of the body without it.
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.learned_ik import Perceptron, read_perceptron
-from mocapfix.stats.sequences import find_cheapest_states, find_runs
+from mocapfix.stats.sequences import find_runs
 
 TOES = slice(1, None, 2)  # columns of CONTACT_JOINTS
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
@@ -54,10 +55,13 @@ def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool
     return np.convolve(np.r_[is_unknown, False], np.ones(2 * border + 1))[border : len(is_unknown) + border] == 0
 
 
+MIN_CONTACT_PROBABILITY = 0.6  # of a joint that no marker shows: where F1 is largest on held-out people, see priors/contacts.md
+MIN_CONTACT_LOGIT = float(np.log(MIN_CONTACT_PROBABILITY / (1 - MIN_CONTACT_PROBABILITY)))
 STANDING_SPEED_M_S = 0.09  # at which standing and moving are equally likely; from 0.08 to 0.1 F1 changes by 0.002 on CMU
 LOG_SPEED_WIDTH = 0.3  # change of the logarithm of the speed that changes the cost by 1
 MAX_STATE_COST = 3.0  # largest cost of a state in a frame: a single fast frame is no proof of a step
 STANDING_CHANGE_COST = 2.0  # cost of a change of state: several frames must contradict a state to change it
+COST_LOGIT = 0.7  # logit for a difference of 1 in cost at 120 frames per second: fits the share that stands of training people
 MIN_STANDING_S = 0.1  # shortest time for which a joint stands
 MIN_SPEED_M_S = 1e-4
 
@@ -69,22 +73,30 @@ def compute_speed(position: Float[np.ndarray, "T 3"], rate: float) -> Float[np.n
     return np.linalg.norm(np.gradient(position, 1 / rate, axis=0), axis=-1)
 
 
-def detect_standing(
-    speed: Float[np.ndarray, " T"], rate: float, is_ignored: Bool[np.ndarray, " T"] | None = None
-) -> Bool[np.ndarray, " T"]:
-    """Return whether a joint stands, from its speed in m/s; where that is ignored, the state follows from the frames around."""
-    frames = len(speed)
-    if frames < 2:
-        return np.zeros(frames, bool)
-    ratio = np.log(np.maximum(speed, MIN_SPEED_M_S) / STANDING_SPEED_M_S) / LOG_SPEED_WIDTH
+def compute_standing_logit(
+    speed: Float[np.ndarray, " T"], rate: float, is_ignored: Bool[np.ndarray, " T"] | bool = False
+) -> Float[np.ndarray, " T"]:
+    """Return the logit of the probability that a joint stands, from its speed in m/s.
+
+    It follows from the difference in cost of the cheapest sequences that move and that stand in a frame, so it is over
+    MIN_CONTACT_LOGIT where the cheapest sequence of all stands. Where the speed is ignored, it follows from the frames around.
+    """
     frame_share = 120.0 / rate  # the costs were chosen at 120 frames per second: slower files have more information in a frame
-    state_cost = np.zeros((frames, 2))
-    state_cost[:, 1] = np.clip(ratio, -MAX_STATE_COST, MAX_STATE_COST) * frame_share
-    if is_ignored is not None:
-        state_cost[is_ignored] = 0.0
-    step_cost = np.zeros((frames - 1, 2, 2))
-    step_cost[:, 0, 1] = step_cost[:, 1, 0] = STANDING_CHANGE_COST
-    return remove_short_runs(find_cheapest_states(step_cost, state_cost).astype(bool), rate)
+    ratio = np.log(STANDING_SPEED_M_S / np.maximum(speed, MIN_SPEED_M_S)) / LOG_SPEED_WIDTH
+    own = np.where(is_ignored, 0.0, np.clip(ratio, -MAX_STATE_COST, MAX_STATE_COST) * frame_share)
+
+    def add(before: float, of_frame: float) -> float:  # a sequence changes its state before a frame if that is cheaper
+        return min(max(before, -STANDING_CHANGE_COST), STANDING_CHANGE_COST) + of_frame
+
+    until, after = (np.array(list(accumulate(each.tolist(), add))) for each in (own, own[::-1]))
+    return MIN_CONTACT_LOGIT + COST_LOGIT / np.sqrt(frame_share) * (until + after[::-1] - own)
+
+
+def decode_contacts(logit: Float[np.ndarray, "T C"], rate: float) -> tuple[Bool[np.ndarray, "T C"], Float[np.ndarray, "T C"]]:
+    """Return the contacts of joints and their probability, which is at most 0.5 where a joint is not in contact for long."""
+    is_contact = np.stack([remove_short_runs(each > MIN_CONTACT_LOGIT, rate) for each in logit.T], axis=1)
+    probability = scipy.special.expit(logit)
+    return is_contact, np.where(is_contact, probability, np.minimum(probability, 0.5))
 
 
 def remove_short_runs(is_standing: Bool[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
@@ -115,39 +127,40 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
         return contacts
     added = find_other_contacts(joint_position[:, others], joint_position[:, feet[TOES]], contacts.floor, rate)
     is_known = np.stack([find_known_frames(motion.joint_sd[:, joint], rate) for joint in others], axis=1)
-    contact, known = np.hstack([contacts.is_contact, added]), np.hstack([contacts.is_known, is_known])
-    return BodyContacts((*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS), contact, known, contacts.floor, rate)
+    of_feet = contacts.is_contact, contacts.probability, contacts.is_known
+    is_contact, probability, is_known = (np.hstack(pair) for pair in zip(of_feet, (*added, is_known), strict=True))
+    joints = (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS)
+    return BodyContacts(joints, is_contact, probability, is_known, contacts.floor, rate)
 
 
 def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float) -> BodyContacts:
     """Find the contacts of both feet, from the positions of CONTACT_JOINTS and their standard deviations per axis, in metres."""
-    joined, is_known = find_shown_standing(position, sd, rate)
-    if joined.any() and not is_known.all():
-        features, network = compute_contact_features(position, sd, joined & is_known, rate), load_contact_network()
-        logits = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
-        frames, at = np.arange(len(position)) / rate, np.arange(len(logits)) / FEATURE_RATE_HZ
-        joined = np.where(is_known, joined, _resample(logits, at, frames) > MIN_CONTACT_LOGIT)
-    shown = joined[:, TOES] & is_known[:, TOES].all(1, keepdims=True)  # the other foot may stand lower where no marker shows it
-    floor = estimate_floor(position[:, TOES], shown if shown.any() else joined[:, TOES], rate)
-    joined &= find_frames_near_floor(position, joined, floor) | ~is_known
-    joined = np.stack([remove_short_runs(each, rate) for each in joined.T], axis=1)
-    return BodyContacts(CONTACT_JOINTS, joined, is_known, floor, rate)
+    stands, is_known, logit = find_shown_standing(position, sd, rate)
+    if stands.any() and not is_known.all():
+        features, network = compute_contact_features(position, sd, stands & is_known, rate), load_contact_network()
+        hidden = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
+        frames, at = np.arange(len(position)) / rate, np.arange(len(hidden)) / FEATURE_RATE_HZ
+        logit = np.where(is_known, logit, _resample(hidden, at, frames))
+        stands = np.where(is_known, stands, logit > MIN_CONTACT_LOGIT)
+    shown = stands[:, TOES] & is_known[:, TOES].all(1, keepdims=True)  # the other foot may stand lower where no marker shows it
+    floor = estimate_floor(position[:, TOES], shown if shown.any() else stands[:, TOES], rate)
+    is_above = stands & is_known & ~find_frames_near_floor(position, stands, floor)
+    return BodyContacts(CONTACT_JOINTS, *decode_contacts(np.where(is_above, -np.inf, logit), rate), is_known, floor, rate)
 
 
 def find_shown_standing(
     position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float
-) -> tuple[Bool[np.ndarray, "T C"], Bool[np.ndarray, "T C"]]:
-    """Return when CONTACT_JOINTS stand, by the frames whose markers show them, and which frames these are."""
+) -> tuple[Bool[np.ndarray, "T C"], Bool[np.ndarray, "T C"], Float[np.ndarray, "T C"]]:
+    """Return when CONTACT_JOINTS stand, by the frames whose markers show them, which frames these are, and the logits."""
     is_known = np.stack([find_known_frames(each, rate) for each in sd.T], axis=1)
     for ankle, toe in ([CONTACT_JOINTS.index(joint) for joint in joints] for joints in FOOT_JOINTS.values()):
         is_known[:, toe] &= is_known[:, ankle]  # where the ankle is unknown, so is where the toes are
     speed = [compute_speed(path, rate) for path in position.swapaxes(0, 1)]
-    is_standing = [detect_standing(each, rate, ~shown) for each, shown in zip(speed, is_known.T, strict=True)]
-    return np.stack(is_standing, axis=1), is_known
+    logits = [compute_standing_logit(each, rate, ~shown) for each, shown in zip(speed, is_known.T, strict=True)]
+    logit = np.stack(logits, axis=1)
+    return decode_contacts(logit, rate)[0], is_known, logit
 
 
-MIN_CONTACT_PROBABILITY = 0.6  # of a joint that no marker shows: where F1 is largest on held-out people, see priors/contacts.md
-MIN_CONTACT_LOGIT = float(np.log(MIN_CONTACT_PROBABILITY / (1 - MIN_CONTACT_PROBABILITY)))
 LOGIT_FRAMES = 7  # at FEATURE_RATE_HZ, over which logits are averaged: 5 to 13 add 0.004 to F1 on held-out people
 CONTACT_NETWORK = "contacts"
 FEATURE_RATE_HZ = 60.0
@@ -238,15 +251,15 @@ def find_frames_near_floor(
 
 def find_other_contacts(
     position: Float[np.ndarray, "T N 3"], toes: Float[np.ndarray, "T 2 3"], floor: Floor, rate: float
-) -> Bool[np.ndarray, "T N"]:
-    """Return when joints other than the feet's stand still near the level below the lower foot: not near that of a step above."""
-    contacts = np.zeros(position.shape[:2], bool)
+) -> tuple[Bool[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
+    """Return when other joints stand near the level below the lower foot, not near that of a step, and how probably."""
+    logit = np.full(position.shape[:2], -np.inf)
     level = (floor.remove_slope(toes) - floor.compute_height_above(toes)).min(1)
     for n in range(position.shape[1]):
         is_low = floor.remove_slope(position[:, n]) - level < MAX_OTHER_HEIGHT_M
         if is_low.any():
-            contacts[:, n] = remove_short_runs(is_low & detect_standing(compute_speed(position[:, n], rate), rate), rate)
-    return contacts
+            logit[is_low, n] = compute_standing_logit(compute_speed(position[:, n], rate), rate)[is_low]
+    return decode_contacts(logit, rate)
 
 
 MIN_WALKING_SPEED_M_S = 0.3  # of the hips, below which no share of it is known
@@ -315,10 +328,8 @@ def replace_contacts(
     contacts: BodyContacts, given: Mapping[str, Bool[np.ndarray, " T"]], toes: Float[np.ndarray, "T 2 3"]
 ) -> BodyContacts:
     """Return contacts that are given, by joint, in place of those that were found; toes in metres show their floor."""
-    added = [joint for joint in OTHER_CONTACT_JOINTS if joint in given and joint not in contacts.joints]
-    joints = (*contacts.joints, *added)
-    is_contact = np.stack([given.get(joint, np.zeros(len(toes), bool)) for joint in joints], axis=1)
-    is_known = np.pad(contacts.is_known, ((0, 0), (0, len(added))), constant_values=True)
-    contacts = replace(contacts, joints=joints, is_contact=is_contact, is_known=is_known)
+    contacts = contacts if set(given) <= set(contacts.joints) else contacts.add_other_joints()
+    is_contact = [given.get(joint, np.zeros(len(toes), bool)) for joint in contacts.joints]
+    contacts = contacts.change_contacts(np.stack(is_contact, axis=1))
     is_standing = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
     return replace(contacts, floor=estimate_floor(toes, is_standing, contacts.rate))

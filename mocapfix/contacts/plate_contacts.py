@@ -5,7 +5,6 @@ beside its plate begins too late, and that of two feet ends too late.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -117,7 +116,7 @@ def align_contacts_with_plates(contacts: BodyContacts, plate_contacts: Sequence[
         ball[first : last + 1] |= ~heel[first : last + 1]
         for part in (each for column in (heel, ball) for each in (column[:first][::-1], column[last + 1 :])):
             part[: int(np.argmin(part)) if not part.all() else len(part)] = False  # the run of a contact beside the load
-    return replace(contacts, is_contact=is_contact)
+    return contacts.change_contacts(is_contact)
 
 
 def _find_single_foot(on_plate: Mapping[str, Bool[np.ndarray, "T 2"]], start_frame: float, stop_frame: float) -> str | None:

@@ -65,6 +65,7 @@ def _build_contact_arrays(contacts: BodyContacts) -> dict[str, np.ndarray]:
     return {
         "contact_joints": np.array(contacts.joints),
         "contacts": contacts.is_contact,
+        "contact_probabilities": contacts.probability,
         "contacts_known": contacts.is_known,
         "floor_heights": np.array(contacts.floor.level_heights_m, float),
         "floor_slope": np.array([contacts.floor.slope_x, contacts.floor.slope_z]),

@@ -131,7 +131,7 @@ def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterato
     wild = solved + rng.normal(0, rng.choice(WILD_M), solved.shape) * ~is_shown[..., None]
     for position, step, weight in ((solved, 1, 1.0), (solved, DECIMATION, COPY_WEIGHT), (wild, 1, COPY_WEIGHT)):
         rate = sound.rate / step
-        is_standing, is_known = find_shown_standing(position[::step], sd[::step], rate)
+        is_standing, is_known, _ = find_shown_standing(position[::step], sd[::step], rate)
         if not (is_standing & is_known).any() or np.isnan(position).any():
             continue
         features = compute_contact_features(position[::step], sd[::step], is_standing & is_known, rate)

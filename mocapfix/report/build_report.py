@@ -82,6 +82,7 @@ def _build_joint_entry(contacts: BodyContacts, joint: str) -> json_report.JointC
         "contacts": len(intervals),
         "seconds": round(count / contacts.rate, 3),
         "share": round(count / max(1, len(is_contact)), 4),
+        "probability": round(float(contacts.probability[is_contact, column].mean()), 3) if count else None,
         "inferred": sum(not is_known[first : last + 1].all() for first, last in intervals),
         "inferred_s": round(int((is_contact & ~is_known).sum()) / contacts.rate, 3),
     }

@@ -23,6 +23,7 @@ class JointContactEntry(TypedDict):
     contacts: int
     seconds: float
     share: float
+    probability: float | None  # mean over the frames in contact
     inferred: int  # number of contacts in which the joint is not seen for some time
     inferred_s: float  # how long, in all contacts together
 

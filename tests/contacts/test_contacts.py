@@ -21,7 +21,9 @@ from mocapfix.contacts.contacts import (
 def contacts() -> BodyContacts:
     is_contact = np.zeros((100, 4), bool)
     is_contact[10:20, 0] = is_contact[15:30, 1] = is_contact[90:, 3] = True
-    return BodyContacts(CONTACT_JOINTS, is_contact, np.ones((100, 4), bool), Floor(0.01, 0.0, (0.1, 0.4)), 100.0)
+    return BodyContacts(
+        CONTACT_JOINTS, is_contact, is_contact * 0.9, np.ones((100, 4), bool), Floor(0.01, 0.0, (0.1, 0.4)), 100.0
+    )
 
 
 def test_intervals_are_inclusive(contacts):
@@ -31,6 +33,25 @@ def test_intervals_are_inclusive(contacts):
 def test_a_foot_is_in_contact_with_heel_or_ball(contacts):
     assert np.flatnonzero(contacts.find_foot_contact("left")).tolist() == list(range(10, 30))
     assert np.flatnonzero(contacts.find_foot_contact("right")).tolist() == list(range(90, 100))
+
+
+def test_contacts_that_are_changed_are_certain(contacts):
+    other = contacts.is_contact.copy()
+    other[10:15, 0], other[50:60, 2] = False, True
+    changed = contacts.change_contacts(other)
+    assert np.array_equal(changed.is_contact, other)
+    assert (changed.probability[10:15, 0] == 0).all()
+    assert (changed.probability[50:60, 2] == 1).all()
+    assert (changed.probability[15:20, 0] == 0.9).all()
+
+
+def test_added_joints_have_no_contacts_and_feet_are_selected(contacts):
+    added = contacts.add_other_joints()
+    assert added.is_contact.shape == added.probability.shape == added.is_known.shape == (100, 10)
+    assert not added.probability[:, 4:].any()
+    feet = added.select_feet(np.arange(5, 25))
+    assert feet.joints == CONTACT_JOINTS
+    assert np.array_equal(feet.probability, contacts.probability[5:25])
 
 
 def test_a_lowered_floor_keeps_its_slope(contacts):

@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, OTHER_CONTACT_JOINTS, Floor
 from mocapfix.contacts.find_contacts import (
+    MIN_CONTACT_PROBABILITY,
     estimate_slide,
     find_contacts,
     find_foot_contacts,
@@ -99,6 +100,16 @@ def test_the_same_foot_hidden_while_it_stands_is_in_contact():
     assert contacts.is_known[:, 2:].all()
 
 
+def test_a_foot_that_is_held_in_the_air_has_no_probability_of_a_contact():
+    feet = stand_and_raise(0.28, 0.225)
+    feet[125:140, 2:] = np.linspace(feet[124, 2:], feet[140, 2:], 15)
+    contacts = find(feet, 120.0)
+    assert (contacts.probability[:100] > 0.9).all()
+    assert not contacts.probability[150:, 2:].any()
+    assert (contacts.probability[contacts.is_contact] > MIN_CONTACT_PROBABILITY).all()
+    assert (contacts.probability[~contacts.is_contact] <= 0.5).all()
+
+
 def stand_and_raise(right_ankle_m: float, right_toe_m: float) -> np.ndarray:
     """Return feet (200, 4, 3) that stand, the right one with these heights after 140 frames."""
     feet = np.zeros((200, 4, 3))
@@ -147,15 +158,16 @@ def test_knees_and_hands_are_in_contact_where_they_rest_on_the_floor(height_m, s
     position = np.zeros((200, 1, 3))
     position[:, 0, 1] = height_m
     position[:, 0, 2] = speed_m_s * np.arange(200) / 120.0
-    found = find_other_contacts(position, np.zeros((200, 2, 3)), Floor(0.0, 0.0, (0.0,)), 120.0)
+    found, probability = find_other_contacts(position, np.zeros((200, 2, 3)), Floor(0.0, 0.0, (0.0,)), 120.0)
     assert found.all() == found.any() == is_contact
+    assert (probability > 0.9).all() == is_contact
 
 
 def test_a_knee_beside_a_step_is_in_contact_only_where_the_feet_are_on_the_step():
     floor, position, toes = Floor(0.0, 0.0, (0.0, 0.45)), np.full((200, 1, 3), 0.5), np.zeros((200, 2, 3))
-    assert not find_other_contacts(position, toes, floor, 120.0).any()
+    assert not np.any(find_other_contacts(position, toes, floor, 120.0))
     toes[:, :, 1] = 0.47
-    assert find_other_contacts(position, toes, floor, 120.0).all()
+    assert find_other_contacts(position, toes, floor, 120.0)[0].all()
 
 
 def test_a_body_that_sits_on_the_floor_rests_on_its_seat():
@@ -269,7 +281,7 @@ def test_given_contacts_replace_those_that_were_found_and_show_the_floor():
     is_left, is_knee = np.zeros(len(feet), bool), np.zeros(len(feet), bool)
     is_left[:60], is_knee[200:230] = True, True
     contacts = replace_contacts(find(feet, 120.0), {"LeftToeBase": is_left, "RightLeg": is_knee}, feet[:, [1, 3]])
-    assert contacts.joints == (*CONTACT_JOINTS, "RightLeg")
+    assert contacts.joints == (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS)
     assert contacts.list_intervals("LeftToeBase") == [(0, 59)]
     assert contacts.list_intervals("RightLeg") == [(200, 229)]
     assert contacts.list_intervals("RightFoot") == []

@@ -25,7 +25,7 @@ IS_STANDING = np.repeat(np.stack([find_true_stances(foot, SECONDS, RATE) for foo
 def build_contacts(is_contact: np.ndarray = IS_STANDING, is_known: np.ndarray | None = None) -> BodyContacts:
     """Return contacts of the four joints of the feet."""
     known = np.ones(is_contact.shape, bool) if is_known is None else is_known
-    return BodyContacts(CONTACT_JOINTS, is_contact, known, Floor(0.0, 0.0, (0.0,)), RATE)
+    return BodyContacts(CONTACT_JOINTS, is_contact, is_contact * 0.9, known, Floor(0.0, 0.0, (0.0,)), RATE)
 
 
 def add_skin(feet: np.ndarray, sd_m: float = 0.004) -> np.ndarray:

@@ -30,7 +30,7 @@ def make_contacts(is_contact: bool) -> BodyContacts:
     is_known[HIDDEN, :2] = False
     contact = np.ones((120, 4), bool)
     contact[50:60, :2] = is_contact
-    return BodyContacts(CONTACT_JOINTS, contact, is_known, Floor(0.0, 0.0, (0.0,)), 120.0)
+    return BodyContacts(CONTACT_JOINTS, contact, contact * 0.9, is_known, Floor(0.0, 0.0, (0.0,)), 120.0)
 
 
 def test_a_held_foot_is_known_up_to_its_rolling():

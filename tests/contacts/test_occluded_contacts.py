@@ -99,7 +99,7 @@ def test_feet_that_markers_never_show_have_no_contacts():
 
 def test_features_of_a_foot_are_its_own_and_those_of_the_other():
     feet, sd, _ = hide(slice(150, 330))
-    is_standing, is_known = find_shown_standing(feet, sd, 120.0)
+    is_standing, is_known, _ = find_shown_standing(feet, sd, 120.0)
     features = compute_contact_features(feet, sd, is_standing & is_known, 120.0)
     assert features.shape == (2, round(SECONDS * FEATURE_RATE_HZ), FEATURE_COUNT)
     assert np.isfinite(features).all()

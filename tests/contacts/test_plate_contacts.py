@@ -130,7 +130,7 @@ def build_contacts(heel: slice, ball: slice) -> BodyContacts:
     """Return contacts of a left foot."""
     is_contact = np.zeros((300, 4), bool)
     is_contact[heel, 0] = is_contact[ball, 1] = True
-    return BodyContacts(CONTACT_JOINTS, is_contact, np.ones((300, 4), bool), FLAT, RATE)
+    return BodyContacts(CONTACT_JOINTS, is_contact, is_contact * 0.9, np.ones((300, 4), bool), FLAT, RATE)
 
 
 @pytest.mark.parametrize(
@@ -140,6 +140,8 @@ def test_contacts_begin_and_end_with_the_load(heel, ball):
     aligned = align_contacts_with_plates(build_contacts(heel, ball), [PlateContact("left", 1.0, 1.6)])
     assert np.flatnonzero(aligned.find_foot_contact("left")).tolist() == list(range(100, 161))
     assert not aligned.find_foot_contact("right").any()
+    is_changed = aligned.is_contact != build_contacts(heel, ball).is_contact
+    assert np.array_equal(aligned.probability, np.where(is_changed, aligned.is_contact, 0.9 * aligned.is_contact))
 
 
 def test_other_contacts_of_the_foot_are_kept():

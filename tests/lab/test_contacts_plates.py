@@ -25,7 +25,7 @@ CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
 def build_contacts(*events: GaitEvent) -> BodyContacts:
     """Return contacts of 200 frames at 100 frames per second."""
     nothing = np.zeros((200, 4), bool)
-    return BodyContacts(CONTACT_JOINTS, nothing, nothing, Floor(0.0, 0.0, (0.0,)), 100.0, events)
+    return BodyContacts(CONTACT_JOINTS, nothing, nothing * 0.0, nothing, Floor(0.0, 0.0, (0.0,)), 100.0, events)
 
 
 STRIKE = GaitEvent("left", "foot strike", 0.5, "markers")

@@ -25,7 +25,7 @@ def build_contacts(
     is_contact[:200, 0] = is_contact[400:500, 0] = True
     is_contact[10:20, JOINTS.index("RightFingerBase")] = True
     is_known[190:200, 0] = is_known[600:651, 0] = False
-    return BodyContacts(JOINTS, is_contact, is_known, floor, RATE, events, held)
+    return BodyContacts(JOINTS, is_contact, is_contact * 0.9, is_known, floor, RATE, events, held)
 
 
 def build_walk(step_s: float, count: int) -> tuple[GaitEvent, ...]:

@@ -20,7 +20,7 @@ def build_contacts(floor: Floor = LEVEL_FLOOR, frames: int = 240) -> BodyContact
     is_contact, is_known = np.zeros((frames, 4), bool), np.ones((frames, 4), bool)
     is_contact[60:150, :2] = is_contact[140:200, 2:] = True
     is_known[100:110, 0] = False
-    return BodyContacts(JOINTS, is_contact, is_known, floor, 120.0, EVENTS)
+    return BodyContacts(JOINTS, is_contact, is_contact * 0.9, is_known, floor, 120.0, EVENTS)
 
 
 @pytest.fixture

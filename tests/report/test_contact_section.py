@@ -20,8 +20,22 @@ def describe(contacts, mode="soft", floor_height_m=0.0, terms=MARKER_TERMS) -> l
 
 def test_contacts_are_counted_by_joint():
     joints = build_contact_section(build_contacts(), build_empty_take())["joints"]
-    assert joints["LeftFoot"] == {"contacts": 2, "seconds": 3.0, "share": 0.3, "inferred": 1, "inferred_s": 0.1}
-    assert joints["RightFingerBase"] == {"contacts": 1, "seconds": 0.1, "share": 0.01, "inferred": 0, "inferred_s": 0.0}
+    assert joints["LeftFoot"] == {
+        "contacts": 2,
+        "seconds": 3.0,
+        "share": 0.3,
+        "probability": 0.9,
+        "inferred": 1,
+        "inferred_s": 0.1,
+    }
+    assert joints["RightFingerBase"] == {
+        "contacts": 1,
+        "seconds": 0.1,
+        "share": 0.01,
+        "probability": 0.9,
+        "inferred": 0,
+        "inferred_s": 0.0,
+    }
     assert joints["RightToeBase"]["contacts"] == 0
 
 

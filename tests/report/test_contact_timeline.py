@@ -1,6 +1,7 @@
 """The HTML report's part on contacts: strips that cover the take, bars where contacts are, marks of events, and the table."""
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.contacts.contacts import Floor, GaitEvent, HeldFeet, build_no_contacts
+from mocapfix.contacts.contacts import NOT_HELD, Floor, GaitEvent, HeldFeet, build_no_contacts
 from mocapfix.report.build_report import build_contact_section
 from mocapfix.report.html_report import write_html_report
 from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
@@ -60,7 +61,8 @@ def test_bars_of_a_long_take_are_those_of_the_whole_take():
     contacts = build_contacts(frames=7000)
     is_contact = np.zeros_like(contacts.is_contact)
     is_contact[2000:5000, 0] = True  # over a border between strips
-    part = build_part(type(contacts)(contacts.joints, is_contact, np.ones_like(is_contact), contacts.floor, RATE), 7000)
+    changed = replace(contacts, is_contact=is_contact, is_known=np.ones_like(is_contact), events=(), held_feet=NOT_HELD)
+    part = build_part(changed, 7000)
     spans = divide_take(build_empty_take(7000))
     assert len(part.strips) == len(spans) == 3
     frames = [
@@ -88,7 +90,7 @@ def test_table_and_legend_name_what_is_there():
     assert part.rows[0] == ("left heel", "2", "3.0", "30%", "1", "0.10")
     assert [text for _, text in part.legend] == ["in contact", "inferred: too few markers show the joint", "foot strike"]
     contacts = build_contacts()
-    seen = type(contacts)(contacts.joints, contacts.is_contact, np.ones_like(contacts.is_known), contacts.floor, RATE)
+    seen = replace(contacts, is_known=np.ones_like(contacts.is_known), events=(), held_feet=NOT_HELD)
     assert build_part(seen).header == ("Joint", "Contacts", "Seconds", "Share")
 
 

@@ -69,7 +69,7 @@ def test_contacts_of_lost_legs_move_no_segment_in_sight(is_locked, seed):
         markers[lost, columns] = np.nan
         is_contact[first - 15 : first + length + 15, 2 * foot : 2 * foot + 2] = True
         is_known[lost, 2 * foot : 2 * foot + 2] = False
-    contacts = BodyContacts(CONTACT_JOINTS, is_contact, is_known, NO_FLOOR, RATE)
+    contacts = BodyContacts(CONTACT_JOINTS, is_contact, is_contact * 0.9, is_known, NO_FLOOR, RATE)
     columns = np.arange(len(TAKE.subject.joints))
     body_markers = TAKE.marker_positions
     take = Take(markers, TAKE.labels, RATE)
