@@ -8,7 +8,7 @@ const LEFT = 92, RIGHT = 14, TOP = 20, GAP = 6, BOTTOM = 14;
 const BAND_SDS = 2;
 const KEY_PX = 7;
 const SCALE_FACTOR = 1.25;  // of the values, for each step of the wheel
-const OTHER_COLOURS = ["#0072b2", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
+const OTHER_COLOURS = ["#2a8fd0", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];  // of the markers beside the first
 const MAX_CURVE_MARKERS = 1 + OTHER_COLOURS.length;
 
 // What can be shown: its rows, unit, and the value of a marker in a row and frame of a layer, NaN where it has none.
@@ -223,7 +223,7 @@ export class CurveView {
     this.strokeLine(context, plain, y, colour("--before"), 1.2);
     this.strokeLine(context, changed, y, colour("--faulty"), 1.2);
     this.strokeLine(context, after, y, colour("--estimated"), 1.4);
-    estimates.forEach((line, n) => this.drawEstimate(context, line, y, this.estimates[n]));
+    estimates.forEach((line, n) => this.drawEstimate(context, line, y, this.estimates[n], colour("--text")));
     context.restore();
   }
 
@@ -265,12 +265,12 @@ export class CurveView {
     return Float64Array.from({ length: scale.to - scale.from + 1 }, (_, n) => value(n + scale.from - from));
   }
 
-  drawEstimate(context, line, y, { colour, isActive, number, from, length, points }) {
+  drawEstimate(context, line, y, { colour, isActive, number, from, length, points }, textColour) {
     this.strokeLine(context, line, y, colour, isActive ? 3 : 1.3);
     if (points) return this.drawKeys(context, points, y, colour);
     const at = Math.floor((from + (length * number) / 8 - line.from) / line.step);
     if (!(line.low[at] <= line.high[at])) return;
-    context.fillStyle = colour;
+    context.fillStyle = textColour;
     context.fillText(String(number), this.window.x(line.from + at * line.step), y(line.high[at]) - 3);
   }
 
