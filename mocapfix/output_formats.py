@@ -14,6 +14,7 @@ import numpy as np
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import OptionError, WriteError
+from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh
 from mocapfix.io.c3d import write_c3d
@@ -72,6 +73,7 @@ class OutputContent:
     review: Review  # what a reviewer decided after an earlier cleaning
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
+    hands: tuple[HandMotion, ...] = ()  # the hands whose fingers markers show
     recorded: Computation[None] | None = None  # the recording, written by the second process; None in a preview
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
@@ -202,7 +204,8 @@ def _write_npz(target: Path, content: OutputContent) -> None:
         return
     motion = content.exported
     lowered = take.replace_markers(take.markers - [0.0, motion.floor_height_m, 0.0], take.sample_sd)
-    write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts)
+    hands = [each.lower_floor(motion.floor_height_m) for each in content.hands]
+    write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts, hands=hands)
 
 
 def record_cleaning(folder: Path, comparison: CleaningComparison) -> None:

@@ -207,6 +207,7 @@ def clean_subject(take: Take, review: Review, options: CleanOptions, timer: Stag
         motion=body.motion if body else None,
         joint_position_world=body.joint_positions if body else None,
         contacts=body.contacts if body else None,
+        hands=body.hands if body else (),
         residual_m=body.residual_m if body else None,
         report=build_report(take, choice, body, decided, options, timer),
         review=review,
@@ -220,7 +221,8 @@ def run_stages(
     fitted = fit_stages(take, choice, review, options, timer)
     with timer("fill"):
         filled = next(fitted.fill_gaps([review.corrections], options))
-        solved = build_solved_body(fitted.detected, fitted.standing) if fitted.standing else None
+        has_hands = kept is None and not options.initialise.is_fast
+        solved = build_solved_body(fitted.detected, fitted.standing, has_hands=has_hands) if fitted.standing else None
         if kept is not None:
             filled, solved = crop_stages(take, filled, solved, kept)
             take, review = select_frames(take, kept), review.select_frames(kept)

@@ -20,6 +20,7 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, HeldFeet, e
 from mocapfix.contacts.plate_contacts import is_file_event_wrong
 from mocapfix.detect.gaps import detect_gaps, detect_lost_segments
 from mocapfix.errors import WriteError
+from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.io.c3d_events import add_c3d_events
 from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
@@ -102,6 +103,7 @@ class CleaningResult:
         joint_position_world: Metres, the solved joints; NaN for joints that the markers do not show; None without a body.
         residual_m: Distance of each inlier marker from the body in metres, NaN for other samples; None without a body.
         contacts: When joints of the body are in contact with the floor, and the events of gait; None without a body.
+        hands: The motion of each hand whose fingers markers show.
         review: What a reviewer decided after an earlier cleaning.
         requested: The options with which the take was cleaned.
         subject_results: Results by subject of a take of several subjects. Their common result has no body of its own.
@@ -120,6 +122,7 @@ class CleaningResult:
     joint_position_world: Float[np.ndarray, "T J 3"] | None = None
     residual_m: Float[np.ndarray, "T M"] | None = None
     contacts: BodyContacts | None = None
+    hands: tuple[HandMotion, ...] = ()
     review: Review = NO_REVIEW
     requested: CleanOptions = DEFAULT_CLEAN_OPTIONS
     subject_results: tuple["CleaningResult", ...] = ()
@@ -254,7 +257,7 @@ class CleaningResult:
         final_report["times"] = timer.part_times
         result = replace(self, report=final_report)._drop_samples(unstorable)
         written = result.contacts, result.changes, result.review, result.subject_report, result.comparison
-        content = OutputContent(self.input_take, result.output_take, exported_motion, *written)
+        content = OutputContent(self.input_take, result.output_take, exported_motion, *written, hands=self.hands)
         source_suffixes, default = get_source_suffixes(self.input_take.path), (BVH_FORMAT, *DEFAULT_FORMATS)
         formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes

@@ -3,7 +3,7 @@
 docs/formats.md lists the arrays of a take, docs/characters.md those of a character.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ import scipy
 from jaxtyping import Bool
 
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.io.files import replace_atomically
 from mocapfix.kernels import lie
 from mocapfix.model.motion import FrameStatus, Motion
@@ -34,12 +35,15 @@ def write_npz(
     rate: float | None = None,
     solved_joints: Bool[np.ndarray, " J"] | None = None,
     contacts: BodyContacts | None = None,
+    *,
+    hands: Sequence[HandMotion] = (),
 ) -> None:
     """Write the markers of a take and, if there is a body, its motion.
 
     Args:
         rate: Frames per second of the motion; by default those of the take.
         solved_joints: The joints that the markers show; by default all.
+        hands: The hands whose fingers markers show, at the rate of the markers.
     """
     arrays = {
         "format": np.array(NPZ_FORMAT),
@@ -57,8 +61,30 @@ def write_npz(
         arrays |= _build_body_arrays(skeleton, motion, solved_joints)
     if contacts is not None:
         arrays |= _build_contact_arrays(contacts)
+    for hand in hands:
+        arrays |= _build_hand_arrays(hand)
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
+
+
+def _build_hand_arrays(hand: HandMotion) -> dict[str, np.ndarray]:
+    """Return the arrays of a hand; their names begin with its side."""
+    side, is_known = hand.hand.model.side.lower(), np.ones(len(hand.palm_position), bool)
+    joints = range(hand.joint_rotations.shape[1])
+    rotations = [lie.extract_joint_quaternions(hand.joint_rotations, joint, is_known) for joint in joints]
+    palm = lie.extract_joint_quaternions(np.ascontiguousarray(hand.palm_rotation[:, None]), 0, is_known)
+    arrays = {
+        "names": np.array([*hand.hand.model.joint_names, *hand.hand.model.tip_names]),
+        "length": np.array(hand.hand.length_m),
+        "wrist": hand.palm_position,
+        "palm": palm,
+        "rotations": np.stack(rotations, axis=1),
+        "points": hand.point_positions,
+        "point_sd": hand.point_sd,
+        "rotation_sd": hand.rotation_sd,
+        "fingers_seen": hand.is_seen,
+    }
+    return {f"{side}_hand_{name}": values for name, values in arrays.items()}
 
 
 def _build_contact_arrays(contacts: BodyContacts) -> dict[str, np.ndarray]:

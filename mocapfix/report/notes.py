@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
+from mocapfix.hands.solve_hands import HandMotion, solve_hands
 from mocapfix.model.body_fit import BodyFit, RememberedGap
 from mocapfix.model.changes import compute_distance_error_mm
 from mocapfix.model.detected import Detected
@@ -57,10 +58,11 @@ class SolvedBody:
     is_observed: Bool[np.ndarray, " J"]  # whether an inlier of any marker on a joint is visible
     carried_markers: tuple[int, ...]  # the markers of the take that the body carries
     remembered: tuple[RememberedGap, ...]  # limbs that are inferred from the memory of the person
+    hands: tuple[HandMotion, ...] = ()  # the hands whose fingers markers show; none of a long take, which is cleaned in windows
 
 
-def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
-    """Return what outputs need of a body whose standing feet are held."""
+def build_solved_body(detected: Detected, standing: StandingBody, *, has_hands: bool = False) -> SolvedBody:
+    """Return what outputs need of a body whose standing feet are held, with its hands solved if they are wanted."""
     body, columns, epochs = standing.fit, standing.fit.marker_columns, detected.epochs
     carried, seen = columns[columns >= 0], np.any(epochs.split_mask(detected.inlier_mask), axis=0)
     joints = body.extended_subject.joints[columns >= 0][seen[carried]]
@@ -74,6 +76,7 @@ def build_solved_body(detected: Detected, standing: StandingBody) -> SolvedBody:
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),
         remembered=body.remembered,
+        hands=solve_hands(detected.take, detected.solver_mask, body.subject, body.motion) if has_hands else (),
     )
 
 
@@ -92,7 +95,14 @@ def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
         *describe_remembered_gaps(detected.take, body.remembered, names),
+        *describe_hands(body),
     ]
+
+
+def describe_hands(body: SolvedBody) -> list[str]:
+    """Return a note on the hands that are solved, or on finger markers from which none was; no note without any."""
+    solved = [f"{hand.hand.model.side.lower()} hand ({hand.hand.length_m * 1e3:.0f} mm long)" for hand in body.hands]
+    return [f"The fingers of the {join_words(solved)} are solved from their markers; --also npz writes them."] if solved else []
 
 
 def describe_remembered_gaps(take: Take, gaps: Sequence[RememberedGap], names: Sequence[str]) -> list[str]:

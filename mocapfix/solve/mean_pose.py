@@ -14,7 +14,7 @@ from mocapfix.model.skeleton import Skeleton
 
 NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
 # YAML files in priors/ that are not mean-pose priors. Nor are those beside weights, which are settings of training.
-OTHER_PRIOR_FILES = ("joint-limits", "shape")
+OTHER_PRIOR_FILES = ("hand", "joint-limits", "shape")
 
 
 @dataclass(frozen=True)

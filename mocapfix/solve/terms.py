@@ -44,7 +44,10 @@ BodyTerms: TypeAlias = tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitT
 
 
 def build_marker_term(
-    attachment: MarkerAttachment, positions: Float[np.ndarray, "T K 3"], is_used: Bool[np.ndarray, "T K"], sd_m: float
+    attachment: MarkerAttachment,
+    positions: Float[np.ndarray, "T K 3"],
+    is_used: Bool[np.ndarray, "T K"],
+    sd_m: float | Float[np.ndarray, " K"],
 ) -> PointTerm:
     """Return markers as a term. Arrays in another order of memory would be other types and compile the solver again."""
     measured = np.ascontiguousarray(np.where(is_used[..., None], positions, 0.0))

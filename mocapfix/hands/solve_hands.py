@@ -1,0 +1,216 @@
+"""The motion of the hands of a take with finger markers: calibration and solve, after the body and without moving it.
+
+The body carries the palm. Each hand is a skeleton of its own (`hand_model`) whose root may leave the palm by as much as the
+body's hand is uncertain, so that nothing of the body changes. A frame has the terms of the body's solver: the markers of fingers
+and of the back of the hand, the palm, limits, and a Gaussian on poses of the hand.
+
+`solve_hand` solves the frames as `solve.window_solver` does: each by itself; across gaps of a finger with its smooth trajectory
+too, whose variance grows with the distance from the gap's edges, so that in a long gap the synergies and the other fingers
+decide; and all again about the smooth trajectories of the joints.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.hands.calibrated_hand import (
+    MARKER_SD_M,
+    POSE_ITERATIONS,
+    ROBUST_SCALES_M,
+    CalibratedHand,
+    PalmPath,
+    linearise_hand_prior,
+    minimise_hand_poses,
+)
+from mocapfix.hands.calibration import calibrate_hand
+from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
+from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, TIP_JOINTS, load_hand
+from mocapfix.model.motion import Motion, PoseUncertainty
+from mocapfix.model.subject import Subject
+from mocapfix.model.take import Take
+from mocapfix.solve import smoothing
+from mocapfix.solve.kinematics import Poses, compute_world_poses, interpolate_poses
+from mocapfix.solve.minimise import compute_uncertainty
+from mocapfix.solve.parallel import map_in_threads
+from mocapfix.solve.pose_problem import find_key_frames, find_unobserved_joints, list_posed_frames
+from mocapfix.solve.terms import TrackingTerm
+from mocapfix.stats.sequences import interpolate_rows
+from mocapfix.subject.library import build_subject_marker_set
+
+MIN_PALM_SD_M = 0.005  # per axis, of the wrist as the forearm carries it; more where the body's hand is less certain
+MIN_PALM_SD_RAD = 0.17  # of the palm about the body's hand joint
+PALM_LEVER_M = 0.1  # a palm that is uncertain by this much is uncertain by a radian
+
+
+@dataclass(frozen=True)
+class HandMotion:
+    """The motion of one hand over T frames.
+
+    Attributes:
+        hand: The calibrated hand.
+        palm_position: Metres: the wrist's centre in the world.
+        palm_rotation: The palm's axes in the world; in a T-pose they are the world's.
+        joint_rotations: Of the 15 joints, ray by ray, to the parent's axes; in the rest pose all axes are those of the palm.
+        point_positions: Metres: the 15 joints and the five tips in the world.
+        point_sd: Metres: predicted standard deviation per axis of these.
+        rotation_sd: Radians: predicted standard deviation of the rotation of each joint, over its three axes.
+        is_seen: Whether a marker on a ray is used in a frame.
+    """
+
+    hand: CalibratedHand
+    palm_position: Float[np.ndarray, "T 3"]
+    palm_rotation: Float[np.ndarray, "T 3 3"]
+    joint_rotations: Float[np.ndarray, "T 15 3 3"]
+    point_positions: Float[np.ndarray, "T 20 3"]
+    point_sd: Float[np.ndarray, "T 20"]
+    rotation_sd: Float[np.ndarray, "T 15"]
+    is_seen: Bool[np.ndarray, "T 5"]
+
+    def lower_floor(self, height_m: float) -> "HandMotion":
+        """Return the motion with the floor of a height at height 0."""
+        down = np.array([0.0, height_m, 0.0])
+        return replace(self, palm_position=self.palm_position - down, point_positions=self.point_positions - down)
+
+    @property
+    def tip_positions(self) -> Float[np.ndarray, "T 5 3"]:
+        """The tips of thumb to little finger in the world, in metres."""
+        return self.point_positions[:, len(HAND_JOINTS) :]
+
+    @property
+    def angles(self) -> Float[np.ndarray, "T 15 3"]:
+        """Twist, abduction and flexion of the 15 joints in radians."""
+        return self.hand.model.compute_angles(self.hand.model.compute_rotation_vectors(self.joint_rotations))
+
+
+def solve_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, motion: Motion) -> tuple[HandMotion, ...]:
+    """Return the motion of each hand of a take that shows its fingers.
+
+    Args:
+        is_used: The samples that the solver may use.
+        subject: The person's body.
+        motion: Of the body; it is not changed.
+    """
+    hands = find_finger_markers(subject.marker_set, take.labels)
+    if not hands:
+        return ()
+    position, rotation = compute_world_poses(subject.skeleton, motion)
+
+    def solve_one(finger_markers: FingerMarkers) -> HandMotion | None:
+        if not is_used[:, finger_markers.columns].any():
+            return None
+        hand, forearm = (subject.skeleton.find_joint(f"{finger_markers.side}{name}") for name in ("Hand", "ForeArm"))
+        sd = np.nan_to_num(motion.joint_sd[:, hand]) if motion.joint_sd.size else np.zeros(len(position))
+        sd_m, sd_rad = np.hypot(MIN_PALM_SD_M, sd), np.hypot(MIN_PALM_SD_RAD, sd / PALM_LEVER_M)
+        palm = PalmPath(position[:, forearm], rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
+        hand_markers = add_palm_markers(finger_markers, subject, take.labels)
+        used, markers = np.ascontiguousarray(is_used[:, hand_markers.columns]), take.markers[:, hand_markers.columns]
+        calibrated = calibrate_hand(hand_markers, markers, used, palm, take.rate, subject.skeleton.size_ratio)
+        return solve_hand(calibrated, markers, used, palm, take.rate)
+
+    return tuple(hand for hand in map_in_threads(solve_one, hands) if hand is not None)
+
+
+def add_palm_markers(hand: FingerMarkers, subject: Subject, labels: tuple[str, ...]) -> FingerMarkers:
+    """Return the markers of a hand with those of the body that are on its back, which move with the palm."""
+    model, joint = load_hand(hand.side), subject.skeleton.find_joint(f"{hand.side}Hand")
+    rows, own, size_ratio = np.flatnonzero(subject.joints == joint), hand.markers, subject.skeleton.size_ratio
+    from_wrist = subject.skeleton.offsets[joint] - model.palm_position * size_ratio
+    palm = build_subject_marker_set(subject).select_markers([subject.labels[k] for k in rows])
+    columns = palm.find_columns(labels)
+    shown = columns >= 0
+    offsets = (subject.marker_offsets[rows] + from_wrist) / size_ratio
+    marker_set = replace(
+        own,
+        labels=(*own.labels, *np.array(palm.labels, str)[shown].tolist()),
+        joints=np.concatenate([own.joints, np.zeros(int(shown.sum()), int)]),
+        marker_offsets=np.concatenate([own.marker_offsets, offsets[shown]]),
+        marker_spread=np.concatenate([own.marker_spread, np.full(int(shown.sum()), model.palm_marker_sd_m)]),
+        aliases=(*own.aliases, *((),) * int(shown.sum())),
+    )
+    return FingerMarkers(hand.side, marker_set, np.concatenate([hand.columns, columns[shown]]))
+
+
+def solve_hand(
+    hand: CalibratedHand,
+    markers: Float[np.ndarray, "T K 3"],
+    is_used: Bool[np.ndarray, "T K"],
+    palm: PalmPath,
+    rate: float,
+) -> HandMotion:
+    """Return the motion of a calibrated hand; arguments as of `calibrate_hand`."""
+    measured, frames = np.where(is_used[..., None], markers, 0.0), np.arange(len(markers))
+    tracking = hand.track_palm(palm)
+    poses = _solve_single_frames(hand, measured, is_used, palm, rate)
+    is_unobserved = _find_unobserved(hand, is_used)
+    if is_unobserved.any():
+        across, _ = smoothing.track_across_gaps(poses[1], is_unobserved, rate)
+        rotations, weight = across.rotations, across.weight
+        rotations[:, 0], weight[:, 0] = tracking.rotations[:, 0], tracking.weight[:, 0]
+        tracking = tracking._replace(rotations=rotations, weight=weight)
+        terms = hand.build_terms(measured, is_used, tracking)
+        poses, _ = minimise_hand_poses(hand, terms, poses, ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
+    known = np.flatnonzero(find_key_frames(frames, is_used, rate))
+    uncertainty = _compute_uncertainty(
+        hand, measured[known], is_used[known], _select_tracking(tracking, known), _select(poses, known)
+    )
+    uncertainty = PoseUncertainty(*(interpolate_rows(each, known, frames) for each in uncertainty))
+    smooth = smoothing.smooth_poses(poses[0], poses[1].copy(), uncertainty, is_unobserved, hand.model.free_joints, rate)
+    root, local = hand.place_palm(palm)
+    smooth.rotations[:, 0], smooth.weight[:, 0] = local[:, 0], palm.sd_rad**-2.0
+    smooth = smooth._replace(root=root, root_weight=palm.sd_m**-2.0)
+    poses, _ = minimise_hand_poses(
+        hand, hand.build_terms(measured, is_used, smooth), poses, ROBUST_SCALES_M[-1:], POSE_ITERATIONS
+    )
+    carriers = hand.attachment.joints
+    is_seen = np.stack([is_used[:, (carriers > ray) & (carriers <= ray + 3)].any(1) for ray in RAY_ROOTS], axis=1)
+    point_sd = np.concatenate([uncertainty.joint_sd[:, HAND_JOINTS], uncertainty.marker_sd[:, -len(TIP_JOINTS) :]], axis=1)
+    return HandMotion(
+        hand,
+        poses[0],
+        np.ascontiguousarray(poses[1][:, 0]),
+        hand.model.convert_to_palm_axes(poses[1]),
+        hand.compute_points(poses),
+        np.hypot(point_sd, hand.point_sd_m),
+        np.sqrt(3 * uncertainty.rotation_variance[:, HAND_JOINTS]),
+        is_seen,
+    )
+
+
+def _solve_single_frames(hand: CalibratedHand, measured: np.ndarray, is_used: np.ndarray, palm: PalmPath, rate: float) -> Poses:
+    """Return the pose of each frame by itself: those at a rate from the rest pose, the others from their interpolation."""
+    posed = list_posed_frames(len(measured), rate)
+
+    def solve(frames: Int[np.ndarray, " N"], start: Poses, scales_m: tuple[float, ...], iterations: int) -> Poses:
+        terms = hand.build_terms(measured[frames], is_used[frames], hand.track_palm(palm.select_frames(frames)))
+        return minimise_hand_poses(hand, terms, start, scales_m, iterations)[0]
+
+    known = solve(posed, hand.place_palm(palm.select_frames(posed)), ROBUST_SCALES_M, POSE_ITERATIONS)
+    if len(posed) == len(measured):
+        return known
+    every = np.arange(len(measured))
+    return solve(every, interpolate_poses(known, posed, len(measured)), ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
+
+
+def _find_unobserved(hand: CalibratedHand, is_used: Bool[np.ndarray, "T K"]) -> Bool[np.ndarray, "T J"]:
+    """Return the joints that no marker shows in a frame, if one does in others."""
+    set_of_hand, spread = hand.markers.markers, hand.markers.markers.marker_spread
+    subject = Subject(hand.model.skeleton, set_of_hand.name, set_of_hand.labels, set_of_hand.joints, hand.marker_offsets, spread)
+    return find_unobserved_joints(is_used, subject, hand.model.free_joints)
+
+
+def _compute_uncertainty(
+    hand: CalibratedHand, measured: np.ndarray, is_used: np.ndarray, tracking: TrackingTerm, poses: Poses
+) -> PoseUncertainty:
+    """Return the uncertainty of poses under all terms; the last five points are the tips."""
+    terms, latent = hand.build_terms(measured, is_used, tracking), linearise_hand_prior(hand, len(measured))
+    codes = np.zeros((len(measured), hand.model.prior.code_size))
+    return compute_uncertainty(hand.tree, (*terms, latent), poses, (ROBUST_SCALES_M[-1] / MARKER_SD_M) ** 2, codes=codes)
+
+
+def _select(poses: Poses, frames: Int[np.ndarray, " N"]) -> Poses:
+    return poses[0][frames], poses[1][frames]
+
+
+def _select_tracking(tracking: TrackingTerm, frames: Int[np.ndarray, " N"]) -> TrackingTerm:
+    return TrackingTerm(*(each[frames] for each in tracking))

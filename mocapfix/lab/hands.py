@@ -1,0 +1,249 @@
+"""Benchmark of hands: the fingers of composed people whose hands are not those of the model.
+
+Of each person, lengths of bones, directions of rays, axes of joints, coupling of end joints, the palm's place on the body and the
+places of markers are drawn from published spreads (priors/hand.md). Joints turn about two axes, one after the other, an end joint
+follows the joint before it by a share that changes with the grip, and markers slide on the skin. The hands make fists, points,
+pinches, grips, counting, playing of a piano and waving, and hang while the person walks. Gaps have the lengths of productions.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from mocapfix.hands.finger_markers import SIDES, load_finger_schemes
+from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, RAYS, TIP_JOINTS, Side, load_hand
+from mocapfix.hands.solve_hands import HandMotion, solve_hands
+from mocapfix.io.c3d import write_c3d
+from mocapfix.lab.uncertainty import PredictedErrors, summarise_errors
+from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions
+from mocapfix.pipeline import fit_subject
+from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
+from mocapfix.synthetic import compose_motion, draw_subject, simulate_markers
+
+HAND_SEEDS = range(6)  # people that no constant was tuned on; those used for tuning have seeds of 100 and more
+SECONDS, HAND_RATE_HZ = 24.0, 100.0
+LENGTH_SD, BONE_SD = 0.05, 0.05  # relative
+RAY_SD_DEG, AXIS_SD_DEG = 4.0, 4.0  # of directions of rays and of axes of joints
+PALM_SD_M, PALM_SD_DEG, BASE_SD_M = 0.008, 6.0, 0.003  # per axis; the last of knuckles and of the thumb's saddle joint
+MARKER_RANGE_M = 0.008  # a marker is displaced by up to this along each axis
+SKIN_SD_M, SKIN_TIME_S, NOISE_SD_M = 0.0015, 0.3, 0.0003
+COUPLING_RANGE, COUPLING_CHANGE = (0.5, 0.8), 0.1  # of end joints: over people and fingers, and with the grip
+WRIST_SD_DEG = (20.0, 6.0, 12.0)  # of pronation in the forearm, deviation and flexion at the wrist
+GAP_LENGTHS = ([0.0, 0.33, 0.5, 0.75, 0.9, 0.95, 1.0], [1, 1, 3, 9, 30, 65, 300])  # frames at these shares of the gaps
+MEAN_GAP_FRAMES = 16.0
+LOST_SHARES = {"0": 0.017, "3": 0.02, "6": 0.035}  # of the samples, by the last digit of the label: tips are lost more often
+MARKER_COUNTS = {  # of a hand pair, and the labels of a left hand
+    20: ("LTHM3", "LTHM6", "LIDX3", "LIDX6", "LMID0", "LMID6", "LRNG3", "LRNG6", "LPNK3", "LPNK6"),
+    10: ("LTHM6", "LIDX6", "LMID6", "LRNG6", "LPNK6"),
+    6: ("LTHM3", "LIDX3", "LPNK3"),
+    2: ("LMID6",),
+}
+# Flexion of thumb (saddle joint, middle, end), of the fingers' knuckles and of their middle joints, spread, and abduction of the
+# thumb, in degrees; several numbers are those of index to little finger.
+GESTURES: dict[str, tuple[Any, Any, Any, float, float]] = {
+    "relaxed": ((5, 15, 15), (20, 25, 30, 32), (25, 30, 32, 30), 2, 5),
+    "flat": ((-10, 5, 5), 0, 5, 8, 0),
+    "fist": ((15, 30, 40), (75, 80, 80, 75), (95, 98, 95, 90), 0, 10),
+    "point": ((12, 28, 35), (5, 70, 75, 70), (8, 92, 95, 88), 0, 8),
+    "pinch": ((8, 20, 15), (50, 35, 25, 20), (45, 35, 25, 20), 3, 22),
+    "grip": ((5, 15, 20), (45, 48, 50, 55), (45, 48, 50, 48), 4, 20),
+    "hook": ((0, 10, 10), (5, 5, 5, 8), (80, 85, 85, 75), 2, 0),
+    "two": ((15, 30, 40), (5, 5, 72, 70), (8, 8, 92, 88), 9, 12),
+    "three": ((15, 32, 45), (5, 5, 8, 70), (8, 8, 10, 85), 9, 12),
+    "piano": ((5, 12, 12), (25, 25, 25, 25), (35, 35, 35, 35), 6, 10),
+}
+
+
+class TrueHand(NamedTuple):
+    """One true hand over T frames, in metres, in the world."""
+
+    points: Float[np.ndarray, "T 20 3"]  # 15 joints and five tips
+    flexions: Float[np.ndarray, "T 15"]  # rad
+    markers: Float[np.ndarray, "T K 3"]
+    labels: tuple[str, ...]
+
+
+class TrueHands(NamedTuple):
+    """A take of a person with both hands."""
+
+    take: Take
+    hands: dict[Side, TrueHand]
+
+
+def compose_angles(rng: np.random.Generator, frames: int) -> Float[np.ndarray, "T 15 2"]:
+    """Return flexion and abduction of the 15 joints in radians, without the end joints of fingers."""
+    angles, time, first, names = np.zeros((frames, 15, 2)), np.arange(frames) / HAND_RATE_HZ, 0, list(GESTURES)
+    is_playing = np.zeros(frames)
+    while first < frames:
+        name, last = names[rng.integers(len(names))], min(frames, first + round(rng.uniform(0.8, 2.0) * HAND_RATE_HZ))
+        thumb, knuckles, middles, spread, thumb_abduction = GESTURES[name]
+        scale = rng.normal(1, 0.1, 4)
+        angles[first:last, :3, 0] = np.array(thumb) * scale[0]
+        angles[first:last, 0, 1] = thumb_abduction * scale[3]
+        angles[first:last, 3::3, 0] = np.broadcast_to(knuckles, 4) * scale[1] + rng.normal(0, 5, 4)
+        angles[first:last, 4::3, 0] = np.broadcast_to(middles, 4) * scale[2] + rng.normal(0, 5, 4)
+        angles[first:last, 3::3, 1] = spread * np.array([1, 0.2, -0.7, -1.2]) * scale[3] + rng.normal(0, 2, 4)
+        is_playing[first:last] = name == "piano"
+        first = last
+    for ray in range(5):  # fingers move at slightly different times
+        joints, shift, sigma = slice(3 * ray, 3 * ray + 3), rng.integers(-8, 9), rng.uniform(0.05, 0.12) * HAND_RATE_HZ
+        angles[:, joints] = gaussian_filter1d(np.roll(angles[:, joints], shift, axis=0), sigma, axis=0)
+    playing = gaussian_filter1d(is_playing, 0.1 * HAND_RATE_HZ)
+    for finger in range(4):
+        taps = np.maximum(np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * time + rng.uniform(0, 6)), 0) ** 2
+        angles[:, 3 + 3 * finger, 0] += 25 * taps * playing
+    angles[:, ::3, 0] += (
+        3 * gaussian_filter1d(rng.normal(size=(frames, 5)), 0.3 * HAND_RATE_HZ, axis=0) * np.sqrt(0.6 * HAND_RATE_HZ)
+    )
+    return np.radians(angles)
+
+
+def draw_hand(
+    rng: np.random.Generator,
+    side: Side,
+    wrist: Float[np.ndarray, "T 3"],
+    axes_world: Float[np.ndarray, "T 3 3"],
+    size_ratio: float,
+) -> TrueHand:
+    """Return a hand at a wrist, in metres, whose palm has nearly these axes."""
+    model, frames = load_hand(side), len(wrist)
+    size = size_ratio * rng.normal(1, LENGTH_SD)
+    hand = model.scale(size * rng.normal(1, BONE_SD, 20))
+    skeleton, angles = hand.skeleton, compose_angles(rng, frames)
+    rest, offsets = skeleton.rest_rotations.copy(), skeleton.offsets.copy()
+    tilts = Rotation.from_rotvec(rng.normal(0, np.radians(RAY_SD_DEG), (5, 3))).as_matrix()
+    rest[RAY_ROOTS] = rest[RAY_ROOTS] @ tilts
+    offsets[RAY_ROOTS[0]] += rng.normal(0, BASE_SD_M, 3)
+    for root, tilt in zip(RAY_ROOTS[1:], tilts[1:], strict=True):  # a finger turns about its knuckle, which is displaced itself
+        offsets[root + 1] = tilt.T @ (offsets[root + 1] + rng.normal(0, BASE_SD_M, 3))
+    coupling = (
+        rng.uniform(*COUPLING_RANGE, 4)
+        + COUPLING_CHANGE * np.sin(np.arange(frames) / HAND_RATE_HZ * 0.7 + rng.uniform(0, 6))[:, None]
+    )
+    angles[:, 5::3, 0] = coupling * angles[:, 4::3, 0]
+    local = np.tile(rest, (frames, 1, 1, 1))
+    axes = model.compute_angles(np.eye(3))  # of twist, abduction, flexion
+    for index, joint in enumerate(HAND_JOINTS):
+        tilt = Rotation.from_rotvec(rng.normal(0, np.radians(AXIS_SD_DEG), (2, 3))).as_matrix()
+        turns = [Rotation.from_rotvec(np.outer(angles[:, index, a], tilt[a] @ axes[2 - a])).as_matrix() for a in (0, 1)]
+        local[:, joint] = turns[0] @ turns[1]
+    twist = 0.5 * angles[:, 0, 1] + 0.2 * angles[:, 0, 0]  # the thumb's saddle joint pronates as it opposes
+    local[:, HAND_JOINTS[0]] = local[:, HAND_JOINTS[0]] @ Rotation.from_rotvec(np.outer(twist, axes[0])).as_matrix()
+    local[:, 0] = axes_world @ Rotation.from_rotvec(rng.normal(0, np.radians(PALM_SD_DEG), 3)).as_matrix()
+    tree = build_kinematic_tree(replace(skeleton, offsets=offsets))
+    position, rotation = compute_tree_poses(tree, wrist, local)
+    tips = position[:, TIP_JOINTS] + (rotation[:, TIP_JOINTS] @ hand.tips[..., None])[..., 0]
+    scheme = next(each for each in load_finger_schemes() if each.name == "vicon-fingers").hands[side == "Right"]
+    offset = scheme.marker_offsets * size + rng.uniform(-MARKER_RANGE_M, MARKER_RANGE_M, scheme.marker_offsets.shape)
+    sigma = SKIN_TIME_S / 2 * HAND_RATE_HZ
+    skin = (
+        gaussian_filter1d(rng.normal(size=(frames, *offset.shape)), sigma, axis=0)
+        * SKIN_SD_M
+        * np.sqrt(2 * np.sqrt(np.pi) * sigma)
+    )
+    markers = position[:, scheme.joints] + (rotation[:, scheme.joints] @ (offset + skin)[..., None])[..., 0]
+    markers += rng.normal(0, NOISE_SD_M, markers.shape)
+    markers[draw_finger_gaps(rng, frames, scheme.labels)] = np.nan
+    return TrueHand(np.concatenate([position[:, HAND_JOINTS], tips], axis=1), angles[..., 0], markers, scheme.labels)
+
+
+def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, ...]) -> Bool[np.ndarray, "T K"]:
+    """Return which samples are missing: gaps of the lengths of productions, at 120 frames a second."""
+    missing = np.zeros((frames, len(labels)), bool)
+    for marker, label in enumerate(labels):
+        for _ in range(rng.poisson(LOST_SHARES[label[-1]] * frames / MEAN_GAP_FRAMES)):
+            first = rng.integers(frames)
+            missing[first : first + round(float(np.interp(rng.random(), *GAP_LENGTHS))), marker] = True
+    return missing
+
+
+def compose_hands(seed: int) -> TrueHands:
+    """Return a take of a person with the markers of FrontWaist and 20 finger markers.
+
+    Forearms pronate in the body's hand joints. The hands bend at the wrists, which lie beyond these, with their markers.
+    """
+    rng = np.random.default_rng(seed)
+    subject = draw_subject(rng, True, "frontwaist53")
+    motion, hands = compose_motion(subject, SECONDS, HAND_RATE_HZ), dict[Side, TrueHand]()
+    local, sigma = motion.local_rotations.copy(), 0.25 * HAND_RATE_HZ
+    sway = np.radians(WRIST_SD_DEG) * rng.normal(size=(2, motion.frame_count, 3)) * np.sqrt(2 * np.sqrt(np.pi) * sigma)
+    sway = gaussian_filter1d(sway, sigma, axis=1)
+    joints = [subject.skeleton.find_joint(f"{side}Hand") for side in SIDES]
+    for joint, turns in zip(joints, sway, strict=True):
+        local[:, joint] = local[:, joint] @ Rotation.from_rotvec(turns * np.eye(3)[0]).as_matrix()
+    motion = replace(motion, local_rotations=local)
+    _, markers = simulate_markers(rng, subject, motion, HAND_RATE_HZ)
+    position, rotation = compute_world_poses(subject.skeleton, motion)
+    size_ratio = subject.skeleton.size_ratio
+    for side, joint, turns in zip(SIDES, joints, sway, strict=True):
+        forearm = subject.skeleton.parents[joint]
+        place = load_hand(side).palm_position * size_ratio + rng.normal(0, PALM_SD_M, 3)
+        wrist = position[:, forearm] + rotation[:, forearm] @ place
+        bent = rotation[:, joint] @ Rotation.from_rotvec(turns * (1 - np.eye(3)[0])).as_matrix()
+        turn = bent @ rotation[:, joint].swapaxes(-1, -2)
+        on_hand = np.flatnonzero(subject.joints == joint)
+        markers[:, on_hand] = wrist[:, None] + np.einsum("tab,tkb->tka", turn, markers[:, on_hand] - wrist[:, None])
+        hands[side] = draw_hand(rng, side, wrist, bent, size_ratio)
+    all_markers = np.concatenate([markers, *(hand.markers for hand in hands.values())], axis=1)
+    labels = (*subject.labels, *(label for hand in hands.values() for label in hand.labels))
+    return TrueHands(Take(all_markers, labels, HAND_RATE_HZ), hands)
+
+
+def measure_hands(
+    seeds: Iterable[int] = HAND_SEEDS, report_progress: Callable[[str], None] = lambda _: None
+) -> dict[str, dict[str, Any]]:
+    """Return a row for each number of finger markers of a hand pair."""
+    found: dict[int, list[tuple[TrueHand, HandMotion]]] = {count: [] for count in MARKER_COUNTS}
+    for seed in seeds:
+        report_progress(f"seed {seed}")
+        truth = compose_hands(seed)
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "hands.c3d"
+            write_c3d(path, truth.take)
+            fitted, take = fit_subject(path, CleanOptions(), "hands.c3d")
+        assert fitted.standing is not None
+        detected, body = fitted.detected, fitted.standing.fit
+        for count, left in MARKER_COUNTS.items():
+            kept = select_columns(truth, take.labels, left)
+            part, is_used = detected.take.select(kept, detected.solver_mask), detected.solver_mask[:, kept]
+            hands = solve_hands(part, is_used, body.subject, body.motion)
+            found[count] += [(truth.hands[hand.hand.model.side], hand) for hand in hands]
+    return {f"{count} markers": summarise_hands(pairs) for count, pairs in found.items()}
+
+
+def select_columns(truth: TrueHands, labels: tuple[str, ...], kept: tuple[str, ...]) -> Int[np.ndarray, " N"]:
+    """Return the columns of a take without finger markers but some, which are given by their labels on a left hand."""
+    dropped = {label for hand in truth.hands.values() for label in hand.labels if "L" + label[1:] not in kept}
+    return np.array([m for m, label in enumerate(labels) if label not in dropped])
+
+
+def summarise_hands(pairs: list[tuple[TrueHand, HandMotion]]) -> dict[str, Any]:
+    """Return the mean errors of tips and angles, and how often errors lie within the predicted deviations."""
+    tips = np.concatenate([np.linalg.norm((hand.point_positions - truth.points)[:, 15:], axis=-1) for truth, hand in pairs])
+    angles = np.concatenate([np.abs(hand.angles[..., 2] - truth.flexions) for truth, hand in pairs])
+    tip_errors = np.concatenate([(hand.point_positions - truth.points)[:, 15:].reshape(-1, 3) for truth, hand in pairs])
+    joint_errors = np.concatenate([(hand.point_positions - truth.points)[:, :15].reshape(-1, 3) for truth, hand in pairs])
+    tip_sd = np.concatenate([hand.point_sd[:, 15:].ravel() for _, hand in pairs])
+    joint_sd = np.concatenate([hand.point_sd[:, :15].ravel() for _, hand in pairs])
+    of_tips, of_joints = (
+        summarise_errors(PredictedErrors(tip_errors, tip_sd)),
+        summarise_errors(PredictedErrors(joint_errors, joint_sd)),
+    )
+    by_ray = dict(zip(RAYS, (1e3 * tips.mean(0)).tolist(), strict=True))
+    return {
+        "tip_error_mm": 1e3 * float(tips.mean()),
+        "angle_error_deg": float(np.degrees(angles.mean())),
+        "tips_within_1_sigma": of_tips["within_1_sigma"],
+        "tips_within_2_sigma": of_tips["within_2_sigma"],
+        "joints_within_1_sigma": of_joints["within_1_sigma"],
+        "joints_within_2_sigma": of_joints["within_2_sigma"],
+        "tip_error_by_finger_mm": {ray: round(value, 1) for ray, value in by_ray.items()},
+    }

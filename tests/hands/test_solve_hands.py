@@ -1,0 +1,138 @@
+"""Hands with known truth: recovered poses, gaps, deviations, and a body that does not move."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix.hands.calibrated_hand import minimise_hand_poses
+from mocapfix.hands.calibration import calibrate_hand
+from mocapfix.hands.hand_model import HAND_JOINTS, RAYS, TIP_JOINTS
+from mocapfix.hands.solve_hands import HandMotion, solve_hand, solve_hands
+from mocapfix.io.npz import write_npz
+from mocapfix.model.motion import Motion
+from mocapfix.model.take import Take
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions
+from mocapfix.synthetic import compose_motion, draw_subject
+from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_a_hand_of_the_model_is_recovered(side):
+    hand = build_hand(side)
+    palm, poses = compose_poses(hand)
+    markers = carry_markers(hand, poses)
+    found = solve_hand(hand, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ)
+    error = np.linalg.norm(found.point_positions - hand.compute_points(poses), axis=-1)
+    assert error[:, len(HAND_JOINTS) :].mean() < 0.004
+    assert error.mean() < 0.004
+    assert found.joint_rotations.shape == (FRAMES, 15, 3, 3)
+    assert (found.angles[:, 1::3, 2] > -0.3).all()  # nothing bends backwards
+    assert found.is_seen.all()
+
+
+def test_rotations_for_the_palms_axes_give_the_same_points():
+    hand = build_hand("Right")
+    palm, poses = compose_poses(hand)
+    markers = carry_markers(hand, poses)
+    found = solve_hand(hand, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ)
+    rest = hand.model.skeleton.rest_positions
+    tips, index = hand.model.skeleton.compute_rest_ends()[TIP_JOINTS], RAYS.index("Ring")
+    position, rotation = found.palm_position, found.palm_rotation
+    joints = HAND_JOINTS[3 * index : 3 * index + 3]
+    for before, joint, after in zip([0, *joints[:2]], joints, [*joints[1:], None], strict=True):
+        position = position + rotation @ (rest[joint] - rest[before])
+        rotation = rotation @ found.joint_rotations[:, np.flatnonzero(joint == HAND_JOINTS)[0]]
+        if after is None:
+            position = position + rotation @ (tips[index] - rest[joint])
+    np.testing.assert_allclose(position, found.tip_positions[:, index], atol=1e-9)
+
+
+def test_the_npz_file_has_the_hands_above_the_floor(tmp_path):
+    hand = build_hand("Left")
+    palm, poses = compose_poses(hand)
+    markers = carry_markers(hand, poses)
+    found = solve_hand(hand, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ).lower_floor(0.5)
+    write_npz(tmp_path / "hand.npz", Take(markers, hand.markers.markers.labels, RATE_HZ), hands=[found])
+    with np.load(tmp_path / "hand.npz") as arrays:
+        assert arrays["left_hand_names"].tolist()[:4] == [*(f"LeftHandThumb{n}" for n in (1, 2, 3)), "LeftHandIndex1"]
+        assert arrays["left_hand_names"][-1] == "LeftHandPinkyTip"
+        np.testing.assert_array_equal(arrays["left_hand_points"], found.point_positions)
+        np.testing.assert_allclose(arrays["left_hand_points"][..., 1] + 0.5, hand.compute_points(poses)[..., 1], atol=0.02)
+        assert arrays["left_hand_rotations"].shape == (FRAMES, 15, 4)
+        assert not [name for name in arrays if name.startswith("right_hand")]
+
+
+def test_a_lost_finger_follows_the_others_with_a_growing_deviation():
+    hand = build_hand("Left", ["THM6", "IDX6", "MID6", "RNG6", "PNK6"])
+    palm, poses = compose_poses(hand, seed=3)
+    markers, middle = carry_markers(hand, poses), RAYS.index("Middle")
+    is_used = np.ones(markers.shape[:2], bool)
+    is_used[60:180, 2] = False
+    found = solve_hand(hand, markers, is_used, palm, RATE_HZ)
+    sd, tips = found.point_sd[:, 15 + middle], found.tip_positions[:, middle]
+    assert sd[30] < sd[70] < sd[120]
+    assert sd[30] < sd[170] < sd[120]
+    assert sd[120] > 2 * sd[30]
+    assert sd[120] < 0.06  # the neighbours' curl says more than nothing
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    assert steps.max() < 0.02  # nothing jumps at the edges of the gap
+    error = np.linalg.norm(tips - hand.compute_points(poses)[:, 15 + middle], axis=1)
+    assert (error[60:180] < 4 * np.sqrt(3) * sd[60:180]).all()
+    assert not found.is_seen[60:180, middle].any()
+
+
+def test_a_hand_without_visible_markers_is_at_rest_and_uncertain():
+    hand = build_hand("Left", ["THM6", "IDX6"])
+    palm, poses = compose_poses(hand)
+    markers, is_used = carry_markers(hand, poses), np.ones((FRAMES, 2), bool)
+    is_used[30:] = False
+    found = solve_hand(hand, markers, is_used, palm, RATE_HZ)
+    assert np.isfinite(found.point_positions).all()
+    mean, _ = minimise_hand_poses(
+        hand, hand.build_terms(markers[-1:], is_used[-1:], hand.track_palm(palm.select_frames(np.array([FRAMES - 1])))),
+        (poses[0][-1:], poses[1][-1:]), (1.0,), 20,
+    )  # fmt: skip
+    assert np.linalg.norm(found.point_positions[-1] - hand.compute_points(mean)[0], axis=-1).max() < 0.03
+    assert found.point_sd[-1, 15:].min() > 0.015
+
+
+@pytest.mark.parametrize("ratio", [0.92, 1.08])
+def test_calibration_approaches_the_length_of_the_hand_and_says_how_well(ratio):
+    hand = build_hand("Left")
+    larger = replace(hand, model=hand.model.scale(np.full(20, ratio)), marker_offsets=hand.marker_offsets * ratio)
+    palm, poses = compose_poses(larger, seed=2)
+    markers = carry_markers(larger, poses) + np.random.default_rng(0).normal(0, 0.0005, (FRAMES, 10, 3))
+    found = calibrate_hand(hand.markers, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ, 1.0)
+    assert 0.1 < (found.length_m / hand.length_m - 1) / (ratio - 1) < 1.2
+    assert (found.point_sd_m < 0.012).all()
+    assert (found.point_sd_m > 0.001).all()
+    solved = solve_hand(found, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ)
+    error = (solved.point_positions - larger.compute_points(poses))[:, 15:]
+    assert np.sqrt((error**2).mean()) < 2 * solved.point_sd[:, 15:].mean()
+
+
+def compose_body(seconds=1.5):
+    subject = draw_subject(np.random.default_rng(5), False, "frontwaist53")
+    motion = compose_motion(subject, seconds, RATE_HZ)
+    _, markers = compute_joint_and_marker_positions(subject, motion)
+    return subject, replace(motion, joint_sd=np.full(motion.joint_sd.shape, 0.004)), markers
+
+
+def test_fingers_do_not_move_the_body_and_other_sets_have_none():
+    subject, motion, markers = compose_body()
+    kept = Motion(*(np.copy(each) for each in vars(motion).values()))
+    joint = subject.skeleton.find_joint("LeftHand")
+    near = markers[:, subject.joints == joint].mean(1)[:, None] + [[0.05, -0.03, 0.0], [0.06, -0.03, 0.02]]
+    take = Take(np.concatenate([markers, near], axis=1), (*subject.labels, "LIDX6", "LMID6"), RATE_HZ)
+    (hand,) = solve_hands(take, take.visible, subject, motion)
+    assert isinstance(hand, HandMotion)
+    assert hand.hand.model.side == "Left"
+    assert hand.hand.markers.markers.labels == ("LIDX6", "LMID6", "LIHAND", "LOHAND")
+    for before, after in zip(vars(kept).values(), vars(motion).values(), strict=True):
+        np.testing.assert_array_equal(before, after)
+    assert solve_hands(Take(markers, subject.labels, RATE_HZ), np.ones(markers.shape[:2], bool), subject, motion) == ()
+    assert solve_hands(take, take.visible, replace(subject, marker_set="cmu41"), motion) == ()
+    is_used = take.visible.copy()
+    is_used[:, -2:] = False
+    assert solve_hands(take, is_used, subject, motion) == ()

@@ -1,0 +1,39 @@
+"""The composed hands of the benchmark."""
+
+import numpy as np
+import pytest
+
+from mocapfix.lab import hands
+
+
+@pytest.fixture(scope="module")
+def composed():
+    return hands.compose_hands(0)
+
+
+def test_hands_are_at_the_wrists_and_bend_as_hands_do(composed):
+    for side, hand in composed.hands.items():
+        thumb, index = (np.linalg.norm(np.diff(hand.points[:, joints], axis=1), axis=-1) for joints in ([1, 2], [4, 5]))
+        assert np.ptp(thumb, axis=0).max() < 1e-9  # bones keep their lengths
+        assert np.ptp(index, axis=0).max() < 1e-9
+        marker = composed.take.labels.index(f"{side[0]}IHAND")
+        distance = np.linalg.norm(hand.points[:, 3] - composed.take.markers[:, marker], axis=-1)
+        assert np.nanmax(distance) < 0.12
+        assert np.degrees(hand.flexions).max() < 130
+        ratio = hand.flexions[:, 5] / np.maximum(hand.flexions[:, 4], 0.1)
+        assert 0.3 < np.median(ratio) < 1.0
+
+
+def test_gaps_are_as_frequent_and_as_long_as_in_productions():
+    rng, labels = np.random.default_rng(0), ("LIDX3", "LIDX6", "LMID0")
+    missing = np.mean([hands.draw_finger_gaps(rng, 6000, labels).mean(0) for _ in range(20)], axis=0)
+    assert missing[1] == pytest.approx(0.035, abs=0.01)
+    assert missing[1] > missing[0]
+
+
+def test_columns_of_fewer_markers_keep_those_of_the_body(composed):
+    labels = composed.take.labels
+    kept = {labels[column] for column in hands.select_columns(composed, labels, hands.MARKER_COUNTS[6])}
+    assert set(labels) - kept == {f"{side}{name}" for side in "LR" for name in (
+        "THM6", "IDX6", "MID0", "MID6", "RNG3", "RNG6", "PNK6"
+    )}  # fmt: skip
