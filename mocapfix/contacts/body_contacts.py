@@ -102,6 +102,7 @@ LEG_MARKER_SD_M = 0.003  # standard deviation of thighs' and shins' markers abou
 MARKER_DISPLACEMENT_M = 0.005  # displacement of a foot at which the markers of its leg have half their weight
 MIN_KERNEL_WEIGHT = 1e-6  # share of a kernel within visible frames below which a residual is not known
 MIN_DISPLACEMENT_M = 2e-5  # displacement below which a frame is not solved
+MIN_HELD_PROBABILITY = 0.3  # of the contact of a hidden foot, above which it is held: its joints are then nearer to the truth
 
 
 def compute_held_displacements(
@@ -115,7 +116,10 @@ def compute_held_displacements(
     """Return the displacement in metres of each joint of the feet that holds them, in every frame."""
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     position, position_sd = joint_position[:, feet], None if joint_sd is None else joint_sd[:, feet]
-    return compute_foot_displacements(position, contacts.select_feet(), is_locked=is_locked, position_sd=position_sd)
+    of_feet = contacts.select_feet()
+    is_held = of_feet.is_contact | ~of_feet.is_known & (of_feet.probability > MIN_HELD_PROBABILITY)
+    of_feet = replace(of_feet, is_contact=is_held)
+    return compute_foot_displacements(position, of_feet, is_locked=is_locked, position_sd=position_sd)
 
 
 class LegMarkers(NamedTuple):

@@ -1,6 +1,7 @@
 """Legs that hold standing feet: ankles and toes at their targets, the rest of the body where it was, no jumps of the knees."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from mocapfix.contacts.body_contacts import (
     LEG_JOINTS,
     MAX_ROOT_DISPLACEMENT_M,
+    MIN_HELD_PROBABILITY,
     build_foot_targets,
     compute_held_displacements,
     displace_feet,
@@ -70,6 +72,19 @@ def test_locked_feet_do_not_slide_and_the_rest_stays():
     largest = np.linalg.norm(after - before, axis=-1)[:, others].max()
     displacement = np.linalg.norm(after - before, axis=-1)[:, FEET].max()
     assert largest < displacement
+
+
+def test_hidden_feet_are_held_where_they_probably_stand_and_shown_feet_where_they_do():
+    _, before, contacts = make_sliding_motion()
+    nothing, is_shown = np.zeros_like(contacts.is_contact), np.ones_like(contacts.is_known)
+    lock = partial(compute_held_displacements, SKELETON, before, is_locked=True)
+    for difference, is_held in ((0.01, True), (-0.01, False)):
+        probable = replace(contacts, is_contact=nothing, probability=nothing + MIN_HELD_PROBABILITY + difference)
+        np.testing.assert_allclose(lock(replace(probable, is_known=is_shown)), 0, atol=1e-9)
+        displacement = lock(replace(probable, is_known=~is_shown))
+        assert (np.abs(displacement).max() > 0.1) == is_held
+        if is_held:
+            assert np.ptp((before[:, FEET] + displacement)[100:-100], axis=0).max() < 0.001
 
 
 @pytest.mark.parametrize("is_locked", [False, True])
