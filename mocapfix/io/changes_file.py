@@ -290,10 +290,9 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
         if name in path_by_take:
             raise SceneError(f"{path}: take: {path_by_take[name]} is for {name} as well; give one of them.")
         path_by_take[name] = path
-    reviews = {
-        take.name: read_changes_file(path_by_take[take.name], take, all_labels) if take.name in path_by_take else NO_REVIEW
-        for take in takes
-    }
+    reviews = {take.name: NO_REVIEW for take in takes}
+    for take in (each for each in takes if each.name in path_by_take):
+        reviews[take.name] = read_changes_file(path_by_take[take.name], take, all_labels)
     for name, each in [(name, each) for name, review in reviews.items() for each in review.corrections if each.is_exchange]:
         other = next((take for take in takes if each.entry.markers[1] in take.labels), None)
         if other is None:

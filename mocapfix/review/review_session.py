@@ -252,10 +252,7 @@ class OpenTake:
             }
 
     def edit(self, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out an edit, and return what it changed.
-
-        Raises EditConflictError, SceneError for an edit that is not allowed.
-        """
+        """Carry out an edit, and return what it changed. Raises EditConflictError, SceneError for an edit that is not allowed."""
         with self.lock:
             before = self.store.file
             self.store.edit(revision, parse_edit(action))
@@ -372,8 +369,7 @@ def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[
     entries = [each.model_dump(mode="json") for each in corrections]
     left = Counter(json.dumps(each, sort_keys=True) for each in (entries if made is None else made))
     for entry in entries:
-        key = json.dumps(entry, sort_keys=True)
-        left[key] -= 1
+        left[key := json.dumps(entry, sort_keys=True)] -= 1
         entry["is_pending"] = left[key] < 0
     return entries
 
@@ -499,9 +495,14 @@ class ReviewSession:
             self._held_folders.add(folder)
 
     def edit(self, name: str, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
-        """Edit the decisions on a take, and announce it. Raises as `OpenTake.edit`."""
+        """Edit the decisions on a take, and announce it. Raises as `OpenTake.edit`. An exchange ends the other's approval."""
         named = {**action, "reviewer": self.reviewer} if action.get("type") == "decide" else action
-        edited = self.open_take(name).edit(revision, named)
+        opened = self.open_take(name)
+        before, edited, after = opened.store.file.corrections, opened.edit(revision, named), opened.store.file.corrections
+        changed = {label for each in (*before, *after) if (each in before) != (each in after) for label in each.markers}
+        for other in opened.subjects:
+            if other.id != name and changed.intersection(other.report["take"].get("labels", ())):
+                other.approval_path.unlink(missing_ok=True)
         self.announce({"type": "edited", "take": name, "revision": edited["revision"]})
         return edited
 

@@ -753,6 +753,7 @@ def test_labels_of_two_people_are_exchanged_as_the_command_line_does(
         take, other = page.evaluate("review.app.scene.people.map(each => ({ ...each.take }))")
         path, first = folder / f"duo.{take['subject']}.changes.yaml", take["first_frame"]
         untouched, before = path.read_bytes(), read_people(page, "before")
+        running.session.approve(other["id"], "Cid")
         start, end = (40, 70) if is_by_mouse else (0, take["frame_count"] - 1)  # a stretch, or the whole take
         if is_by_mouse:
             page.evaluate("review.app.playback.moveTo(40)")
@@ -771,6 +772,7 @@ def test_labels_of_two_people_are_exchanged_as_the_command_line_does(
         assert {tuple(each["markers"]) for each in swaps} == pairs
         assert {(each["kind"], each["first"], each["last"]) for each in swaps} == {("swap", first + start, first + end)}
         assert get_take(page)["undo_count"] == 1  # one edit
+        assert not (folder / f"duo.{other['subject']}.approval.json").exists()  # its samples will differ
         order = [other["labels"].index(label.replace(take["subject"], other["subject"])) for label in take["labels"]]
         shown, frames = read_people(page, "after"), slice(start, end + 1)
         np.testing.assert_array_equal(shown[take["subject"]][:, frames], before[other["subject"]][order, frames])

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from mocapfix.errors import MocapfixError
+from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.options import parse_arguments
-from mocapfix.review.review_session import CleaningRun, build_clean_command
+from mocapfix.review.review_session import CleaningRun, build_clean_command, describe_corrections
 from mocapfix.review.take_files import find_cleaned_takes
 
 
@@ -79,3 +80,11 @@ def test_progress_is_the_share_of_the_time_of_the_cleaning_before(folder: Path):
     CleaningRun([sys.executable, "-c", script], timed, receive)
     assert is_done.wait(30)
     assert [(each.stage, each.percent) for each in statuses[:-1]] == list(zip(names, [0, 10, 30, 30, 30, 80], strict=True))
+
+
+def test_corrections_are_pending_until_a_cleaning_has_made_them() -> None:
+    one, other = (CorrectionModel(kind="wrong", markers=["C7"], first=first, last=20) for first in (10, 11))
+    made = json.loads(json.dumps([one.model_dump(mode="json")]))
+    assert [each["is_pending"] for each in describe_corrections([one, other, one], made)] == [False, True, True]
+    assert [each["is_pending"] for each in describe_corrections([one], [])] == [True]
+    assert [each["is_pending"] for each in describe_corrections([one, one], None)] == [False, False]  # an older report
