@@ -140,7 +140,7 @@ def clean_with_decisions(request: CleanRequest, input_sha256: str) -> tuple[Any,
 
     record, folder = read_record(get_record_path(request.output_folder, request.take)), request.output_folder
     paths = get_take_folder(folder, request.take).glob(f"*.{CHANGES_SUFFIX}")
-    models = {path: read_yaml_model(ChangesFileModel, path) for path in sorted(paths)}
+    models = {path: read_changes_model(path) for path in sorted(paths)}
     files = [path for path, file in models.items() if file.corrections or any(x.reviewed or x.note for x in file.changes)]
     is_same_input = record is not None and bool(record.outputs) and record.input_sha256 == input_sha256
     reasons = {} if is_same_input else dict.fromkeys(files, "It is not known that they were made for this input.")

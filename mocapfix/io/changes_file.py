@@ -3,6 +3,7 @@
 It is written by a cleaning, edited by hand or in the browser, and read by the next cleaning.
 """
 
+import json
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from yaml import YAMLError
 
 from mocapfix.errors import SceneError, TakeError, format_name_list
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.shipped import InlineSequence, dump_yaml
+from mocapfix.io.shipped import InlineSequence, dump_yaml, load_yaml
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, FaultReview, Fragment
 from mocapfix.model.take import Take
@@ -239,33 +241,86 @@ def _describe_remarks(reviewers: Mapping[str, str], notes: Mapping[str, str], na
     return remarks | ({"note": notes[name]} if notes.get(name) else {})
 
 
-_PLAIN_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|,? (?=[\w(]))*", re.ASCII | re.IGNORECASE)
-_PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?|null")
+_PLAIN_TEXT = re.compile(
+    r"(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|:(?=\w)|,? (?=[\w(]))*", re.ASCII | re.IGNORECASE
+)
+_PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?|null|true|false")
+_QUOTED_LABEL = re.compile(r"[a-z_]\w*(:\w+)+|\*\w+", re.ASCII | re.IGNORECASE)  # in a list: with a colon or a star
 MAX_KEPT_TEXTS = 4096  # of values: most entries of a long take have the same kinds, reasons and small numbers
 _NOT_PLAIN = "\0"  # in place of a value that YAML has in quotes or otherwise
 
 
 def _format_entry(entry: Mapping[str, Any]) -> str:
     """Return the lines of a change, as `dump_yaml` writes them: it takes ten times as long, and is left to what needs quotes."""
+    if plain := _format_plain_entry(entry):
+        return plain
+    quoted = {**entry, "markers": InlineSequence(entry["markers"])}
+    return dump_yaml({CHANGES_KEY: [quoted]}, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
+
+
+def _format_plain_entry(entry: Mapping[str, Any]) -> str:
+    """Return the lines of a change without quotes but those of labels, "" if it needs others."""
     lines: list[str] = []
     for key, value in entry.items():
         if isinstance(value, dict):
             parts = cast("Mapping[str, object]", value)
             lines += [f"  {key}:", *(f"    {name}: {_format_plain_value(part)}" for name, part in parts.items())]
         elif key == "markers":
-            lines.append(f"  {key}: [{', '.join(_format_plain_value(each.replace(',', _NOT_PLAIN)) for each in value)}]")
+            lines.append(f"  {key}: [{', '.join(map(_format_label, value))}]")
         else:
             lines.append(f"  {key}: {_format_plain_value(value)}")
-    if max(map(len, lines)) <= CHANGES_FILE_LINE_LENGTH and not any(_NOT_PLAIN in line for line in lines):
-        return "- " + "\n".join(lines)[2:] + "\n"
-    quoted = {**entry, "markers": InlineSequence(entry["markers"])}
-    return dump_yaml({CHANGES_KEY: [quoted]}, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
+    text = "- " + "\n".join(lines)[2:] + "\n"
+    return "" if max(map(len, lines)) > CHANGES_FILE_LINE_LENGTH or _NOT_PLAIN in text else text
+
+
+@lru_cache(MAX_KEPT_TEXTS)
+def _format_label(label: str) -> str:
+    return f"'{label}'" if _QUOTED_LABEL.fullmatch(label) else _format_plain_value(label.replace(",", _NOT_PLAIN))
 
 
 @lru_cache(MAX_KEPT_TEXTS, typed=True)
 def _format_plain_value(value: object) -> str:
-    text = value if isinstance(value, str) else "null" if value is None else repr(value)
+    text = value if isinstance(value, str) else json.dumps(value)
     return text if (_PLAIN_TEXT if isinstance(value, str) else _PLAIN_NUMBER).fullmatch(text) else _NOT_PLAIN
+
+
+_ENTRIES = re.compile(rf"^{CHANGES_KEY}:\n((?:- \w[^\n]*\n(?:  [^\n]*\n)*)+)", re.MULTILINE)
+_ENTRY_LINE = re.compile(r"^(?:- |  )(  )?(\w+):(?: (.+))?$", re.MULTILINE)
+
+
+def load_changes(text: str) -> Any:
+    """Return what `load_yaml` returns of a changes file: it takes seven times as long, and is left to what is not plain."""
+    if "&" in text or not (match := _ENTRIES.search(text)):  # anchors join entries
+        return load_yaml(text)
+    start, end = match.span(1)
+    try:
+        entries = [_parse_entry(f"- {each}\n") for each in text[start + 2 : end - 1].split("\n- ")]
+        rest = load_yaml(text[:start] + text[end:])
+        return rest | {CHANGES_KEY: entries} if rest[CHANGES_KEY] is None else load_yaml(text)
+    except (YAMLError, ValueError, TypeError, KeyError):  # an entry is none without the others, or the file is invalid
+        return load_yaml(text)
+
+
+def _parse_entry(lines: str) -> Any:
+    """Return the change in its lines. They are plain if they are those that `_format_plain_entry` writes of it."""
+    entry = part = dict[str, Any]()
+    for inner, key, text in _ENTRY_LINE.findall(lines):
+        if not text:
+            part = entry[key] = dict[str, Any]()
+        elif inner:
+            part[key] = _parse_plain_value(text)
+        elif key == "markers":
+            entry[key] = [each.strip("'") for each in text[1:-1].split(", ")]
+        else:
+            entry[key] = _parse_plain_value(text)
+    if _format_plain_entry(entry) != lines:
+        (entry,) = load_yaml(lines)
+    return entry
+
+
+@lru_cache(MAX_KEPT_TEXTS)
+def _parse_plain_value(text: str) -> Any:
+    return json.loads(text) if _PLAIN_NUMBER.fullmatch(text) else text
 
 
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:
@@ -280,7 +335,7 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
     names = [take.name for take in takes]
     path_by_take: dict[str, str | Path] = {}
     for path in paths:
-        name = _read_model(path).take
+        name = read_changes_model(path).take
         if name not in names:
             is_subject = any(name.startswith(f"{each} (") for each in names)
             remedy = ", or select the subject with --subject-prefix" if is_subject else ""
@@ -304,10 +359,11 @@ def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_l
     return list(reviews.values())
 
 
-def _read_model(path: str | Path) -> "ChangesFileModel":
+def read_changes_model(path: str | Path) -> "ChangesFileModel":
+    """Read a changes file. Raises SceneError as `read_yaml_model` does."""
     from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
 
-    return read_yaml_model(ChangesFileModel, Path(path))
+    return read_yaml_model(ChangesFileModel, Path(path), load_changes)
 
 
 def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = ()) -> Review:
@@ -315,7 +371,7 @@ def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = 
 
     Raises SceneError with the file and the key if the file is invalid or is for another take.
     """
-    file = _read_model(path)
+    file = read_changes_model(path)
     if file.take != take.name:
         raise SceneError(f"{path}: take: the file is for {file.take}, not for {take.name}; use the changes file of this take.")
     first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)

@@ -138,13 +138,18 @@ def _count_values(data: object, counts: dict[int, float]) -> float:
     return counts[id(data)]
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def load_yaml(text: str) -> Any:
+    """Return the content of a text. Raises YAMLError."""
+    return yaml.load(text, YAML_LOADER)
+
+
+def read_yaml(path: Path, load: Callable[[str], Any] = load_yaml) -> dict[str, Any]:
     """Return the content of a YAML file. Raises SceneError with the file and the line if it is none, or no mapping."""
     try:
         text = Path(path).read_text(encoding="utf-8")
         if measure_yaml_depth(text) > MAX_YAML_DEPTH:
             raise SceneError(f"{path}: contains lists in lists more than {MAX_YAML_DEPTH} deep; check that it is the right file.")
-        data = yaml.load(text, YAML_LOADER)
+        data = load(text)
         if ALIAS_PATTERN.search(text) and not _count_values(data, {}) <= MAX_YAML_VALUES:
             raise SceneError(f"{path}: its aliases (*name) stand for too many values; write them out.")
     except (OSError, UnicodeDecodeError) as error:

@@ -12,7 +12,7 @@ import pydantic
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
 from mocapfix.errors import SceneError, format_name_list
-from mocapfix.io.shipped import read_yaml
+from mocapfix.io.shipped import load_yaml, read_yaml
 from mocapfix.model.faults import CorrectionKind, Decision, FaultKind, RequestedFill
 from mocapfix.model.marker_set import fold_label
 from mocapfix.model.skeleton import load_cmu31_body
@@ -40,12 +40,12 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def read_yaml_model(model: type[YamlModel], path: Path) -> YamlModel:
+def read_yaml_model(model: type[YamlModel], path: Path, load: Callable[[str], Any] = load_yaml) -> YamlModel:
     """Read a YAML file and validate it by a model. Raise SceneError as `read_validated_yaml` does."""
-    return read_validated_yaml(model.model_validate, path)
+    return read_validated_yaml(model.model_validate, path, load)
 
 
-def read_validated_yaml(validate: Callable[[Any], Validated], path: Path) -> Validated:
+def read_validated_yaml(validate: Callable[[Any], Validated], path: Path, load: Callable[[str], Any] = load_yaml) -> Validated:
     """Read a YAML file and validate it.
 
     Args:
@@ -57,7 +57,7 @@ def read_validated_yaml(validate: Callable[[Any], Validated], path: Path) -> Val
     Raises:
         SceneError: If the file is invalid. The message names the file and the first invalid key, and says what is wrong.
     """
-    data = read_yaml(path)
+    data = read_yaml(path, load)
     try:
         return validate(data)
     except ValidationError as error:

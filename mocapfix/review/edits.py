@@ -5,15 +5,16 @@ Edits of others, made in another page or program, are never overwritten.
 
 import hashlib
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, format_name_list
-from mocapfix.io.changes_file import format_change, join_changes_file
+from mocapfix.io.changes_file import format_change, join_changes_file, read_changes_model
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel, NoteText, StrictModel, read_yaml_model
+from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel, NoteText, StrictModel
 from mocapfix.model.faults import Decision
 
 
@@ -172,6 +173,20 @@ def hash_changes(path: Path) -> str:
         raise ReadError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
+def read_decisions(path: Path) -> tuple[ChangesFileModel, str]:
+    """Return the content of a changes file and the hash of its bytes. Raises SceneError, ReadError."""
+    revision = hash_changes(path)
+    while True:
+        file, before = _read_revision(path, revision), revision
+        if (revision := hash_changes(path)) == before:  # else it was replaced while it was read
+            return file, revision
+
+
+@lru_cache(1)
+def _read_revision(path: Path, _revision: str) -> ChangesFileModel:
+    return read_changes_model(path)
+
+
 class EditConflictError(MocapfixError):
     """The changes file is not what the editor knows: another page, program or person has changed it."""
 
@@ -225,11 +240,7 @@ class DecisionStore:
         self._lines, self.state, self.revision = lines, state, hashlib.sha256(data).hexdigest()
 
     def _read(self) -> None:
-        """Read the file as it is. Raises SceneError, ReadError."""
-        revision = hash_changes(self.path)
-        while True:
-            file, before = read_yaml_model(ChangesFileModel, self.path), revision
-            if (revision := hash_changes(self.path)) == before:  # else it was replaced while it was read
-                break
-        self.state, self.revision = EditedState(file), revision
+        """Read the file as it is. Raises as `read_decisions`."""
+        file, self.revision = read_decisions(self.path)
+        self.state = EditedState(file)
         self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit

@@ -23,7 +23,7 @@ import numpy as np
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
 from mocapfix.io.changes_file import locate_correction
 from mocapfix.io.files import hold_process_lock
-from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel, read_yaml_model
+from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel
 from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
@@ -31,7 +31,7 @@ from mocapfix.options import OPTION_BY_NAME, CleanOptions, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
-from mocapfix.review.edits import CarryEdit, DecisionStore, hash_changes, parse_edit
+from mocapfix.review.edits import CarryEdit, DecisionStore, parse_edit, read_decisions
 from mocapfix.solve.parallel import begin_second_process
 from mocapfix.stats.sequences import find_runs
 
@@ -571,8 +571,7 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     """Return the entry of a take in the list of a session; one that cannot be read has its error."""
     entry = name_take(take)
     try:
-        file, approval = read_yaml_model(ChangesFileModel, take.changes_path), take_files.read_approval(take)
-        revision = hash_changes(take.changes_path)
+        (file, revision), approval = read_decisions(take.changes_path), take_files.read_approval(take)
     except MocapfixError as error:
         return entry | {"error": str(error)}
     state = take_files.determine_state(file, approval, revision)

@@ -17,10 +17,11 @@ from mocapfix.io.changes_file import (
     ReviewedChange,
     ReviewIndex,
     build_fault_review,
+    load_changes,
     read_changes_file,
     write_changes_file,
 )
-from mocapfix.io.shipped import InlineSequence, dump_yaml
+from mocapfix.io.shipped import InlineSequence, dump_yaml, load_yaml
 from mocapfix.model.changes import Change, Decision, SampleState, serialize_changes
 from mocapfix.model.faults import Fault, Fragment, MarkerShift
 from mocapfix.model.take import Take
@@ -93,6 +94,35 @@ def test_changes_are_written_as_pyyaml_writes_them(tmp_path_factory, why, labels
     (entry,) = serialize_changes([change])
     expected = dump_yaml({"changes": [{**entry, "markers": InlineSequence(labels)}]}, CHANGES_FILE_LINE_LENGTH)
     assert path.read_text("utf-8").endswith(f"\n{expected}")
+    assert load_or_fail(load_changes, path.read_text("utf-8")) == load_or_fail(load_yaml, path.read_text("utf-8"))
+
+
+def load_or_fail(load, text: str) -> str:
+    """Return what a text contains as text, since NaN is not equal to itself, "invalid" if it is no YAML."""
+    try:
+        return repr(load(text))
+    except (yaml.YAMLError, ValueError, TypeError):
+        return "invalid"
+
+
+pieces = st.sampled_from(
+    ["- ", "  ", "\n", ": ", "'", '"', "&a ", "*a", "# ", "{", "]", "|\n", "x: 1\n", "12:30", "0x1", "changes:\n", "  id: a\n", "- &a b\n"]
+)
+
+
+@given(
+    edits=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 30), pieces | texts), max_size=3),
+    labels=st.lists(words, min_size=1, max_size=2),
+)
+def test_an_edited_file_is_read_as_pyyaml_reads_it(tmp_path_factory, edits, labels):
+    path = tmp_path_factory.mktemp("review") / "walk.changes.yaml"
+    write_changes_file(path, build_take(), [build_change("gap", labels, why="It is missing."), build_change(), build_change()])
+    text = path.read_text("utf-8")
+    start = text.index("\ntake:") + 1
+    for place, dropped, piece in edits:
+        at = start + round(place * (len(text) - start))
+        text = text[:at] + piece + text[at + dropped :]
+    assert load_or_fail(load_changes, text) == load_or_fail(load_yaml, text)
 
 
 def test_a_file_without_changes_declines_nothing(tmp_path):
