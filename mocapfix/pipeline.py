@@ -399,11 +399,7 @@ class FittedTake(NamedTuple):
 
 
 def detect_and_fit(
-    take: Take,
-    choice: SubjectChoice,
-    review: FaultReview,
-    options: CleanOptions,
-    timer: StageTimer,
+    take: Take, choice: SubjectChoice, review: FaultReview, options: CleanOptions, timer: StageTimer
 ) -> FittedTake:
     """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
     fitted to the inliers known before. A learned marker set that contradicts the take is withdrawn.
@@ -457,10 +453,7 @@ def fit_body(
 
 
 def initialise_and_solve(
-    calibrated: SubjectInTake,
-    previous: BodyFit | None,
-    options: CleanOptions,
-    timer: StageTimer,
+    calibrated: SubjectInTake, previous: BodyFit | None, options: CleanOptions, timer: StageTimer
 ) -> BodyFit:
     """Solve the poses of a calibrated subject: those of all frames, or those that changed since the body was solved."""
     if options.initialise.is_fast:

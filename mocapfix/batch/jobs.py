@@ -20,7 +20,7 @@ from mocapfix.batch.records import (
     write_record,
 )
 from mocapfix.errors import MocapfixError, SceneError, WriteError, join_names
-from mocapfix.io.changes_file import CHANGES_SUFFIX
+from mocapfix.io.changes_file import CHANGES_SUFFIX, read_changes_model
 from mocapfix.io.shipped import get_version
 from mocapfix.options import CleanOptions
 
@@ -136,7 +136,6 @@ def clean_with_decisions(request: CleanRequest, input_sha256: str) -> tuple[Any,
     get another name, so that the new ones do not replace them. Raises MocapfixError; the files keep their names then.
     """
     from mocapfix import pipeline
-    from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model
 
     record, folder = read_record(get_record_path(request.output_folder, request.take)), request.output_folder
     paths = get_take_folder(folder, request.take).glob(f"*.{CHANGES_SUFFIX}")

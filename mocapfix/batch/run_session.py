@@ -21,14 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import BatchProgress, ClusterOptions, Task, has_dashboard, open_client, run_tasks
 from mocapfix.batch.job_files import BatchTake
-from mocapfix.batch.jobs import (
-    CLEAN_FUNCTION,
-    CleanRequest,
-    clean_take,
-    find_current_record,
-    run_with_retries,
-    try_to_hash,
-)
+from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, run_with_retries, try_to_hash
 from mocapfix.batch.records import (
     PersonEntry,
     SessionPeople,

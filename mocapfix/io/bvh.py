@@ -264,7 +264,7 @@ def _count_frames(path: Path, tokens: TextTokens, width: int) -> int:
         raise ReadError(f"{path}, line {tokens.line_numbers[invalid]}: {quoted} is not a number.")
     if width == 0 or not len(tokens):
         raise ReadError(f"{path}: has no motion: {width} channels and {len(tokens)} numbers after the frame time.")
-    line_tokens = np.flatnonzero(np.diff(tokens.line_numbers, prepend=-1))  # first token of each line
+    line_tokens = np.r_[0, 1 + np.flatnonzero(tokens.line_numbers[1:] != tokens.line_numbers[:-1])]  # first token of each line
     frame_count, remainder = divmod(len(tokens), width)
     if not remainder and np.isin(np.arange(frame_count) * width, line_tokens).all():
         return frame_count

@@ -7,6 +7,7 @@ import json
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import accumulate
@@ -241,11 +242,9 @@ def _describe_remarks(reviewers: Mapping[str, str], notes: Mapping[str, str], na
     return remarks | ({"note": notes[name]} if notes.get(name) else {})
 
 
-_PLAIN_TEXT = re.compile(
-    r"(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|:(?=\w)|,? (?=[\w(]))*", re.ASCII | re.IGNORECASE
-)
+_PLAIN_TEXT = re.compile(r"(?ai)(?!(y|n|yes|no|on|off|true|false|null)$)[a-z_]([\w.()/*-]|:(?=\w)|,? (?=[\w(]))*")
 _PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?|null|true|false")
-_QUOTED_LABEL = re.compile(r"[a-z_]\w*(:\w+)+|\*\w+", re.ASCII | re.IGNORECASE)  # in a list: with a colon or a star
+_QUOTED_LABEL = re.compile(r"(?ai)[a-z_]\w*(:\w+)+|\*\w+")  # in a list: with a colon or a star
 MAX_KEPT_TEXTS = 4096  # of values: most entries of a long take have the same kinds, reasons and small numbers
 _NOT_PLAIN = "\0"  # in place of a value that YAML has in quotes or otherwise
 
@@ -254,8 +253,8 @@ def _format_entry(entry: Mapping[str, Any]) -> str:
     """Return the lines of a change, as `dump_yaml` writes them: it takes ten times as long, and is left to what needs quotes."""
     if plain := _format_plain_entry(entry):
         return plain
-    quoted = {**entry, "markers": InlineSequence(entry["markers"])}
-    return dump_yaml({CHANGES_KEY: [quoted]}, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
+    data = {CHANGES_KEY: [{**entry, "markers": InlineSequence(entry["markers"])}]}
+    return dump_yaml(data, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
 
 
 def _format_plain_entry(entry: Mapping[str, Any]) -> str:
@@ -266,16 +265,13 @@ def _format_plain_entry(entry: Mapping[str, Any]) -> str:
             parts = cast("Mapping[str, object]", value)
             lines += [f"  {key}:", *(f"    {name}: {_format_plain_value(part)}" for name, part in parts.items())]
         elif key == "markers":
-            lines.append(f"  {key}: [{', '.join(map(_format_label, value))}]")
+            is_quoted, plain = _QUOTED_LABEL.fullmatch, _format_plain_value
+            labels = [f"'{each}'" if is_quoted(each) else plain(each.replace(",", _NOT_PLAIN)) for each in value]
+            lines.append(f"  {key}: [{', '.join(labels)}]")
         else:
             lines.append(f"  {key}: {_format_plain_value(value)}")
     text = "- " + "\n".join(lines)[2:] + "\n"
     return "" if max(map(len, lines)) > CHANGES_FILE_LINE_LENGTH or _NOT_PLAIN in text else text
-
-
-@lru_cache(MAX_KEPT_TEXTS)
-def _format_label(label: str) -> str:
-    return f"'{label}'" if _QUOTED_LABEL.fullmatch(label) else _format_plain_value(label.replace(",", _NOT_PLAIN))
 
 
 @lru_cache(MAX_KEPT_TEXTS, typed=True)
@@ -290,37 +286,29 @@ _ENTRY_LINE = re.compile(r"^(?:- |  )(  )?(\w+):(?: (.+))?$", re.MULTILINE)
 
 def load_changes(text: str) -> Any:
     """Return what `load_yaml` returns of a changes file: it takes seven times as long, and is left to what is not plain."""
-    if "&" in text or not (match := _ENTRIES.search(text)):  # anchors join entries
+    if "&" in text or text.count(f"{CHANGES_KEY}:") != 1 or not (match := _ENTRIES.search(text)):  # anchors join entries
         return load_yaml(text)
     start, end = match.span(1)
-    try:
+    with suppress(YAMLError, ValueError, TypeError, KeyError):  # an entry is none without the others, or the file is invalid
         entries = [_parse_entry(f"- {each}\n") for each in text[start + 2 : end - 1].split("\n- ")]
-        rest = load_yaml(text[:start] + text[end:])
-        return rest | {CHANGES_KEY: entries} if rest[CHANGES_KEY] is None else load_yaml(text)
-    except (YAMLError, ValueError, TypeError, KeyError):  # an entry is none without the others, or the file is invalid
-        return load_yaml(text)
+        if (rest := load_yaml(text[:start] + text[end:]))[CHANGES_KEY] is None:
+            return rest | {CHANGES_KEY: entries}
+    return load_yaml(text)
 
 
 def _parse_entry(lines: str) -> Any:
     """Return the change in its lines. They are plain if they are those that `_format_plain_entry` writes of it."""
     entry = part = dict[str, Any]()
     for inner, key, text in _ENTRY_LINE.findall(lines):
-        if not text:
-            part = entry[key] = dict[str, Any]()
-        elif inner:
-            part[key] = _parse_plain_value(text)
-        elif key == "markers":
+        if key == "markers":
             entry[key] = [each.strip("'") for each in text[1:-1].split(", ")]
+        elif text:
+            (part if inner else entry)[key] = json.loads(text) if _PLAIN_NUMBER.fullmatch(text) else text
         else:
-            entry[key] = _parse_plain_value(text)
+            part = entry[key] = dict[str, Any]()
     if _format_plain_entry(entry) != lines:
         (entry,) = load_yaml(lines)
     return entry
-
-
-@lru_cache(MAX_KEPT_TEXTS)
-def _parse_plain_value(text: str) -> Any:
-    return json.loads(text) if _PLAIN_NUMBER.fullmatch(text) else text
 
 
 def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:

@@ -6,7 +6,7 @@ import pickle
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -22,6 +22,7 @@ BRACKET_PATTERN = re.compile(r"[\[{\]}]")
 DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)  # many of these make a document deep
 YAML_LOADER: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """the loader of libyaml if PyYAML was built with it, which is ten times as fast"""
+load_yaml: Callable[[str], Any] = partial(yaml.load, Loader=YAML_LOADER)
 
 
 @cache
@@ -136,11 +137,6 @@ def _count_values(data: object, counts: dict[int, float]) -> float:
         content = cast("list[object]", data) if isinstance(data, list) else cast("dict[object, object]", data).values()
         counts[id(data)] = 1 + sum(_count_values(each, counts) for each in content)
     return counts[id(data)]
-
-
-def load_yaml(text: str) -> Any:
-    """Return the content of a text. Raises YAMLError."""
-    return yaml.load(text, YAML_LOADER)
 
 
 def read_yaml(path: Path, load: Callable[[str], Any] = load_yaml) -> dict[str, Any]:

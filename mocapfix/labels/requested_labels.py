@@ -24,13 +24,7 @@ from mocapfix.io.files import make_scratch_folder
 from mocapfix.io.points import NUMBERED_POINT_NAME
 from mocapfix.io.source_file import build_truncated_error, open_source
 from mocapfix.labels.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
-from mocapfix.labels.labeller import (
-    assume_marker_set,
-    describe_better_set,
-    label_people,
-    label_points,
-    separate_people,
-)
+from mocapfix.labels.labeller import assume_marker_set, describe_better_set, label_people, label_points, separate_people
 from mocapfix.labels.reference_labeller import build_reference_markers, join_trajectories, label_points_like
 from mocapfix.labels.tracklets import PointLabels, UnlabelledPoints, are_points_unordered, find_tracklets
 from mocapfix.model.animation import Animation

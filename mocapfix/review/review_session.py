@@ -212,10 +212,11 @@ class OpenTake:
             written = {name: list(map(str, getattr(output, name))) for name in choices}
             return {
                 **{key: getattr(self.take, key) for key in ("id", "name", "subject")},
-                **{key: getattr(view, key) for key in ("rate", "first_frame", "frame_count", "labels", "bones", "sticks")},
+                **{key: getattr(view, key) for key in ("rate", "first_frame", "frame_count", "labels", "sticks")},
                 "floor_m": view.floor_height_m,
                 "unlabelled": view.unlabelled_labels,
-                "joints": view.joint_names,
+                "joints": view.body.names if view.body else (),
+                "bones": [(int(k), j) for j, k in enumerate(view.body.parents) if k >= 0] if view.body else [],
                 "characters": list(self.take.find_characters()),
                 "motion_floor_m": output.floor_height_m,
                 "motion_start": max(0, output.trim[0] - view.first_frame) if output.trim else 0,
@@ -419,8 +420,6 @@ class ReviewSession:
         self._process: Executor | None = None  # in which fills are estimated, when they have been asked for
         self._fills: dict[str, list[dict[str, Any]]] = {}
         self._summaries: dict[str, tuple[object, dict[str, Any]]] = {}
-        if len(self._takes) > MAX_TAKES_READ_AT_ONCE:
-            threading.Thread(target=self._read_summaries, daemon=True).start()
 
     @property
     def ids(self) -> list[str]:
@@ -458,18 +457,25 @@ class ReviewSession:
             "takes": [self._summarise(take) if reads_all or take.id in self._summaries else name_take(take) for take in takes],
         }
 
-    def _read_summaries(self) -> None:
-        for take in list(self._takes.values()):
-            self._summarise(take)
-        self.announce({"type": "session"})
+    def read_ahead(self) -> None:
+        """Read the take that a page shows at first, while the browser starts, and the list of a large session."""
+        open_takes = [each for each in self.describe()["takes"] if not each["error"] and each["state"] != "approved"]
+        if open_takes:
+            with suppress(MocapfixError):  # its page says what is wrong
+                self.open_take(max(open_takes, key=lambda each: each["worst_mm"] or -1.0)["id"]).describe()
+        if len(takes := list(self._takes.values())) > MAX_TAKES_READ_AT_ONCE:
+            for take in takes:
+                self._summarise(take)
+            self.announce({"type": "session"})
 
     def _summarise(self, take: take_files.CleanedTake) -> dict[str, Any]:
         """Return the entry of a take, from its files if they were changed since it was last read."""
         key = [get_file_version(path) for path in (take.changes_path, take.approval_path)]
-        known = self._summaries.get(take.id)
-        if known is None or known[0] != key:
-            known = self._summaries[take.id] = (key, describe_take(take))
-        return known[1]
+        with self._lock:
+            known = self._summaries.get(take.id)
+            if known is None or known[0] != key:
+                known = self._summaries[take.id] = (key, describe_take(take))
+            return known[1]
 
     def open_take(self, name: str) -> OpenTake:
         """Return a take under review. Raises ReadError if there is none of this id, or its files are damaged."""
@@ -553,7 +559,9 @@ class ReviewSession:
         if self._process:
             self._process.shutdown(wait=False, cancel_futures=True)
         self.announce({"type": "closing"})
-        self._locks.close()
+        with self._lock:
+            self._takes.clear()  # none is opened from now on
+            self._locks.close()
 
 
 def describe_other_review(folder: Path, holder: str) -> str:
@@ -575,8 +583,7 @@ def describe_take(take: take_files.CleanedTake) -> dict[str, Any]:
     except MocapfixError as error:
         return entry | {"error": str(error)}
     state = take_files.determine_state(file, approval, revision)
-    approved = approval if state == "approved" else None
     worst = find_worst_change(file.changes)
-    entry |= {"approved_by": approved.name, "approved_at": approved.date} if approved else {}
+    entry |= {"approved_by": approval.name, "approved_at": approval.date} if approval and state == "approved" else {}
     entry |= {"change_count": len(file.changes), "reviewed_count": sum(change.reviewed for change in file.changes)}
     return entry | {"state": state, "worst_mm": worst.predicted_mm if worst else None}

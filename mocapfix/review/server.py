@@ -8,6 +8,7 @@ import asyncio
 import json
 import secrets
 import socket
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -111,6 +112,7 @@ class ReviewServer:
 
     def serve(self) -> None:
         """Serve until the review is closed. Raises KeyboardInterrupt if it is interrupted."""
+        threading.Thread(target=self.session.read_ahead, daemon=True).start()
         try:
             asyncio.run(self._serve())
         finally:

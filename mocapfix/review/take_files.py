@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from pydantic import Field, ValidationError
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError
-from mocapfix.io.bvh import read_bvh
 from mocapfix.io.c3d import read_fill_sd
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import CHANGES_SUFFIX
@@ -24,6 +23,7 @@ from mocapfix.io.files import JSON_REPORT_SUFFIX, get_source_suffixes, replace_a
 from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, StrictModel
 from mocapfix.model.animation import Animation, build_tip_take
 from mocapfix.model.take import Take
+from mocapfix.model.windows import iterate_blocks
 from mocapfix.options import CHARACTER_PRESETS, RIG_NAMES, CleanOptions, ReadOptions, parse_arguments
 from mocapfix.output_formats import OPTIONAL_FORMATS
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
@@ -189,13 +189,11 @@ class TakeView:
     first_frame: int
     labels: tuple[str, ...]
     unlabelled_labels: tuple[str, ...]
-    joint_names: tuple[str, ...]
-    bones: tuple[tuple[int, int], ...]
     before: Float32[np.ndarray, "T M 3"]  # before, after: positions, NaN where missing
     after: Float32[np.ndarray, "T M 3"]
     unlabelled: Float32[np.ndarray, "T U 3"]  # positions of the unlabelled trajectories of the input
-    # positions of the joints of the body, and `bones` the indices of parent and child of each bone
-    joints: Float32[np.ndarray, "T J 3"]
+    body: Animation | None  # the motion of the solved body, or the animation that was cleaned
+    body_height_m: float  # by which the body is moved up
     sd: Float32[np.ndarray, "T M"]  # standard deviation per axis of the estimated samples, NaN for all others
     states: UInt8[np.ndarray, "T M"]  # SampleOutcome of each sample
     notes: tuple[str, ...] = ()  # sentences on what is not shown
@@ -223,11 +221,20 @@ class TakeView:
         is_joined = (distance <= [np.maximum(row, distance).min(axis=1) for row in distance]) & (distance < MAX_STICK_M)
         return [(int(one), int(other)) for one, other in np.argwhere(np.triu(is_joined))]
 
+    def compute_poses(self, frames: slice) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 3 3"]]:
+        """Return positions and rotations of the joints in some frames. Those of all are not kept: they take time and memory."""
+        numbers = np.arange(self.frame_count)[frames]
+        if self.body is None:
+            return np.zeros((len(numbers), 0, 3)), np.zeros((len(numbers), 0, 3, 3))
+        numbers = np.minimum(np.rint(numbers * (self.body.rate / self.rate)).astype(int), self.body.frame_count - 1)
+        positions, rotations = self.body.replace_values(self.body.values[numbers].astype(float)).compute_world_poses()
+        return positions + [0.0, self.body_height_m, 0.0], rotations
+
     def encode_frames(self, first: int, count: int) -> bytes:
         """Return the samples of some frames as the page reads them: one array after the other, little-endian."""
         frames = slice(max(first, 0), max(first, 0) + max(count, 0))
-        arrays = (self.before, self.after, self.unlabelled, self.joints, self.sd)
-        return b"".join(each[frames].astype("<f4", copy=False).tobytes() for each in arrays) + self.states[frames].tobytes()
+        arrays = (self.before[frames], self.after[frames], self.unlabelled[frames], self.compute_poses(frames)[0], self.sd[frames])
+        return b"".join(each.astype("<f4", copy=False).tobytes() for each in arrays) + self.states[frames].tobytes()
 
 
 def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> TakeView:
@@ -241,16 +248,12 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
         ReadError: If its files are damaged or do not belong together.
     """
     options = replace(take.options.read, accept_contradictions=True)  # the take was cleaned
-    captured = _read_file(take.input_path, options) if take.input_path else None
-    after, fill_sd, animation = _select_points(_read_file(take.cleaned_path, options), captured)
-    notes: list[str] = []
-    before: Take | None = None
-    if captured is not None:
-        before, _, _ = _select_points(captured, None)
-        if before.frame_count != after.frame_count:
-            raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
-    else:
-        notes.append(NO_INPUT_NOTE.format(name=take.name))
+    body = None if take.report["take"].get("animation") else _read_body(take)  # first, since its text needs much memory
+    before = _read_take(take.input_path, options, None)[0] if take.input_path else None
+    after, fill_sd, animation = _read_take(take.cleaned_path, options, before)
+    notes = [] if before else [NO_INPUT_NOTE.format(name=take.name)]
+    if before and before.frame_count != after.frame_count:
+        raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
     after, fill_sd = _select_labels(after, fill_sd, take)
     if before is not None:
         try:
@@ -261,23 +264,22 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
     if before is None:
         before = replace(after, markers=np.where(is_estimated[..., None], np.nan, after.markers), unlabelled=None)
     unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3), np.float32)
-    joints, body = _compute_joints(take, after, animation)
     view = TakeView(
         rate=after.rate,
         first_frame=after.first_frame,
         labels=after.labels,
         unlabelled_labels=before.unlabelled.labels if before.unlabelled else (),
-        joint_names=body.names if body else (),
-        bones=tuple((int(parent), joint) for joint, parent in enumerate(body.parents) if parent >= 0) if body else (),
         before=before.markers.astype(np.float32, copy=False),
         after=after.markers.astype(np.float32, copy=False),
         unlabelled=unlabelled.astype(np.float32, copy=False),
-        joints=joints.astype(np.float32, copy=False),
+        body=animation or body,
+        body_height_m=0.0 if animation else take.options.output.floor_height_m,
         sd=fill_sd.astype(np.float32, copy=False),
         states=np.zeros(fill_sd.shape, np.uint8),
         notes=tuple(notes),
     )
-    states = classify_shown_samples(view.before, view.after, view.unlabelled)
+    blocks = [each for _, each in iterate_blocks(view, view.frame_count)]  # all at once would need much memory
+    states = np.concatenate([classify_shown_samples(each.before, each.after, each.unlabelled) for each in blocks])
     return_free_memory()
     sd = np.where(find_estimated_samples(states), replace_unstored_sd(view, changes), np.float32(np.nan))
     return replace(view, states=states, sd=sd)
@@ -329,25 +331,20 @@ def _find_positions(
     return found
 
 
-def _read_file(path: Path, options: ReadOptions) -> Take | Animation:
+def _read_take(path: Path, options: ReadOptions, like: Take | None) -> tuple[Take, Float32[np.ndarray, "T M"], Animation | None]:
+    """Return the points of a file in single precision, the standard deviations that it stores, and its animation if it is one.
+
+    The unit and the axes are those of the input, which may be decided otherwise from the cleaned markers. Raises ReadError.
+    """
     try:
-        return read_capture(path, options)
+        capture = read_capture(path, options)
     except MocapfixError as error:
         raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
-
-
-def _select_points(
-    capture: Take | Animation, like: Take | Animation | None
-) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
-    """Return the points of a file, the standard deviations that it stores for fills, and its animation if it is one.
-
-    The unit and the axes are those of the input, which may be decided otherwise from the cleaned markers.
-    """
     if isinstance(capture, Animation):
         take = _drop_precision(build_tip_take(capture))
-        return take, np.full(take.visible.shape, np.nan, np.float32), capture
+        return take, np.full(take.visible.shape, np.nan, np.float32), _drop_offsets(capture)
     fill_sd = read_fill_sd(capture).astype(np.float32)
-    if isinstance(like, Take) and like.layout is not None:
+    if like is not None and like.layout is not None:
         capture = change_convention(capture, like.layout.unit_m, like.layout.rotation_y_up_file, like.up_axis)
     return _drop_precision(capture), fill_sd, None
 
@@ -355,9 +352,20 @@ def _select_points(
 def _drop_precision(take: Take) -> Take:
     """Return a take with positions in single precision, and without what the page does not show."""
     loose = take.unlabelled
-    if loose is not None:
-        loose = Take(loose.markers.astype(np.float32), loose.labels, loose.rate, loose.first_frame)
-    return Take(take.markers.astype(np.float32), take.labels, take.rate, take.first_frame, take.path, unlabelled=loose)
+    loose = loose and Take(loose.markers.astype(np.float32), loose.labels, loose.rate, loose.first_frame)
+    kept = Take(take.markers.astype(np.float32), take.labels, take.rate, take.first_frame, take.path, unlabelled=loose)
+    return replace(kept, layout=take.layout, up_axis=take.up_axis)
+
+
+def _drop_offsets(animation: Animation) -> Animation:
+    return replace(animation, values=animation.values.astype(np.float32), value_byte_offsets=None)
+
+
+def _read_body(take: CleanedTake) -> Animation | None:
+    """Return the motion of the solved body, None without one."""
+    path = take.get_path("bvh")
+    body = read_capture(path, ReadOptions(unit="cm", up_axis="Y")) if path.is_file() else None
+    return _drop_offsets(body) if isinstance(body, Animation) else None
 
 
 def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: CleanedTake) -> tuple[Take, Float[np.ndarray, "T M"]]:
@@ -373,29 +381,6 @@ def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: Clean
     return selected, fill_sd[:, columns] if fill_sd.shape[1] == len(take.labels) else np.full(selected.visible.shape, np.nan)
 
 
-def _compute_joints(
-    take: CleanedTake, after: Take, animation: Animation | None
-) -> tuple[Float[np.ndarray, "T J 3"], Animation | None]:
-    """Return joint positions at the frames of the take in metres, and their animation; no joints without a body."""
-    shift_m = 0.0
-    if animation is None:
-        path = take.get_path("bvh")
-        if not path.is_file():
-            return np.zeros((after.frame_count, 0, 3), np.float32), None
-        written = read_capture(path, ReadOptions(unit="cm", up_axis="Y"))
-        assert isinstance(written, Animation)
-        animation = written
-        shift_m = take.options.output.floor_height_m
-    frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
-    frames = np.minimum(frames, animation.frame_count - 1)
-    positions = np.zeros((after.frame_count, len(animation.names), 3), np.float32)
-    for first in range(0, len(frames), JOINT_BLOCK_FRAMES):  # the rotations of all frames need much memory
-        block = slice(first, first + JOINT_BLOCK_FRAMES)
-        positions[block] = animation.replace_values(animation.values[frames[block]]).compute_world_poses()[0]
-    positions[..., 1] += shift_m
-    return positions, animation
-
-
 def trace_marker(take: CleanedTake, view: TakeView, label: str) -> Float[np.ndarray, "T C"]:
     """Return what curves of a marker need besides its samples: where the body has it (T, 3), in metres, no columns if nowhere.
 
@@ -404,23 +389,21 @@ def trace_marker(take: CleanedTake, view: TakeView, label: str) -> Float[np.ndar
     if take.report["take"].get("animation"):
         angles = np.full((view.frame_count, 6), np.nan)
         for n, path in enumerate((take.input_path or take.cleaned_path, take.cleaned_path)):
-            if isinstance(each := _read_file(path, take.options.read), Animation) and label in each.names:
+            if isinstance(each := read_capture(path, take.options.read), Animation) and label in each.names:
                 columns, axes = each.get_rotation_channels(each.names.index(label))
                 angles[:, 3 * n + axes] = each.values[:, columns]
         return angles
     from mocapfix.subject.library import choose_marker_set, read_subject  # slow to import
 
-    subject = read_subject(take.get_path("subject.yaml")) if view.joint_names else None
+    subject = read_subject(take.get_path("subject.yaml")) if view.body else None
     found = marker_set.match_labels(view.labels) if (marker_set := choose_marker_set(view.labels).marker_set) else {}
     name = {view.labels[m]: name for name, m in found.items()}.get(label, label.rpartition(":")[2])
-    if subject is None or name not in subject.labels:
+    if view.body is None or subject is None or name not in subject.labels:
         return np.zeros((view.frame_count, 0))
     k, trace = subject.labels.index(name), np.zeros((view.frame_count, 3))
-    joint = view.joint_names.index(subject.skeleton.names[subject.joints[k]])
-    body = read_bvh(take.get_path("bvh"), options=ReadOptions(unit="cm", up_axis="Y"))
-    frames = np.minimum(np.rint(np.arange(len(trace)) * (body.rate / view.rate)).astype(int), body.frame_count - 1)
-    for first in range(0, len(frames), JOINT_BLOCK_FRAMES):
+    joint = view.body.names.index(subject.skeleton.names[subject.joints[k]])
+    for first in range(0, len(trace), JOINT_BLOCK_FRAMES):
         block = slice(first, first + JOINT_BLOCK_FRAMES)
-        _, rotations = body.replace_values(body.values[frames[block]]).compute_world_poses()
-        trace[block] = view.joints[block, joint] + rotations[:, joint] @ subject.marker_offsets[k]
+        positions, rotations = view.compute_poses(block)
+        trace[block] = positions[:, joint] + rotations[:, joint] @ subject.marker_offsets[k]
     return trace

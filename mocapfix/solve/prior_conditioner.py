@@ -344,12 +344,7 @@ def compute_locked_prior(
 
 
 def apply_pose_prior(
-    problem: PoseProblem,
-    base: MeanPosePrior,
-    prior: PriorConditioner,
-    poses: Poses,
-    held: Int[np.ndarray, " H"],
-    rate: float,
+    problem: PoseProblem, base: MeanPosePrior, prior: PriorConditioner, poses: Poses, held: Int[np.ndarray, " H"], rate: float
 ) -> Poses:
     """Return the poses that are most probable under the trained prior and the markers where solved poses place them.
 

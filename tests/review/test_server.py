@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from mocapfix import pipeline
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.capture import read_take
 from mocapfix.io.changes_file import read_changes_file
-from mocapfix.review.review_session import ReviewSession
+from mocapfix.review.review_session import REVIEW_LOCK_NAME, ReviewSession
 from mocapfix.review.server import ReviewServer
 from mocapfix.review.take_files import find_cleaned_takes
 from tests.review.conftest import RunningServer
@@ -327,7 +328,8 @@ def test_large_session_is_listed_at_once_and_read_in_the_background(folder: Path
     events: list[dict[str, Any]] = []
     session = ReviewSession(root)
     session.add_listener(events.append)
-    assert len(session.describe()["takes"]) == 5
+    assert [each["state"] for each in session.describe()["takes"]] == [""] * 5
+    threading.Thread(target=session.read_ahead, daemon=True).start()
     end = time.monotonic() + 30.0
     while "untouched" not in {each["state"] for each in session.describe()["takes"][-1:]} and time.monotonic() < end:
         time.sleep(0.05)
@@ -335,6 +337,19 @@ def test_large_session_is_listed_at_once_and_read_in_the_background(folder: Path
     session.approve("take2/walk", "Ann")
     states = {each["id"]: each["state"] for each in session.describe()["takes"]}
     assert states == dict.fromkeys(states, "untouched") | {"take2/walk": "approved"}
+
+
+def test_the_take_of_the_first_page_is_read_ahead(folder: Path) -> None:
+    for name in ("first", "second"):
+        shutil.copytree(folder, folder.parent / name)
+    changes = folder.parent / "second" / "walk.changes.yaml"
+    changes.write_text(re.sub(r"predicted_mm: [\d.]+", "predicted_mm: 999.0", changes.read_text("utf-8"), count=1), "utf-8")
+    session = ReviewSession(folder.parent)
+    session.read_ahead()
+    assert [name for name in ("first", "second") if (folder.parent / name / REVIEW_LOCK_NAME).exists()] == ["second"]
+    session.close()
+    with pytest.raises(ReadError):
+        session.open_take("first/walk")
 
 
 def test_folder_without_takes_is_refused(tmp_path: Path) -> None:

@@ -70,9 +70,10 @@ def test_joints_are_those_of_the_solved_body(cleaned_take: Path) -> None:
     view = load_take_view(take, [ChangeModel.model_validate(each) for each in serialize_changes(result.changes)])
     assert result.subject
     assert result.joint_position_world is not None
-    order = [view.joint_names.index(name) for name in result.subject.skeleton.names]
+    assert view.body
+    order = [view.body.names.index(name) for name in result.subject.skeleton.names]
     expected = result.joint_position_world
-    distance_m = np.linalg.norm(view.joints[:, order] - expected, axis=-1)
+    distance_m = np.linalg.norm(view.compute_poses(slice(None))[0][:, order] - expected, axis=-1)
     assert np.nanmax(distance_m) < 1e-4
     sd = result.take.sample_sd
     assert sd is not None
@@ -134,8 +135,9 @@ def test_animation_is_shown_by_its_joints(cleaned_take: Path, tmp_path: Path) ->
     animation = read_capture(path)
     assert isinstance(animation, Animation)
     assert view.frame_count == animation.frame_count
-    assert view.joint_names == animation.names
-    assert len(view.labels) == len(view.joint_names) + 1
+    assert view.body
+    assert view.body.names == animation.names
+    assert len(view.labels) == len(animation.names) + 1
 
 
 def test_a_marker_is_traced_where_the_solved_body_has_it(cleaned_take: Path) -> None:
