@@ -310,9 +310,9 @@ def run_bench_review(
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Measure the review page in Chromium, on a take of a minute and one of ten minutes.
+    """Measure the review page in Chromium, on a take of ten minutes with thousands of changes.
 
-    Measured are the time until it can be used, the time of an edit, pictures a second while playing, and the server's memory.
+    Measured are the times until it can be used, of an edit and of a jump, pictures a second, and the server's memory.
     """
     from mocapfix.lab.review_page import measure_review
 

@@ -1,4 +1,4 @@
-"""The review page in Chromium: the time until it can be used, the time of an edit, pictures a second, and the server's memory."""
+"""The review page of a long take in Chromium: times until it can be used and of edits, pictures a second, the server's memory."""
 
 import re
 import shutil
@@ -7,8 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
@@ -22,25 +21,25 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 
-MARKER_COUNT = 53
-RATE_HZ = 60.0
-PAGE_TAKE_S, MEMORY_TAKE_S = 60.0, 600.0
-LOAD_COUNT, EDIT_COUNT = 5, 21
+MARKER_COUNT, RATE_HZ, TAKE_S = 57, 60.0, 600.0
+LOAD_COUNT, EDIT_COUNT, JUMP_COUNT = 5, 21, 21
 PLAY_S = 4.0
+# Selects the next change, and draws until the picture is complete; returns the time in ms.
+JUMP = """() => { const { app } = review, start = performance.now(), gl = app.scene.renderer.getContext();
+  app.selectNeighbour(1); app.scene.renderIfNeeded(); gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  return performance.now() - start; }"""
+# Zooms the curves from the whole take to a part and back for some seconds; returns the pictures a second.
+ZOOM = """async (seconds) => { const { curves, lastFrame } = review.app, end = performance.now() + 1000 * seconds; let count = 0;
+  curves.window.show(0, lastFrame);
+  for (; performance.now() < end; count++) {
+    curves.window.zoom(count % 40 < 20 ? 0.8 : 1.25, lastFrame / 2);
+    await new Promise(requestAnimationFrame);
+  }
+  return count / seconds; }"""
 NEIGHBOUR_DISTANCE_M = 0.03  # of the markers beyond those of the composed body from markers on it
 CHROMIUM_ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
 ADDRESS_PATTERN = re.compile(r"http://\S+")
-
-
-class ReviewFigures(TypedDict):
-    """Medians."""
-
-    ready_s: float
-    saved_ms: float  # from sending a decision to the end of the answer that it is saved
-    shown_ms: float  # the same until the page shows it
-    frames_per_s: float
-    server_memory_mb: float  # of 10^6 bytes, after all samples of the longer take were sent
 
 
 def find_chromium() -> str:
@@ -55,55 +54,51 @@ class RunningReview:
     """A `mocapfix review` of a folder, in a process of its own."""
 
     def __init__(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "mocapfix", "review", str(folder), "--no-browser"]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8")
-        assert self._process.stdout
-        match = ADDRESS_PATTERN.search(self._process.stdout.readline())
+        command, self.start_s = [sys.executable, "-m", "mocapfix", "review", str(folder), "--no-browser"], time.perf_counter()
+        self.process = psutil.Popen(command, stdout=subprocess.PIPE, encoding="utf-8")
+        assert self.process.stdout
+        match = ADDRESS_PATTERN.search(self.process.stdout.readline())
         assert match
         self.address = match[0]
 
-    def measure_memory_mb(self) -> float:
-        """Return the resident memory of the server."""
-        return psutil.Process(self._process.pid).memory_info().rss / 1e6
-
     def close(self) -> None:
         """End the server."""
-        self._process.terminate()
-        self._process.wait()
+        self.process.terminate()
+        self.process.wait()
 
 
-def measure_review(folder: Path, report: Callable[[str], None]) -> ReviewFigures:
-    """Measure the page on composed takes, which are written and cleaned in a folder. Raises ReadError without Chromium."""
+def measure_review(folder: Path, report: Callable[[str], None]) -> dict[str, float]:
+    """Measure the page on a composed take, which is written and cleaned in a folder. Raises ReadError without Chromium.
+
+    Figures are medians. Processor times do not depend on what else the computer does.
+    """
     from playwright.sync_api import sync_playwright
 
-    chromium = find_chromium()
-    folders = {duration_s: clean_composed_take_of(folder, duration_s, report) for duration_s in (PAGE_TAKE_S, MEMORY_TAKE_S)}
+    chromium, outputs = find_chromium(), clean_composed_take(folder, report)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGUMENTS))
         report("page")
-        review = RunningReview(folders[PAGE_TAKE_S])
-        ready_s = [measure_opening(browser, review.address) for _ in range(LOAD_COUNT)]
+        review = RunningReview(outputs)
         page = new_page(browser)
         open_review(page, review.address)
-        edits = [measure_edit(page) for _ in range(EDIT_COUNT)]
-        frames_per_s = measure_playing(page)
-        page.context.close()
-        review.close()
-        report("memory")
-        review = RunningReview(folders[MEMORY_TAKE_S])
-        page = new_page(browser)
-        open_review(page, review.address)
+        # from the start of the server until the page can be used
+        figures = {"first_ready_s": time.perf_counter() - review.start_s, "server_cpu_s": sum(review.process.cpu_times()[:2])}
         page.wait_for_function("review.getState().isComplete", timeout=300_000)
-        memory_mb = review.measure_memory_mb()
+        figures["server_memory_mb"] = review.process.memory_info().rss / 1e6  # of 10^6 bytes, after all samples were sent
+        figures["changes"] = int(page.evaluate("review.getState().take.changes.length"))
+        openings = [measure_opening(browser, review.address) for _ in range(LOAD_COUNT)]
+        figures["ready_s"], figures["page_cpu_s"] = np.median(openings, axis=0)  # of a page that is opened later
+        # from sending a decision to the end of the answer that it is saved, and until the page shows it
+        figures["saved_ms"], figures["shown_ms"] = np.median([measure_edit(page) for _ in range(EDIT_COUNT)], axis=0)
+        read_cpu_s = watch_processor(page)
+        figures["jump_ms"] = np.median([page.evaluate(JUMP) for _ in range(JUMP_COUNT)])
+        figures["jump_cpu_ms"], start_s = 1e3 * read_cpu_s() / JUMP_COUNT, read_cpu_s()
+        figures["zooms_per_s"] = page.evaluate(ZOOM, PLAY_S)
+        figures["zoom_cpu_ms"] = 1e3 * (read_cpu_s() - start_s) / (PLAY_S * figures["zooms_per_s"])  # of a picture
+        figures["frames_per_s"] = measure_playing(page)
         review.close()
         browser.close()
-    return {
-        "ready_s": round(median(ready_s), 2),
-        "saved_ms": round(median(saved_ms for saved_ms, _ in edits), 1),
-        "shown_ms": round(median(shown_ms for _, shown_ms in edits), 1),
-        "frames_per_s": round(frames_per_s, 1),
-        "server_memory_mb": round(memory_mb, 1),
-    }
+    return {name: round(float(value), 2) for name, value in figures.items()}
 
 
 def new_page(browser: "Browser") -> "Page":
@@ -111,12 +106,20 @@ def new_page(browser: "Browser") -> "Page":
     return browser.new_context(viewport={"width": 1280, "height": 800}, bypass_csp=True).new_page()
 
 
-def measure_opening(browser: "Browser", address: str) -> float:
-    """Return the time in seconds until a new page shows the take and its changes."""
+def measure_opening(browser: "Browser", address: str) -> tuple[float, float]:
+    """Return the time until a new page shows the take and its changes, and the processor time of its main thread, in seconds."""
     page = new_page(browser)
-    ready_s = open_review(page, address)
+    read_cpu_s = watch_processor(page)
+    times_s = open_review(page, address), read_cpu_s()
     page.context.close()
-    return ready_s
+    return times_s
+
+
+def watch_processor(page: "Page") -> Callable[[], float]:
+    """Return a function that returns the processor time in seconds of the main thread of a page, from now on."""
+    tools = page.context.new_cdp_session(page)
+    tools.send("Performance.enable", {"timeDomain": "threadTicks"})
+    return lambda: {each["name"]: each["value"] for each in tools.send("Performance.getMetrics")["metrics"]}["TaskDuration"]
 
 
 def open_review(page: "Page", address: str) -> float:
@@ -148,23 +151,18 @@ def measure_playing(page: "Page") -> float:
     return frames_per_s
 
 
-def clean_composed_take_of(folder: Path, duration_s: float, report: Callable[[str], None]) -> Path:
-    """Write and clean a damaged take of this duration, unless this was done before; return the folder of its outputs."""
-    path = folder / f"{duration_s:.0f}s.c3d"
+def clean_composed_take(folder: Path, report: Callable[[str], None]) -> Path:
+    """Write and clean a damaged take, unless this was done before; return the folder of its outputs."""
+    path = folder / f"{TAKE_S:.0f}s.c3d"
     outputs = path.with_suffix(".mocapfix")
     if not outputs.is_dir():
         report(f"clean {path.name}")
         folder.mkdir(parents=True, exist_ok=True)
-        write_c3d(path, add_markers(duration_s))
-        command = [sys.executable, "-m", "mocapfix", "clean", str(path), "--out", str(outputs), "--overwrite"]
+        truth = compose_take(seconds=TAKE_S, rate=RATE_HZ)
+        positions = truth.damaged_positions
+        count = MARKER_COUNT - len(truth.labels)  # of markers beside those of the composed body
+        positions = np.concatenate([positions, positions[:, :count] + [0.0, NEIGHBOUR_DISTANCE_M, 0.0]], axis=1)
+        write_c3d(path, Take(positions, (*truth.labels, *(f"EXTRA{n}" for n in range(count))), RATE_HZ))
+        command = [sys.executable, "-m", "mocapfix", "clean", str(path), "--fast", "--out", str(outputs), "--overwrite"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return outputs
-
-
-def add_markers(duration_s: float) -> Take:
-    """Return a damaged take of MARKER_COUNT markers: those of a composed body, and others beside some of them."""
-    truth = compose_take(seconds=duration_s, rate=RATE_HZ)
-    count = MARKER_COUNT - len(truth.labels)
-    beside = truth.damaged_positions[:, :count] + [0.0, NEIGHBOUR_DISTANCE_M, 0.0]
-    labels = (*truth.labels, *(f"EXTRA{n}" for n in range(count)))
-    return Take(np.concatenate([truth.damaged_positions, beside], axis=1), labels, RATE_HZ)
