@@ -233,7 +233,8 @@ class TakeView:
     def encode_frames(self, first: int, count: int) -> bytes:
         """Return the samples of some frames as the page reads them: one array after the other, little-endian."""
         frames = slice(max(first, 0), max(first, 0) + max(count, 0))
-        arrays = (self.before[frames], self.after[frames], self.unlabelled[frames], self.compute_poses(frames)[0], self.sd[frames])
+        joints, loose = self.compute_poses(frames)[0], self.unlabelled[frames]
+        arrays = (self.before[frames], self.after[frames], loose, joints, self.sd[frames])
         return b"".join(each.astype("<f4", copy=False).tobytes() for each in arrays) + self.states[frames].tobytes()
 
 
@@ -342,7 +343,7 @@ def _read_take(path: Path, options: ReadOptions, like: Take | None) -> tuple[Tak
         raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
     if isinstance(capture, Animation):
         take = _drop_precision(build_tip_take(capture))
-        return take, np.full(take.visible.shape, np.nan, np.float32), _drop_offsets(capture)
+        return take, np.full(take.visible.shape, np.nan, np.float32), capture
     fill_sd = read_fill_sd(capture).astype(np.float32)
     if like is not None and like.layout is not None:
         capture = change_convention(capture, like.layout.unit_m, like.layout.rotation_y_up_file, like.up_axis)
@@ -357,15 +358,11 @@ def _drop_precision(take: Take) -> Take:
     return replace(kept, layout=take.layout, up_axis=take.up_axis)
 
 
-def _drop_offsets(animation: Animation) -> Animation:
-    return replace(animation, values=animation.values.astype(np.float32), value_byte_offsets=None)
-
-
 def _read_body(take: CleanedTake) -> Animation | None:
     """Return the motion of the solved body, None without one."""
     path = take.get_path("bvh")
     body = read_capture(path, ReadOptions(unit="cm", up_axis="Y")) if path.is_file() else None
-    return _drop_offsets(body) if isinstance(body, Animation) else None
+    return replace(body, values=body.values.astype(np.float32), value_byte_offsets=None) if isinstance(body, Animation) else None
 
 
 def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: CleanedTake) -> tuple[Take, Float[np.ndarray, "T M"]]:
