@@ -74,7 +74,7 @@ def measure_review(folder: Path, report: Callable[[str], None]) -> dict[str, flo
     """
     from playwright.sync_api import sync_playwright
 
-    chromium, outputs = find_chromium(), clean_composed_take(folder, report)
+    chromium, outputs = find_chromium(), clean_long_take(folder, report)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGUMENTS))
         report("page")
@@ -151,7 +151,7 @@ def measure_playing(page: "Page") -> float:
     return frames_per_s
 
 
-def clean_composed_take(folder: Path, report: Callable[[str], None]) -> Path:
+def clean_long_take(folder: Path, report: Callable[[str], None]) -> Path:
     """Write and clean a damaged take, unless this was done before; return the folder of its outputs."""
     path = folder / f"{TAKE_S:.0f}s.c3d"
     outputs = path.with_suffix(".mocapfix")
