@@ -1,9 +1,9 @@
-"""Write mocapfix/kernels/kernel_signatures.json: the kernels that the demo and a preview call, with the types of arguments.
+"""Write mocapfix/kernels/kernel_signatures.json: the kernels that cleaning calls, with the types of arguments.
 
     PYTHONPATH=. python docs/generate_kernel_signatures.py
 
 Run it when kernels or their arguments have changed. The demo's take is cleaned with nothing compiled, which takes a minute or
-two, and once more as a preview; then the compiled kernels are listed, but for those that other kernels call.
+two, once more as a preview, and then a take with finger markers; the compiled kernels are listed, but for those that others call.
 """
 
 import json
@@ -20,7 +20,9 @@ os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp()  # before Numba is imported: 
 from numba import types
 
 from mocapfix import pipeline
+from mocapfix.io.c3d import write_c3d
 from mocapfix.kernels.compilation import SIGNATURES_FILE
+from mocapfix.lab.hands import compose_hands
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 KERNELS_MODULE = "mocapfix.kernels."
@@ -66,11 +68,14 @@ def describe_type(described: Any, shared: dict[types.Type, tuple[int, object]]) 
 
 
 def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the content of the file: those first that call most, and none that others call, which are parts of them."""
+    """Return the content of the file: those first that call most, and none that only others call, which are parts of them."""
     called = {
         name: list(find_called_functions(kernel.py_func.__code__, kernel.py_func.__globals__)) for name, kernel in kernels.items()
     }
-    inner = {id(each) for found in called.values() for each in found}
+    outside = [
+        vars(each) for name, each in sys.modules.items() if name.startswith("mocapfix.") and KERNELS_MODULE not in f"{name}."
+    ]
+    inner = {id(each) for found in called.values() for each in found} - {id(each) for own in outside for each in own.values()}
     shared: dict[types.Type, tuple[int, object]] = {}
     entries = [
         {"kernel": name, "arguments": [describe_type(each, shared) for each in arguments]}
@@ -82,12 +87,14 @@ def describe_kernels(kernels: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def main() -> None:
-    """Clean the demo's take, also as a preview, and write the list with one kernel or type a line."""
+    """Clean the demo's take, also as a preview, and one with fingers, and write the list with one kernel or type a line."""
     with tempfile.TemporaryDirectory() as folder:
-        take = Path(folder) / "demo.c3d"
+        take, fingers = Path(folder) / "demo.c3d", Path(folder) / "fingers.c3d"
         write_synthetic_take(take, compose_take(seed=0))
         for is_fast in (False, True):
             pipeline.clean(take, is_fast=is_fast).write(take.with_suffix(".mocapfix"), overwrite=is_fast)
+        write_c3d(fingers, compose_hands(seed=0).take)
+        pipeline.clean(fingers).write(fingers.with_suffix(".mocapfix"))
     content = describe_kernels(list_kernels())
     lines = {name: ",\n  ".join(json.dumps(entry) for entry in entries) for name, entries in content.items()}
     text = ",\n".join(f' "{name}": [\n  {entries}\n ]' for name, entries in lines.items())

@@ -71,11 +71,16 @@ DEMO_CODE = """
 import sys
 from pathlib import Path
 from mocapfix import pipeline, synthetic
+from mocapfix.io.c3d import write_c3d
 from mocapfix.kernels.compilation import read_kernel_list
+from mocapfix.lab.hands import compose_hands
+from mocapfix.model.windows import select_frames
 
-take = Path(sys.argv[1]) / "demo.c3d"
+take, fingers = Path(sys.argv[1]) / "demo.c3d", Path(sys.argv[1]) / "fingers.c3d"
 synthetic.write_synthetic_take(take, synthetic.compose_take(seed=0, seconds=4))
-pipeline.clean(take).write(take.with_suffix(".mocapfix"))
+write_c3d(fingers, select_frames(compose_hands(seed=0).take, slice(0, 400)))
+for each in (take, fingers):
+    pipeline.clean(each).write(each.with_suffix(".mocapfix"))
 listed = {(name, arguments) for name, each in read_kernel_list().items() for arguments in each}
 for name, module in list(sys.modules.items()):
     if name.startswith("mocapfix.kernels."):
@@ -235,7 +240,7 @@ def test_of_two_processes_one_compiles_all_that_call_the_solver() -> None:
     assert group_kernels(kernels, processes=3) == [[name] for name in kernels]
 
 
-def test_the_list_has_every_kernel_that_the_demo_calls(tmp_path: Path) -> None:
+def test_the_list_has_every_kernel_that_the_demo_and_hands_call(tmp_path: Path) -> None:
     """If it has not, docs/generate_kernel_signatures.py must be run."""
     done = subprocess.run([sys.executable, "-c", DEMO_CODE, str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
