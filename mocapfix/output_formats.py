@@ -14,9 +14,9 @@ import numpy as np
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import OptionError, WriteError
-from mocapfix.hands.solve_hands import HandMotion
+from mocapfix.hands.solve_hands import HandMotion, attach_hands
 from mocapfix.io.asf_amc import write_asf_amc
-from mocapfix.io.bvh import write_bvh
+from mocapfix.io.bvh import write_bvh, write_bvh_tree
 from mocapfix.io.c3d import write_c3d
 from mocapfix.io.changes_file import CHANGES_SUFFIX, Review, write_changes_file
 from mocapfix.io.contact_files import write_contacts, write_gait_events
@@ -93,6 +93,11 @@ class OutputContent:
         selected = np.arange(motion.frame_count)[frames]
         start_s = float(selected[0] / rate)
         return Performer(skeleton, motion.select_frames(selected), rate, start_s, self.motion.floor_height_m, self.points)
+
+    @property
+    def exported_hands(self) -> tuple[HandMotion, ...]:
+        """The hands with the floor at height 0, at the rate of the take."""
+        return tuple(each.lower_floor(self.motion.floor_height_m) for each in self.hands)
 
     @property
     def exported_contacts(self) -> BodyContacts | None:
@@ -204,8 +209,16 @@ def _write_npz(target: Path, content: OutputContent) -> None:
         return
     motion = content.exported
     lowered = take.replace_markers(take.markers - [0.0, motion.floor_height_m, 0.0], take.sample_sd)
-    hands = [each.lower_floor(motion.floor_height_m) for each in content.hands]
-    write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, content.exported_contacts, hands=hands)
+    contacts, hands = content.exported_contacts, content.exported_hands
+    write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, contacts, hands=hands)
+
+
+def _write_bvh(target: Path, content: OutputContent) -> None:
+    skeleton, motion, rate = content.motion.parts
+    if content.hands:
+        write_bvh_tree(target, *attach_hands(skeleton, motion, rate, content.exported_hands, content.input_take.rate), rate)
+    else:
+        write_bvh(target, skeleton, motion, rate)
 
 
 def record_cleaning(folder: Path, comparison: CleaningComparison) -> None:
@@ -236,7 +249,7 @@ def _write_events(target: Path, content: OutputContent) -> None:
         write_gait_events(target, content.contacts, content.input_take.first_frame)
 
 
-BVH_FORMAT = OutputFormat("bvh", lambda target, content: write_bvh(target, *content.motion.parts), needs_body=True)
+BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
 DEFAULT_FORMATS = (
     OutputFormat(
         "subject.yaml",

@@ -7,9 +7,14 @@ and of the back of the hand, the palm, limits, and a Gaussian on poses of the ha
 `solve_hand` solves the frames as `solve.window_solver` does: each by itself; across gaps of a finger with its smooth trajectory
 too, whose variance grows with the distance from the gap's edges, so that in a long gap the synergies and the other fingers
 decide; and all again about the smooth trajectories of the joints.
+
+`attach_hands` makes one tree of the body and its hands, for files of motion. Fingers have the names of VRM and Unity, so that the
+body's LeftHandIndex1, which does not move with the finger, keeps its own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,8 +30,10 @@ from mocapfix.hands.calibrated_hand import (
 )
 from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
-from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, TIP_JOINTS, load_hand
+from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, load_hand
+from mocapfix.io.resampling import resample_motion
 from mocapfix.model.motion import Motion, PoseUncertainty
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import smoothing
@@ -41,6 +48,11 @@ from mocapfix.subject.library import build_subject_marker_set
 MIN_PALM_SD_M = 0.005  # per axis, of the wrist as the forearm carries it; more where the body's hand is less certain
 MIN_PALM_SD_RAD = 0.17  # of the palm about the body's hand joint
 PALM_LEVER_M = 0.1  # a palm that is uncertain by this much is uncertain by a radian
+THUMB_NAMES = ("ThumbMetacarpal", "ThumbProximal", "ThumbDistal")
+FINGER_NAMES = tuple(
+    f"{finger}{bone}" for finger in ("Index", "Middle", "Ring", "Little") for bone in ("Proximal", "Intermediate", "Distal")
+)
+ATTACHED_NAMES = ("Palm", *THUMB_NAMES, *FINGER_NAMES)  # after the side; in the order of a hand's joints
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,13 @@ class HandMotion:
         """Return the motion with the floor of a height at height 0."""
         down = np.array([0.0, height_m, 0.0])
         return replace(self, palm_position=self.palm_position - down, point_positions=self.point_positions - down)
+
+    @property
+    def motion(self) -> Motion:
+        """The motion of the palm, as the root, and of the 15 joints."""
+        rotations = np.concatenate([self.palm_rotation[:, None], self.joint_rotations], axis=1)
+        none = np.zeros(len(rotations), int)
+        return Motion(self.palm_position, rotations, none, none, np.zeros((len(rotations), 0)), self.point_sd)
 
     @property
     def tip_positions(self) -> Float[np.ndarray, "T 5 3"]:
@@ -175,6 +194,41 @@ def solve_hand(
         np.sqrt(3 * uncertainty.rotation_variance[:, HAND_JOINTS]),
         is_seen,
     )
+
+
+class BodyWithHands(NamedTuple):
+    """The motion of J joints of a body with its hands over T frames."""
+
+    skeleton: Skeleton
+    positions: dict[int, Float[np.ndarray, "T 3"]]  # m, in the parent's axes: of the joints that move in their parents
+    local_rotations: Float[np.ndarray, "T J 3 3"]
+
+
+def attach_hands(skeleton: Skeleton, motion: Motion, rate: float, hands: Sequence[HandMotion], hand_rate: float) -> BodyWithHands:
+    """Return a body's motion with those of hands below its joints LeftHand and RightHand.
+
+    Args:
+        rate: Frames per second of the body's motion.
+        hand_rate: Those of the hands, which begin at the same time.
+    """
+    body_positions, body_rotations = compute_world_poses(skeleton, motion)
+    names, parents, positions = list(skeleton.names), skeleton.parents.tolist(), {0: motion.root_position}
+    offsets, ends, rotations = [skeleton.offsets], [skeleton.ends], [motion.local_rotations]
+    for hand in hands:
+        palm, carrier, model = len(names), skeleton.find_joint(f"{hand.hand.model.side}Hand"), hand.hand.model
+        moved = resample_motion(hand.motion, hand_rate, rate)
+        turn = body_rotations[:, carrier].swapaxes(-1, -2)
+        positions[palm] = (turn @ (moved.root_position - body_positions[:, carrier])[..., None])[..., 0]
+        rotations.append(np.concatenate([(turn @ moved.local_rotations[:, 0])[:, None], moved.local_rotations[:, 1:]], axis=1))
+        rest, tips = model.skeleton.rest_positions, np.full((1 + len(HAND_JOINTS), 3), np.nan)
+        tips[JOINTS_PER_RAY::JOINTS_PER_RAY] = model.skeleton.compute_rest_ends()[TIP_JOINTS] - rest[TIP_JOINTS]
+        above = np.where(np.arange(len(HAND_JOINTS)) % JOINTS_PER_RAY, np.roll(HAND_JOINTS, 1), 0)
+        offsets += [np.median(positions[palm], axis=0)[None], rest[HAND_JOINTS] - rest[above]]
+        ends.append(tips)
+        names += [f"{model.side}{name}" for name in ATTACHED_NAMES]
+        parents += [carrier, *(palm + index if index % JOINTS_PER_RAY else palm for index in range(len(HAND_JOINTS)))]
+    tree = Skeleton(tuple(names), np.array(parents), np.concatenate(offsets), np.concatenate(ends))
+    return BodyWithHands(tree, positions, np.concatenate(rotations, axis=1))
 
 
 def _solve_single_frames(hand: CalibratedHand, measured: np.ndarray, is_used: np.ndarray, palm: PalmPath, rate: float) -> Poses:

@@ -330,7 +330,7 @@ def build_report(
         prior = NO_TRAINED_PRIOR if options.initialise.is_fast else prior, options.solve.prior_scale
         solve = build_solve_section(take, body.subject, body.motion, body.residual_m, *prior, start, lost_parts=body.lost_parts)
         body_notes += [PREVIEW_NOTE] * options.initialise.is_fast
-        body_notes += notes.build_body_notes(detected, body)
+        body_notes += notes.build_body_notes(detected, body, is_preview=options.initialise.is_fast)
         floor_m = options.output.floor_height_m
         body_notes += describe_contacts(body.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:

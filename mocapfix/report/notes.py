@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
+from mocapfix.hands.finger_markers import find_finger_markers
 from mocapfix.hands.solve_hands import HandMotion, solve_hands
 from mocapfix.model.body_fit import BodyFit, RememberedGap
 from mocapfix.model.changes import compute_distance_error_mm
@@ -80,7 +81,7 @@ def build_solved_body(detected: Detected, standing: StandingBody, *, has_hands: 
     )
 
 
-def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
+def build_body_notes(detected: Detected, body: SolvedBody, *, is_preview: bool = False) -> list[str]:
     """Return the notes on where the body fits poorly or is unknown."""
     names, is_solved = body.subject.skeleton.names, body.subject.solved_joints
     lost_samples = np.zeros(body.residual_m.shape, bool)
@@ -95,14 +96,26 @@ def build_body_notes(detected: Detected, body: SolvedBody) -> list[str]:
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
         *describe_remembered_gaps(detected.take, body.remembered, names),
-        *describe_hands(body),
+        *describe_hands(detected, body.subject.marker_set, body.hands, is_preview=is_preview),
     ]
 
 
-def describe_hands(body: SolvedBody) -> list[str]:
-    """Return a note on the hands that are solved, or on finger markers from which none was; no note without any."""
-    solved = [f"{hand.hand.model.side.lower()} hand ({hand.hand.length_m * 1e3:.0f} mm long)" for hand in body.hands]
-    return [f"The fingers of the {join_words(solved)} are solved from their markers; --also npz writes them."] if solved else []
+def describe_hands(detected: Detected, marker_set: str, hands: Sequence[HandMotion], *, is_preview: bool) -> list[str]:
+    """Return notes on the hands that are solved, and on those with finger markers that are not; none without such markers."""
+    solved = {hand.hand.model.side: f"{hand.hand.length_m * 1e3:.0f} mm long" for hand in hands}
+    left = [each for each in find_finger_markers(marker_set, detected.take.labels) if each.side not in solved]
+    found, missed = ([f"{side.lower()} hand" for side in sides] for sides in (solved, [each.side for each in left]))
+    reason = "hands are not solved in takes that are cleaned in windows; cut the take to solve them"
+    if is_preview:
+        reason = "hands are not solved in a preview; clean the take without --fast"
+    elif left and not any(detected.solver_mask[:, each.columns].any() for each in left):
+        reason = "none of their samples can be used"
+    lengths = [f"{name} ({length})" for name, length in zip(found, solved.values(), strict=True)]
+    return [
+        *[f"The fingers of the {join_words(lengths)} are solved from their markers; BVH and --also npz have them."]
+        * bool(solved),
+        *[f"The finger markers of the {join_words(missed)} are filled and not solved: {reason}."] * bool(left),
+    ]
 
 
 def describe_remembered_gaps(take: Take, gaps: Sequence[RememberedGap], names: Sequence[str]) -> list[str]:

@@ -3,11 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.model.body_fit import RememberedGap
+from mocapfix.model.detected import Detected
 from mocapfix.model.faults import Fault
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (
+    describe_hands,
     describe_lost_part,
     describe_remembered_gaps,
     describe_stray_markers,
@@ -17,6 +20,7 @@ from mocapfix.report.notes import (
 )
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.solve.lost_in_sight import LostPart
+from tests.hands.composed_hands import build_hand
 
 NAN = np.nan
 RATE, FRAMES = 100.0, 40
@@ -151,3 +155,28 @@ def test_limbs_from_the_memory_of_the_person_are_listed_with_their_source():
         "and 2 more."
     ]
     assert describe_remembered_gaps(take, [], names) == []
+
+
+def build_left_hand():
+    """Return a hand of average length over four frames."""
+    turns, points = np.tile(np.eye(3), (4, 15, 1, 1)), np.zeros((4, 20, 3))
+    sd, seen = np.zeros((4, 20)), np.ones((4, 5), bool)
+    return HandMotion(build_hand("Left"), points[:, 0], turns[:, 0], turns, points, sd, sd[:, :15], seen)
+
+
+def describe_fingers(hands, *, is_preview=False, is_visible=True, marker_set="frontwaist53"):
+    """Return the notes on the hands of a take with one finger marker on each."""
+    take = Take(np.full((4, 3, 3), 0.5 if is_visible else np.nan), ("LIDX6", "RIDX6", "LANK"), 60.0)
+    return describe_hands(Detected(take), marker_set, hands, is_preview=is_preview)
+
+
+def test_finger_markers_that_are_not_solved_are_named_with_the_reason():
+    solved = "The fingers of the left hand (189 mm long) are solved from their markers; BVH and --also npz have them."
+    unused = "The finger markers of the right hand are filled and not solved: none of their samples can be used."
+    assert describe_fingers([build_left_hand()], is_visible=False) == [solved, unused]
+    (preview,) = describe_fingers([], is_preview=True)
+    assert preview.startswith("The finger markers of the left hand and right hand are filled and not solved:")
+    assert "--fast" in preview
+    (windows,) = describe_fingers([])
+    assert "windows" in windows
+    assert describe_fingers([], marker_set="cmu41") == []

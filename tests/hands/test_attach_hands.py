@@ -1,0 +1,92 @@
+"""Hands in BVH: every joint and tip at its solved place in the world, beside the body's own joints, which do not change."""
+
+import numpy as np
+import pytest
+
+from mocapfix import pipeline
+from mocapfix.hands.hand_model import HAND_JOINTS
+from mocapfix.hands.solve_hands import attach_hands, solve_hand
+from mocapfix.io.bvh import read_bvh, write_bvh, write_bvh_tree
+from mocapfix.io.c3d import write_c3d
+from mocapfix.lab.hands import compose_hands
+from mocapfix.model.windows import select_frames
+from mocapfix.options import ReadOptions
+from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.synthetic import compose_motion, draw_subject
+from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
+
+
+def compose_hands_on_body(sides=("Left", "Right")):
+    """Return a body's motion and hands that move near it, not as its hand joints do."""
+    subject = draw_subject(np.random.default_rng(5), False, "frontwaist53")
+    motion, hands = compose_motion(subject, FRAMES / RATE_HZ, RATE_HZ), []
+    for side in sides:
+        hand = build_hand(side)
+        palm, poses = compose_poses(hand)
+        markers = carry_markers(hand, poses)
+        hands.append(solve_hand(hand, markers, np.ones(markers.shape[:2], bool), palm, RATE_HZ))
+    return subject.skeleton, motion, tuple(hands)
+
+
+def read_back(path):
+    return read_bvh(path, options=ReadOptions(unit="cm", up_axis="Y"))
+
+
+def measure_distances(read, hand, frames):
+    """Return how far the palm, joints and tips of a BVH are from where they were solved, in metres."""
+    positions, rotations = read.compute_world_poses()
+    palm = read.names.index(f"{hand.hand.model.side}Palm")
+    joints = [palm + 1 + index for index in range(len(HAND_JOINTS))]
+    assert read.names[read.parents[palm]] == f"{hand.hand.model.side}Hand"
+    tips = [j for j in joints if len(read.end_sites[j])]
+    ends = np.stack([read.end_sites[j][0] * read.unit_m for j in tips])
+    places = positions[:, tips] + (rotations[:, tips] @ ends[..., None])[..., 0]
+    found = np.concatenate([positions[:, [palm]], positions[:, joints], places], axis=1)
+    solved = np.concatenate([hand.palm_position[:, None], hand.point_positions], axis=1)
+    return np.linalg.norm(found - solved[frames], axis=-1)
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_joints_and_tips_of_a_bvh_are_where_they_were_solved(tmp_path, step):
+    skeleton, motion, hands = compose_hands_on_body()
+    frames, rate = np.arange(0, motion.frame_count, step), RATE_HZ / step
+    selected = motion.select_frames(frames)
+    write_bvh_tree(tmp_path / "hands.bvh", *attach_hands(skeleton, selected, rate, hands, RATE_HZ), rate)
+    read = read_back(tmp_path / "hands.bvh")
+    assert len(set(read.names)) == len(read.names) == 31 + 2 * 16
+    for hand in hands:
+        assert measure_distances(read, hand, frames).max() < 1e-6
+    body = [read.names.index(name) for name in skeleton.names]
+    positions, _ = read.compute_world_poses()
+    np.testing.assert_allclose(positions[:, body], compute_world_poses(skeleton, selected)[0], atol=1e-6)
+
+
+def test_a_cleaned_take_has_its_hands_in_the_bvh_above_the_floor(tmp_path):
+    write_c3d(tmp_path / "take.c3d", select_frames(compose_hands(seed=1).take, slice(0, 300)))
+    result = pipeline.clean(tmp_path / "take.c3d", floor_height_m=0.25)
+    written = result.write(tmp_path / "out", options=result.requested.output)
+    read = read_back(written["bvh"])
+    for hand in result.hands:
+        assert measure_distances(read, hand.lower_floor(0.25), np.arange(300)).max() < 1e-6
+    assert len(result.hands) == 2
+    assert any("BVH" in note and "left hand" in note for note in result.subject_report["notes"])
+
+
+def test_a_take_without_fingers_has_the_bvh_of_its_body(tmp_path):
+    skeleton, motion, _ = compose_hands_on_body(())
+    write_bvh(tmp_path / "body.bvh", skeleton, motion, RATE_HZ)
+    write_bvh_tree(tmp_path / "hands.bvh", *attach_hands(skeleton, motion, RATE_HZ, (), RATE_HZ), RATE_HZ)
+    assert (tmp_path / "hands.bvh").read_bytes() == (tmp_path / "body.bvh").read_bytes()
+
+
+def test_a_bvh_with_hands_has_the_bodys_joints_unchanged_and_turns_without_jumps(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body(("Right",))
+    write_bvh_tree(tmp_path / "hands.bvh", *attach_hands(skeleton, motion, RATE_HZ, hands, RATE_HZ), RATE_HZ)
+    write_bvh(tmp_path / "body.bvh", skeleton, motion, RATE_HZ)
+    read, body = read_back(tmp_path / "hands.bvh"), read_back(tmp_path / "body.bvh")
+    kept = [name for name in read.names if name in skeleton.names]
+    assert kept == list(body.names)
+    is_kept = np.repeat([name in skeleton.names for name in read.names], [len(each) for each in read.channels])
+    np.testing.assert_array_equal(read.values[:, is_kept], body.values)
+    assert "LeftIndexProximal" not in read.names
+    assert np.abs(np.diff(read.values[:, ~is_kept], axis=0)).max() < 90
