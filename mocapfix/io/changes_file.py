@@ -77,7 +77,7 @@ def locate_correction(entry: "CorrectionModel", take: Take, place: str, all_labe
     is_exchange = markers[-1] >= len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
     labelled = markers[:1] if entry.kind == "assign" or is_exchange else markers
     if any(marker >= len(take.labels) for marker in labelled):
-        raise SceneError(f"{place}.markers: {entry.kind} must name labelled markers; assign gives a trajectory to a marker.")
+        raise SceneError(f"{place}.markers: {entry.kind} must name labelled markers, first of {take.name}; assign takes others.")
     if entry.kind == "assign" and markers[1] < len(take.labels):
         raise SceneError(f"{place}.markers: {entry.markers[1]} is a labelled marker; exchange labels with swap.")
     return Correction(entry, markers, first, last, is_exchange)
@@ -306,7 +306,7 @@ def _parse_entry(lines: str) -> Any:
             (part if inner else entry)[key] = json.loads(text) if _PLAIN_NUMBER.fullmatch(text) else text
         else:
             part = entry[key] = dict[str, Any]()
-    if _format_plain_entry(entry) != lines:
+    if {} in entry.values() or _format_plain_entry(entry) != lines:  # a key without a value is null
         (entry,) = load_yaml(lines)
     return entry
 

@@ -235,6 +235,7 @@ class OpenTake:
         with self.lock:
             file = self.store.file
             known = {id(change) for change in before.changes} if before else set[int]()
+            made = self.take.report.get("corrections", self.started.corrections)  # an older report does not tell
             if not before and self._grouped[0] != (places := [(each.id, each.first, each.last) for each in file.changes]):
                 events = group_changes(file.changes, self.view.labels, self.view.after)
                 self._grouped = places, [[change.id for change in each] for each in events]
@@ -246,7 +247,7 @@ class OpenTake:
                     if id(each) not in known
                 ],
                 **({} if before else {"events": self._grouped[1]}),
-                "corrections": describe_corrections(file.corrections, self.take.report.get("corrections")),
+                "corrections": describe_corrections(file.corrections, made),
                 "undo_count": len(self.store.state.done),
                 "redo_count": len(self.store.state.undone),
                 **self._describe_state(),
@@ -365,10 +366,10 @@ class OpenTake:
         return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
 
 
-def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[object] | None) -> list[dict[str, Any]]:
-    """Return corrections as the page has them, and whether the samples are without them; older reports do not tell."""
+def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[object]) -> list[dict[str, Any]]:
+    """Return corrections as the page has them, and whether the samples are without them, since they are not `made`."""
     entries = [each.model_dump(mode="json") for each in corrections]
-    left = Counter(json.dumps(each, sort_keys=True) for each in (entries if made is None else made))
+    left = Counter(json.dumps(each, sort_keys=True, default=CorrectionModel.model_dump) for each in made)
     for entry in entries:
         left[key := json.dumps(entry, sort_keys=True)] -= 1
         entry["is_pending"] = left[key] < 0
@@ -472,10 +473,9 @@ class ReviewSession:
         """Return the entry of a take, from its files if they were changed since it was last read."""
         key = [get_file_version(path) for path in (take.changes_path, take.approval_path)]
         with self._lock:
-            known = self._summaries.get(take.id)
-            if known is None or known[0] != key:
-                known = self._summaries[take.id] = (key, describe_take(take))
-            return known[1]
+            if self._summaries.get(take.id, (None,))[0] != key:
+                self._summaries[take.id] = key, describe_take(take)
+            return self._summaries[take.id][1]
 
     def open_take(self, name: str) -> OpenTake:
         """Return a take under review. Raises ReadError if there is none of this id, or its files are damaged."""
@@ -505,7 +505,7 @@ class ReviewSession:
         named = {**action, "reviewer": self.reviewer} if action.get("type") == "decide" else action
         opened = self.open_take(name)
         before, edited, after = opened.store.file.corrections, opened.edit(revision, named), opened.store.file.corrections
-        changed = {label for each in (*before, *after) if (each in before) != (each in after) for label in each.markers}
+        changed = {label for each in (*before, *after) if before.count(each) != after.count(each) for label in each.markers}
         for other in opened.subjects:
             if other.id != name and changed.intersection(other.report["take"].get("labels", ())):
                 other.approval_path.unlink(missing_ok=True)

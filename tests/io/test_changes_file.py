@@ -124,6 +124,14 @@ def test_an_edited_file_is_read_as_pyyaml_reads_it(tmp_path_factory, edits, labe
     assert load_or_fail(load_changes, text) == load_or_fail(load_yaml, text)
 
 
+def test_a_key_without_a_value_is_null(tmp_path):
+    path = tmp_path / "walk.changes.yaml"
+    write_changes_file(path, build_take(), [build_change(why="It jumps.", predicted_mm=None)])
+    path.write_text(path.read_text("utf-8").replace("predicted_mm: null", "predicted_mm:"), "utf-8")
+    (found,) = read_changes_file(path, build_take()).declined
+    assert found.entry.predicted_mm is None
+
+
 def test_a_file_without_changes_declines_nothing(tmp_path):
     assert write_and_read(tmp_path) == ()
 

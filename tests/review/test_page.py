@@ -1,5 +1,6 @@
 """The review page in Chromium: everything by keyboard and by mouse, and the files that this leaves."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -24,6 +25,7 @@ from mocapfix.io.c3d import write_c3d
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import write_changes_file
 from mocapfix.io.gltf import write_gltf
+from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
 from mocapfix.review.take_files import find_cleaned_takes, load_take_view, trace_marker
@@ -837,6 +839,67 @@ def test_labels_of_two_people_are_exchanged_as_the_command_line_does(
     for name in names:
         if not name.endswith(RUN_DEPENDENT_SUFFIXES):
             assert (folder / name).read_bytes() == (expected / name).read_bytes(), name
+
+
+COUNT_FAULTY_ROWS = """() => { const { canvas } = review.app.curves, { width, height } = canvas, rows = new Set();
+    const text = getComputedStyle(document.documentElement).getPropertyValue("--faulty").trim().slice(1);
+    const colour = text.match(/../g).map((each) => parseInt(each, 16));
+    const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+    const isFaulty = (n) => colour.every((each, k) => Math.abs(each - data[n + k]) < 60);
+    for (let n = 0; n < data.length; n += 4) if (isFaulty(n)) rows.add(Math.floor(n / 4 / width));
+    return rows.size; }"""
+
+
+def test_the_curve_of_a_short_fault_is_joined_to_what_was_measured(page: Page) -> None:
+    page.wait_for_function("review.getState().isComplete")
+    spike = min((each for each in get_take(page)["changes"] if each["kind"] == "spike"), key=lambda each: each["samples"])
+    assert spike["samples"] <= 3
+    select_change(page, spike["id"])
+    page.evaluate("review.app.playback.moveTo(0)")  # the line of the frame hides a short curve
+    assert page.evaluate(COUNT_FAULTY_ROWS) > 10  # a line from the samples beside it, not a point
+
+
+def test_swaps_of_two_people_and_of_one_are_shown_in_the_order_of_the_next_cleaning(
+    browser: Browser, cleaned_duo: Path, tmp_path: Path, problems: list[str]
+) -> None:
+    shutil.copytree(cleaned_duo, tmp_path / "session")
+    folder = tmp_path / "session" / "duo.mocapfix"
+    path, report = folder / "duo.Ann.changes.yaml", folder / "duo.Ann.report.json"
+    one, right, other = "Ann:LKNE", "Ann:RKNE", "Bob:LKNE"
+    made = CorrectionModel(kind="swap", markers=[one, right], first=21, last=80)  # a cleaning has made it
+    file, values = yaml.safe_load(path.read_text(encoding="utf-8")), json.loads(report.read_bytes())
+    others = yaml.safe_load((folder / "duo.Bob.changes.yaml").read_text(encoding="utf-8"))["changes"]
+    fault = next(each for each in others if each["kind"] == "spike" and each["markers"][0][4:] not in ("LKNE", "RKNE"))
+    faulty, interval = fault["markers"][0], slice(fault["first"] - 1, fault["last"])
+    rejected = fault | {"id": "swap", "kind": "swap", "markers": [faulty.replace("Bob", "Ann"), faulty], "decision": "reject"}
+    file |= {"changes": [*file["changes"], rejected], "corrections": [made.model_dump(exclude_defaults=True)]}
+    path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    values["corrections"] = [made.model_dump(mode="json")]
+    report.write_text(json.dumps(values), encoding="utf-8")
+    with serve(folder) as running:
+        page = open_page(browser, running, problems)
+        page.evaluate("review.app.openTake('duo.Ann')")
+        page.wait_for_function("review.app.scene.people.length === 2 && review.getState().isComplete")
+        labels = dict(page.evaluate("review.app.scene.people.map(({ take }) => [take.subject, take.labels])"))
+
+        def read(layer: str) -> dict[str, np.ndarray]:
+            people = read_people(page, layer)
+            return {name: people[name[:3]][labels[name[:3]].index(name)] for name in (one, right, other, faulty)}
+
+        before, cleaned = read("before"), read("after")
+        np.testing.assert_array_equal(cleaned[faulty][interval], before[faulty][interval])  # a rejected exchange concerns both
+        swap = f"new AddEdit({{ kind: 'swap', markers: ['{one}', '{other}'], first: 41, last: 60 }})"
+        send = f"import('./assets/edits.js').then(({{ AddEdit }}) => review.app.edits.send({swap}))"
+        page.evaluate(send)
+        shown, frames = read("after"), slice(40, 60)
+        for name, source in ((one, right), (right, other), (other, one)):  # that of two people first
+            np.testing.assert_array_equal(shown[name][frames], before[source][frames])
+            np.testing.assert_array_equal(np.delete(shown[name], frames, 0), np.delete(cleaned[name], frames, 0))
+        running.session.approve("duo.Bob", "Cid")
+        page.evaluate(send)  # the same once more takes it back
+        assert not (folder / "duo.Bob.approval.json").exists()
+        page.context.close()
+    assert not problems
 
 
 def test_rejected_changes_of_all_kinds_are_shown_as_the_next_cleaning_leaves_them(

@@ -11,7 +11,7 @@ import pytest
 from mocapfix.errors import MocapfixError
 from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.options import parse_arguments
-from mocapfix.review.review_session import CleaningRun, build_clean_command, describe_corrections
+from mocapfix.review.review_session import CleaningRun, ReviewSession, build_clean_command, describe_corrections
 from mocapfix.review.take_files import find_cleaned_takes
 
 
@@ -82,9 +82,26 @@ def test_progress_is_the_share_of_the_time_of_the_cleaning_before(folder: Path):
     assert [(each.stage, each.percent) for each in statuses[:-1]] == list(zip(names, [0, 10, 30, 30, 30, 80], strict=True))
 
 
+def test_only_new_corrections_are_pending_where_an_older_report_does_not_tell(folder: Path) -> None:
+    path = folder / "walk.report.json"
+    report = json.loads(path.read_text(encoding="utf-8"))
+    del report["corrections"]
+    path.write_text(json.dumps(report), encoding="utf-8")
+    session = ReviewSession(folder)
+    opened = session.open_take("walk")
+    added = {"kind": "wrong", "markers": [opened.view.labels[0]], "first": 10, "last": 12}
+    for count in (1, 2):
+        described = opened.edit(opened.store.revision, {"type": "add", "corrections": [added]})
+        assert [each["is_pending"] for each in described["corrections"]] == [True] * count
+    session.close()
+    session = ReviewSession(folder)  # the ones that it finds may have been made
+    assert [each["is_pending"] for each in session.open_take("walk").describe()["corrections"]] == [False] * 2
+    session.close()
+
+
 def test_corrections_are_pending_until_a_cleaning_has_made_them() -> None:
     one, other = (CorrectionModel(kind="wrong", markers=["C7"], first=first, last=20) for first in (10, 11))
     made = json.loads(json.dumps([one.model_dump(mode="json")]))
     assert [each["is_pending"] for each in describe_corrections([one, other, one], made)] == [False, True, True]
     assert [each["is_pending"] for each in describe_corrections([one], [])] == [True]
-    assert [each["is_pending"] for each in describe_corrections([one, one], None)] == [False, False]  # an older report
+    assert [each["is_pending"] for each in describe_corrections([one, one, other], [one, one])] == [False, False, True]

@@ -191,10 +191,10 @@ export class CurveView {
 
   drawRow(context, row, colour) {
     const { marker, window: { first, last } } = this, scale = this.divideFrames(first, last), state = this.readStates(scale);
-    const isAny = () => true, isChanged = (t) => state[t - scale.from] !== STATE.measured, isShown = (t) => state[t - scale.from] !== STATE.rejected;
+    const isAny = () => true, isChanged = (t) => (state[t - scale.from] ?? STATE.measured) !== STATE.measured, isShown = (t) => state[t - scale.from] !== STATE.rejected;
     const values = this.markers.map((m) => this.readValues(row, "after", m, scale)), before = this.readValues(row, "before", marker, scale);
     const others = values.slice(1).map((each) => reduce(each, scale, isAny)), after = reduce(values[0], scale, isShown);
-    const plain = reduce(before, scale, (t) => !isChanged(t)), changed = reduce(before, scale, isChanged);
+    const plain = reduce(before, scale, (t) => !isChanged(t)), changed = reduce(before, scale, (t) => isChanged(t - 1) || isChanged(t) || isChanged(t + 1));  // joined to what is measured
     const band = row.hasBand ? this.readBand(values[0], scale) : null;
     const estimates = (QUANTITIES[this.quantity.value].hasEstimates ? this.estimates : []).map((each) => reduce(this.readEstimate(row, each, scale), scale, isAny));
     let [low, high] = findRange([plain, changed, after, ...others, ...estimates, ...(band ? [band] : [])]);

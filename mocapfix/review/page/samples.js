@@ -63,18 +63,22 @@ export class Samples {
 
   // Shows what follows from the decisions, in some frames or in all: rejected and kept samples are as they were measured.
   showDecisions([from, to] = [0, this.frameCount - 1]) {
-    const all = [this, ...this.others];
+    const all = [this, ...this.others], changes = all.flatMap(({ take }) => take.changes);
     for (const each of all) each.showCleaned(from, to);
-    this.showSwaps(all.flatMap((each) => each.take.corrections).filter((each) => each.is_pending && each.kind === "swap"), from, to);
-    for (const each of all) each.showOwnDecisions(from, to);
+    this.showSwaps(all.flatMap(({ take }) => take.corrections).filter(({ kind }) => kind === "swap"), from, to);
+    for (const each of all) each.showOwnDecisions(changes, from, to);
   }
 
-  // Exchanges labels as the next cleaning does, of what was measured; what it fills is not known yet.
+  // Exchanges labels as the next cleaning does, those of two people first, where a swap is pending: of what was measured; what it fills is not known yet.
   showSwaps(swaps, from, to) {
     const locate = (label) => [this, ...this.others].map((samples) => ({ samples, index: samples.columns.get(label) })).find(({ index }) => index !== undefined);
-    const located = swaps.map(({ markers, first, last }) => ({ places: markers.map(locate), first: Math.max(first - this.take.first_frame, from), last: Math.min(last - this.take.first_frame, to) }))
+    const located = swaps.map((each) => ({ ...each, places: each.markers.map(locate), first: Math.max(each.first - this.take.first_frame, from), last: Math.min(each.last - this.take.first_frame, to) }))
       .filter(({ places }) => places.every(Boolean));
-    const visit = (act) => located.forEach(({ places, first, last }) => { for (let t = first; t <= last; t++) act(places, t); });
+    const ordered = [...located.filter(({ places: [one, other] }) => one.samples !== other.samples), ...located.filter(({ places: [one, other] }) => one.samples === other.samples)];
+    const visit = (act) => ordered.forEach(({ places, markers, first, last }) => {
+      const pending = located.filter((each) => each.is_pending && each.markers.some((label) => markers.includes(label)));
+      for (let t = first; t <= last; t++) if (pending.some((each) => each.first <= t && t <= each.last)) act(places, t);
+    });
     const read = ({ samples, index }, t, layer) => samples.getPosition(layer, t, index);
     visit((places, t) => { for (const each of places) each.samples.showMeasured(t * each.samples.counts.after + each.index, read(each, t, "before")); });
     visit((places, t) => {
@@ -101,10 +105,10 @@ export class Samples {
     }
   }
 
-  showOwnDecisions(from, to) {
+  showOwnDecisions(changes, from, to) {
     const width = this.counts.after;
     for (const correction of this.take.corrections) this.showRequested(correction, from, to);
-    for (const change of this.take.changes) {
+    for (const change of changes) {
       if (change.decision === "accept" || SHIFT_KINDS.includes(change.kind)) continue;
       const first = Math.max(change.first - this.take.first_frame, from), last = Math.min(change.last - this.take.first_frame, to);
       for (const m of change.markers.map((label) => this.columns.get(label)).filter((each) => each !== undefined)) {
