@@ -14,6 +14,7 @@ import numpy as np
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import OptionError, WriteError
+from mocapfix.hands.finger_markers import SIDES
 from mocapfix.hands.solve_hands import HandMotion, attach_hands
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_bvh_tree
@@ -39,6 +40,7 @@ from mocapfix.solve.parallel import Computation
 from mocapfix.subject import library
 
 if TYPE_CHECKING:
+    from mocapfix.characters.character_yaml import Rig
     from mocapfix.report.contact_sheet import ContactSheet, Performer
 
 RECORDING_SUFFIX, HTML_SUFFIX = "rrd", "report.html"
@@ -144,16 +146,55 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
 
 
+def write_rig_bvh(
+    target: Path,
+    rig: "Rig",
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    hands: Sequence[HandMotion] = (),
+    hand_rate: float = 1.0,
+) -> None:
+    """Write a motion on the rig of another program. Raises WriteError as `write_bvh` and `retarget_to_rig` do.
+
+    Args:
+        hands: Hands with fingers, at `hand_rate` frames per second; left out if the rig has none.
+    """
+    from mocapfix.characters.alignment import pose_skeleton, retarget_to_rig  # few cleanings need it
+
+    rig_skeleton, rig_motion = retarget_to_rig(rig, skeleton, motion)
+    if not hands or rig.fingers == "none":
+        write_bvh(target, rig_skeleton, rig_motion, rate, rig.unit_m, rig.rotations)
+        return
+    rest = pose_skeleton(skeleton, rig.rest).compute_rest_pose()[1]
+    rest_axes = {side: rest[skeleton.find_joint(f"{side}Hand")] for side in SIDES}
+    joints = {side: [joint.joint for joint in rig.joints].index(f"{side}Hand") for side in SIDES}
+    moving = rig_motion.select_frames(np.arange(rig_motion.frame_count)[-motion.frame_count :])
+    is_numbered = rig.fingers == "numbers"
+    attached = attach_hands(
+        rig_skeleton, moving, rate, hands, hand_rate, joints=joints, rest_axes=rest_axes, is_numbered=is_numbered
+    )
+    tree, positions, local_rotations = attached
+    if taken := [name for name in rig_skeleton.names if tree.names.count(name) > 1]:
+        raise WriteError(f"A BVH for {rig.program} cannot be written: {taken[0]} is a finger too; rename this joint of the rig.")
+    if rig.first_frame == "t-pose":  # with hands at rest
+        pose = np.tile(np.eye(3), (1, len(tree.names), 1, 1))
+        pose[0, : len(rig_skeleton.names)] = rig_motion.local_rotations[0]
+        local_rotations = np.concatenate([pose, local_rotations])
+        first = {joint: tree.offsets[[joint]] for joint in positions} | {0: rig_motion.root_position[:1]}
+        positions = {joint: np.concatenate([first[joint], each]) for joint, each in positions.items()}
+    write_bvh_tree(target, tree, positions, local_rotations, rate, rig.unit_m, rig.rotations)
+
+
 def build_rig_format(name_or_path: str | Path) -> OutputFormat:
     """Return the format of a BVH for the rig of a program. Raises SceneError if there is no such rig."""
-    from mocapfix.characters.alignment import write_rig_bvh  # few cleanings need it
-    from mocapfix.characters.character_yaml import load_rig
+    from mocapfix.characters.character_yaml import load_rig  # few cleanings need it
 
     rig = load_rig(name_or_path)
     unit = RIG_UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
 
     def write_file(target: Path, content: OutputContent) -> None:
-        write_rig_bvh(target, rig, *content.motion.parts)
+        write_rig_bvh(target, rig, *content.motion.parts, content.exported_hands, content.input_take.rate)
 
     usage_note = f"is for {rig.program}: {unit}, Y up; {rig.note}."
     return OutputFormat(f"{rig.name}.bvh", write_file, needs_body=True, usage_note=usage_note)

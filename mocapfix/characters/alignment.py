@@ -16,7 +16,6 @@ CMU's joint Hand lies in the forearm, FingerBase at the wrist. A rig without Fin
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import scipy
@@ -24,7 +23,6 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.characters.character_yaml import Rig
 from mocapfix.errors import WriteError
-from mocapfix.io.bvh import write_bvh
 from mocapfix.io.shipped import read_shipped_yaml
 from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
@@ -251,7 +249,7 @@ def retarget_to_rig(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skele
             "above it rotates that this rig omits; choose another rig, or the plain BVH."
         )
     if rig.first_frame == "t-pose":
-        t_pose = _pose_skeleton(skeleton, "t-pose").compute_rest_pose()[1]
+        t_pose = pose_skeleton(skeleton, "t-pose").compute_rest_pose()[1]
         rig_motion = _prepend_pose(alignment.skeleton, rig_motion, alignment.convert_rotations(t_pose[None])[0], rig.rotations)
     return alignment.skeleton, rig_motion
 
@@ -290,7 +288,7 @@ def _align_rig(rig: Rig, skeleton: Skeleton, joints: Int[np.ndarray, " R"]) -> S
     axes = _find_joints(rig, skeleton, [joint.axes for joint in rig.joints])
     ends = _find_joints(rig, skeleton, [joint.end for joint in rig.joints])
     parents, names = np.array(rig.parents), tuple(joint.name for joint in rig.joints)
-    posed = _pose_skeleton(skeleton, rig.rest)
+    posed = pose_skeleton(skeleton, rig.rest)
     positions, rotations = posed.compute_rest_pose()
     tips = np.where(np.isnan(skeleton.ends), positions, posed.compute_rest_ends())
     offsets = positions[joints] - positions[joints[parents]]
@@ -300,7 +298,7 @@ def _align_rig(rig: Rig, skeleton: Skeleton, joints: Int[np.ndarray, " R"]) -> S
     return SkeletonAlignment(rig_skeleton, axes, rotations[axes].swapaxes(-1, -2))
 
 
-def _pose_skeleton(skeleton: Skeleton, pose_name: str) -> Skeleton:
+def pose_skeleton(skeleton: Skeleton, pose_name: str) -> Skeleton:
     """Return a skeleton in another rest pose, in which its bones have the directions of a shipped pose, such as "t-pose"."""
     bones = read_shipped_yaml("rigs/poses.yaml")[pose_name]
     rotations = np.tile(np.eye(3), (len(skeleton.names), 1, 1))
@@ -327,8 +325,3 @@ def _prepend_pose(skeleton: Skeleton, motion: Motion, local_rotations: Float[np.
     root_position = np.array([[first.root_position[0, 0], -lowest, first.root_position[0, 2]]])
     pose = replace(first, root_position=root_position, local_rotations=local_rotations[None])
     return Motion(*(np.concatenate([getattr(pose, name), values]) for name, values in vars(motion).items()))
-
-
-def write_rig_bvh(target: Path, rig: Rig, skeleton: Skeleton, motion: Motion, rate: float) -> None:
-    """Write a motion on the rig of another program. Raises WriteError as `write_bvh` and `retarget_to_rig` do."""
-    write_bvh(target, *retarget_to_rig(rig, skeleton, motion), rate, rig.unit_m, rig.rotations)

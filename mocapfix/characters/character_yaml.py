@@ -332,6 +332,8 @@ class Rig(StrictModel):
     rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]
     rest: Literal["t-pose", "arms-down", "skeleton"]  # pose in which all rotations are zero; "skeleton" for its own rest pose
     first_frame: Literal["t-pose", "motion"]  # whether a T-pose that faces +Z and stands on the floor precedes the motion
+    # the names of fingers, of takes that show them: VRM's, those of HumanIK, or no fingers
+    fingers: Literal["names", "numbers", "none"] = "none"
     note: str  # what users of the file need to know, for the report
     joints: tuple[RigJoint, ...] = Field(min_length=1)  # parents before children
 
@@ -361,4 +363,6 @@ def load_rig(name: str | Path) -> Rig:
                 f"{path}: joints: {joint.name}: must be listed once, after its parent; only the first joint is a root."
             )
         known.add(joint.name)
+    if rig.fingers != "none" and (missing := {"LeftHand", "RightHand"} - {joint.joint for joint in rig.joints}):
+        raise SceneError(f"{path}: fingers: need a joint at {sorted(missing)[0]}; add it, or leave out the fingers.")
     return rig.model_copy(update={"name": path.stem})

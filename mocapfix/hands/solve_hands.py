@@ -12,7 +12,7 @@ decide; and all again about the smooth trajectories of the joints.
 body's LeftHandIndex1, which does not move with the finger, keeps its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -204,28 +204,45 @@ class BodyWithHands(NamedTuple):
     local_rotations: Float[np.ndarray, "T J 3 3"]
 
 
-def attach_hands(skeleton: Skeleton, motion: Motion, rate: float, hands: Sequence[HandMotion], hand_rate: float) -> BodyWithHands:
+def attach_hands(
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    hands: Sequence[HandMotion],
+    hand_rate: float,
+    *,
+    joints: Mapping[str, int] | None = None,
+    rest_axes: Mapping[str, Float[np.ndarray, "3 3"]] | None = None,
+    is_numbered: bool = False,
+) -> BodyWithHands:
     """Return a body's motion with those of hands below its joints LeftHand and RightHand.
 
     Args:
         rate: Frames per second of the body's motion.
         hand_rate: Those of the hands, which begin at the same time.
+        joints: By side the joints that carry the hands, if they have other names.
+        rest_axes: By side the palm's axes in the rest pose of the skeleton; by default the world's.
+        is_numbered: Whether fingers have HumanIK's names (LeftHandIndex1), which a skeleton must not have itself.
     """
     body_positions, body_rotations = compute_world_poses(skeleton, motion)
     names, parents, positions = list(skeleton.names), skeleton.parents.tolist(), {0: motion.root_position}
     offsets, ends, rotations = [skeleton.offsets], [skeleton.ends], [motion.local_rotations]
     for hand in hands:
-        palm, carrier, model = len(names), skeleton.find_joint(f"{hand.hand.model.side}Hand"), hand.hand.model
+        palm, model = len(names), hand.hand.model
+        side, axes = model.side, rest_axes[model.side] if rest_axes else np.eye(3)
+        carrier = joints[side] if joints else skeleton.find_joint(f"{side}Hand")
         moved = resample_motion(hand.motion, hand_rate, rate)
         turn = body_rotations[:, carrier].swapaxes(-1, -2)
         positions[palm] = (turn @ (moved.root_position - body_positions[:, carrier])[..., None])[..., 0]
-        rotations.append(np.concatenate([(turn @ moved.local_rotations[:, 0])[:, None], moved.local_rotations[:, 1:]], axis=1))
-        rest, tips = model.skeleton.rest_positions, np.full((1 + len(HAND_JOINTS), 3), np.nan)
-        tips[JOINTS_PER_RAY::JOINTS_PER_RAY] = model.skeleton.compute_rest_ends()[TIP_JOINTS] - rest[TIP_JOINTS]
+        palm_rotation, turned = turn @ moved.local_rotations[:, 0] @ axes.T, axes @ moved.local_rotations[:, 1:] @ axes.T
+        rotations.append(np.concatenate([palm_rotation[:, None], turned], axis=1))
+        rest, tips = model.skeleton.rest_positions @ axes.T, np.full((1 + len(HAND_JOINTS), 3), np.nan)
+        rest_tips = model.skeleton.compute_rest_ends()[TIP_JOINTS] @ axes.T
+        tips[JOINTS_PER_RAY::JOINTS_PER_RAY] = rest_tips - rest[TIP_JOINTS]
         above = np.where(np.arange(len(HAND_JOINTS)) % JOINTS_PER_RAY, np.roll(HAND_JOINTS, 1), 0)
         offsets += [np.median(positions[palm], axis=0)[None], rest[HAND_JOINTS] - rest[above]]
         ends.append(tips)
-        names += [f"{model.side}{name}" for name in ATTACHED_NAMES]
+        names += [f"{side}Palm", *model.joint_names] if is_numbered else [f"{side}{name}" for name in ATTACHED_NAMES]
         parents += [carrier, *(palm + index if index % JOINTS_PER_RAY else palm for index in range(len(HAND_JOINTS)))]
     tree = Skeleton(tuple(names), np.array(parents), np.concatenate(offsets), np.concatenate(ends))
     return BodyWithHands(tree, positions, np.concatenate(rotations, axis=1))

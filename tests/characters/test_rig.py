@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.characters.alignment import place_hands_at_wrists, retarget_to_rig, write_rig_bvh
+from mocapfix.characters.alignment import place_hands_at_wrists, retarget_to_rig
 from mocapfix.characters.character_yaml import Rig, load_rig
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.bvh import read_bvh
@@ -17,6 +17,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.options import CHARACTER_PRESETS, RIG_NAMES
+from mocapfix.output_formats import write_rig_bvh
 from mocapfix.solve import kinematics
 from tests.io.read_back import SKELETON, Bvh, motion_of, smooth_rotations
 

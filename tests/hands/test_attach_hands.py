@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
+from mocapfix.characters.character_yaml import load_rig
+from mocapfix.errors import WriteError
 from mocapfix.hands.hand_model import HAND_JOINTS
 from mocapfix.hands.solve_hands import attach_hands, solve_hand
 from mocapfix.io.bvh import read_bvh, write_bvh, write_bvh_tree
@@ -11,6 +13,7 @@ from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.hands import compose_hands
 from mocapfix.model.windows import select_frames
 from mocapfix.options import ReadOptions
+from mocapfix.output_formats import write_rig_bvh
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.synthetic import compose_motion, draw_subject
 from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
@@ -70,6 +73,32 @@ def test_a_cleaned_take_has_its_hands_in_the_bvh_above_the_floor(tmp_path):
         assert measure_distances(read, hand.lower_floor(0.25), np.arange(300)).max() < 1e-6
     assert len(result.hands) == 2
     assert any("BVH" in note and "left hand" in note for note in result.subject_report["notes"])
+
+
+@pytest.mark.parametrize(("name", "first"), [("blender", 0), ("motionbuilder", 1)])
+def test_a_rigs_fingers_are_where_they_were_solved(tmp_path, name, first):
+    skeleton, motion, hands = compose_hands_on_body()
+    write_rig_bvh(tmp_path / "rig.bvh", load_rig(name), skeleton, motion, RATE_HZ, hands, RATE_HZ)
+    read = read_bvh(tmp_path / "rig.bvh", options=ReadOptions(unit="m" if name == "blender" else "cm", up_axis="Y"))
+    assert len(set(read.names)) == len(read.names)
+    assert ("LeftHandMiddle3" in read.names) == (name == "motionbuilder")
+    poses = read.replace_values(read.values[first:])
+    for hand in hands:
+        assert measure_distances(poses, hand, np.arange(motion.frame_count)).max() < 1e-5  # a unit may be a metre
+    if first:
+        _, rotations = read.replace_values(read.values[:1]).compute_world_poses()
+        palm = read.names.index("LeftPalm")
+        np.testing.assert_allclose(rotations[0, palm : palm + 16], np.tile(rotations[0, palm], (16, 1, 1)), atol=1e-9)
+
+
+def test_a_rig_without_fingers_or_with_their_names_is_not_written_with_two_joints_of_one_name(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body(("Left",))
+    for name in ("body", "hands"):
+        write_rig_bvh(tmp_path / name, load_rig("3dsmax"), skeleton, motion, RATE_HZ, hands if name == "hands" else (), RATE_HZ)
+    assert (tmp_path / "hands").read_bytes() == (tmp_path / "body").read_bytes()
+    rig = load_rig("blender").model_copy(update={"fingers": "numbers"})
+    with pytest.raises(WriteError, match="LeftHandIndex1 is a finger too"):
+        write_rig_bvh(tmp_path / "rig.bvh", rig, skeleton, motion, RATE_HZ, hands, RATE_HZ)
 
 
 def test_a_take_without_fingers_has_the_bvh_of_its_body(tmp_path):
