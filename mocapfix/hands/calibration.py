@@ -291,7 +291,7 @@ def calibrate_hand(
     """
     model = load_hand(finger_markers.side)
     usual = model.scale(np.full(len(HAND_JOINTS) + len(TIP_JOINTS), size_ratio))
-    place, offsets = model.palm_position * size_ratio, finger_markers.scale(size_ratio)
+    place, offsets = model.palm_position * size_ratio, finger_markers.markers.marker_offsets * size_ratio
     average = CalibratedHand(usual, place, np.eye(3), finger_markers, offsets, np.zeros(len(HAND_JOINTS) + len(TIP_JOINTS)))
     shown = np.flatnonzero(is_used.mean(1) >= MIN_CALIBRATION_SHARE * min(1.0, is_used.mean(1).max()))
     frames = shown[sample_evenly(len(shown), MAX_CALIBRATION_FRAMES)]

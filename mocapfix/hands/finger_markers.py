@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from mocapfix.errors import SceneError
 from mocapfix.hands.hand_model import MIRROR, Side, load_hand
@@ -33,10 +33,6 @@ class FingerMarkers:
     side: Side
     markers: MarkerSet
     columns: Int[np.ndarray, " N"]
-
-    def scale(self, factor: float) -> Float[np.ndarray, "K 3"]:
-        """Return the places of the markers in metres, in the axes of their joints, on a hand of another size."""
-        return self.markers.marker_offsets * factor
 
 
 @dataclass(frozen=True)

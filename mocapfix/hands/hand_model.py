@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder, read_yaml
@@ -262,8 +262,3 @@ def _build_prior(side: Side, skeleton: Skeleton, data: dict[str, Any], angles: d
         mean_sd,
         share,
     )
-
-
-def list_ray_joints(ray: int) -> Int[np.ndarray, "3"]:
-    """Return the three joints of a ray in the tree."""
-    return RAY_ROOTS[ray] + np.arange(1, 1 + JOINTS_PER_RAY)

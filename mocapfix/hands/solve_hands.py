@@ -103,7 +103,7 @@ class HandMotion:
 
 
 def solve_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, motion: Motion) -> tuple[HandMotion, ...]:
-    """Return the motion of each hand of a take that shows its fingers.
+    """Return the motion of each hand of a take that shows its fingers, and its forearm: without that no palm carries them.
 
     Args:
         is_used: The samples that the solver may use.
@@ -116,10 +116,10 @@ def solve_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, 
     position, rotation = compute_world_poses(subject.skeleton, motion)
 
     def solve_one(finger_markers: FingerMarkers) -> HandMotion | None:
-        if not is_used[:, finger_markers.columns].any():
-            return None
         hand, forearm = (subject.skeleton.find_joint(f"{finger_markers.side}{name}") for name in ("Hand", "ForeArm"))
-        sd = np.nan_to_num(motion.joint_sd[:, hand]) if motion.joint_sd.size else np.zeros(len(position))
+        if not (subject.solved_joints[hand] and is_used[:, finger_markers.columns].any()):
+            return None
+        sd = motion.joint_sd[:, hand] if motion.joint_sd.size else np.zeros(len(position))
         sd_m, sd_rad = np.hypot(MIN_PALM_SD_M, sd), np.hypot(MIN_PALM_SD_RAD, sd / PALM_LEVER_M)
         palm = PalmPath(position[:, forearm], rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
         hand_markers = add_palm_markers(finger_markers, subject, take.labels)

@@ -96,20 +96,22 @@ def build_body_notes(detected: Detected, body: SolvedBody, *, is_preview: bool =
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
         *describe_remembered_gaps(detected.take, body.remembered, names),
-        *describe_hands(detected, body.subject.marker_set, body.hands, is_preview=is_preview),
+        *describe_hands(detected, body.subject, body.hands, is_preview=is_preview),
     ]
 
 
-def describe_hands(detected: Detected, marker_set: str, hands: Sequence[HandMotion], *, is_preview: bool) -> list[str]:
+def describe_hands(detected: Detected, subject: Subject, hands: Sequence[HandMotion], *, is_preview: bool) -> list[str]:
     """Return notes on the hands that are solved, and on those with finger markers that are not; none without such markers."""
     solved = {hand.hand.model.side: f"{hand.hand.length_m * 1e3:.0f} mm long" for hand in hands}
-    left = [each for each in find_finger_markers(marker_set, detected.take.labels) if each.side not in solved]
+    left = [each for each in find_finger_markers(subject.marker_set, detected.take.labels) if each.side not in solved]
     found, missed = ([f"{side.lower()} hand" for side in sides] for sides in (solved, [each.side for each in left]))
     reason = "hands are not solved in takes that are cleaned in windows; cut the take to solve them"
     if is_preview:
         reason = "hands are not solved in a preview; clean the take without --fast"
     elif left and not any(detected.solver_mask[:, each.columns].any() for each in left):
         reason = "none of their samples can be used"
+    elif left and not any(subject.solved_joints[subject.skeleton.find_joint(f"{each.side}Hand")] for each in left):
+        reason = "no marker shows the forearm"
     lengths = [f"{name} ({length})" for name, length in zip(found, solved.values(), strict=True)]
     return [
         *[f"The fingers of the {join_words(lengths)} are solved from their markers; BVH and --also npz have them."]

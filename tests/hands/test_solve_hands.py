@@ -16,6 +16,8 @@ from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.synthetic import compose_motion, draw_subject
 from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
 
+LEFT_ARM = ("LeftArm", "LeftForeArm", "LeftHand")
+
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_a_hand_of_the_model_is_recovered(side):
@@ -136,3 +138,16 @@ def test_fingers_do_not_move_the_body_and_other_sets_have_none():
     is_used = take.visible.copy()
     is_used[:, -2:] = False
     assert solve_hands(take, is_used, subject, motion) == ()
+
+
+def test_fingers_without_a_forearm_are_not_solved():
+    subject, motion, markers = compose_body(0.3)
+    names = subject.skeleton.names
+    arm = [label for label, joint in zip(subject.labels, subject.joints, strict=True) if names[joint] in LEFT_ARM]
+    kept = subject.select_markers(set(subject.labels) - set(arm))
+    assert not kept.solved_joints[names.index("LeftHand")]
+    fingers = markers[:, [subject.labels.index("LIHAND"), subject.labels.index("RIHAND")]]
+    take = Take(np.concatenate([markers, fingers], axis=1), (*subject.labels, "LIDX6", "RIDX6"), RATE_HZ)
+    motion.joint_sd[:, ~kept.solved_joints] = np.nan
+    hands = solve_hands(take, take.visible, kept, motion)
+    assert [hand.hand.model.side for hand in hands] == ["Right"]

@@ -20,6 +20,7 @@ from mocapfix.report.notes import (
 )
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.solve.lost_in_sight import LostPart
+from mocapfix.synthetic import draw_subject
 from tests.hands.composed_hands import build_hand
 
 NAN = np.nan
@@ -164,10 +165,13 @@ def build_left_hand():
     return HandMotion(build_hand("Left"), points[:, 0], turns[:, 0], turns, points, sd, sd[:, :15], seen)
 
 
-def describe_fingers(hands, *, is_preview=False, is_visible=True, marker_set="frontwaist53"):
+def describe_fingers(hands, *, is_preview=False, is_visible=True, has_forearm=True, marker_set="frontwaist53"):
     """Return the notes on the hands of a take with one finger marker on each."""
     take = Take(np.full((4, 3, 3), 0.5 if is_visible else np.nan), ("LIDX6", "RIDX6", "LANK"), 60.0)
-    return describe_hands(Detected(take), marker_set, hands, is_preview=is_preview)
+    subject = replace(draw_subject(np.random.default_rng(0), False, "frontwaist53"), marker_set=marker_set)
+    shown = [k for k, joint in enumerate(subject.joints) if has_forearm or "Right" not in subject.skeleton.names[joint]]
+    subject = subject.select_markers({subject.labels[k] for k in shown})
+    return describe_hands(Detected(take), subject, hands, is_preview=is_preview)
 
 
 def test_finger_markers_that_are_not_solved_are_named_with_the_reason():
@@ -177,6 +181,8 @@ def test_finger_markers_that_are_not_solved_are_named_with_the_reason():
     (preview,) = describe_fingers([], is_preview=True)
     assert preview.startswith("The finger markers of the left hand and right hand are filled and not solved:")
     assert "--fast" in preview
+    (_, hidden) = describe_fingers([build_left_hand()], has_forearm=False)
+    assert hidden == "The finger markers of the right hand are filled and not solved: no marker shows the forearm."
     (windows,) = describe_fingers([])
     assert "windows" in windows
     assert describe_fingers([], marker_set="cmu41") == []
