@@ -77,10 +77,10 @@ def reduce_held_uncertainty(subject: Subject, motion: Motion, contacts: BodyCont
 
 
 def _find_held_occlusions(is_contact: Bool[np.ndarray, " T"], is_known: Bool[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
-    """Return the unknown frames of those runs throughout which a joint stands."""
-    is_held = np.zeros(len(is_contact), bool)
+    """Return the unknown frames of those runs throughout which a joint stands where a known frame beside the run shows it."""
+    is_held, is_shown = np.zeros(len(is_contact), bool), is_contact & is_known
     for first, last in find_runs(~is_known):
-        is_held[first : last + 1] = is_contact[first : last + 1].all()
+        is_held[first : last + 1] = is_contact[first : last + 1].all() and is_shown[max(first - 1, 0) : last + 2].any()
     return is_held
 
 

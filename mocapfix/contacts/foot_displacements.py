@@ -164,6 +164,7 @@ def compute_target(
 STEP_ACCELERATION_M_S2 = 10.0  # with which a foot comes to or leaves the place where it stands
 HIDDEN_RETURN_SD_M = 0.03  # standard deviation of a joint at which the displacement of a hidden foot takes RETURN_TIME_S
 MIN_SD_M = 0.001  # smallest one that counts
+MAX_LEG_SD_M = 0.4  # largest one: of a foot anywhere within reach of known hips; with more the body is lost, and no leg holds it
 
 
 def compute_hidden_displacement(
@@ -179,15 +180,17 @@ def compute_hidden_displacement(
     It stands at the mean of its path, in which a frame counts by its certainty; those beside the contact count the less, the
     farther a foot may have moved. Where the path is certain it is not displaced.
     """
-    wanted, frames, sd = np.zeros(path.shape), np.arange(len(path)), np.maximum(position_sd, MIN_SD_M)
+    wanted, frames, sd = np.zeros(path.shape), np.arange(len(path)), np.clip(position_sd, MIN_SD_M, MAX_LEG_SD_M)
+    is_held = is_contact & (position_sd <= MAX_LEG_SD_M)
     for first, last in find_runs(is_contact):
         if not is_known[first : last + 1].any():
             beside_s = np.maximum(np.maximum(first - frames, frames - last), 0) / rate
             variance = sd**2 + (STEP_ACCELERATION_M_S2 / 2 * beside_s**2) ** 2
-            wanted[first : last + 1] = np.average(path, axis=0, weights=1 / variance) - path[first : last + 1]
+            held = first + np.flatnonzero(is_held[first : last + 1])
+            wanted[held] = np.average(path, axis=0, weights=1 / variance) - path[held]
     if not wanted.any():
         return wanted
-    return smooth_displacement(wanted, is_contact, np.zeros(len(path), bool), rate, lock, (sd / HIDDEN_RETURN_SD_M) ** 4)
+    return smooth_displacement(wanted, is_held, np.zeros(len(path), bool), rate, lock, (sd / HIDDEN_RETURN_SD_M) ** 4)
 
 
 def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[np.ndarray, "T 3"]:

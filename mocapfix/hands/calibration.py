@@ -52,15 +52,11 @@ class _CalibrationState:
 
 
 class _Linearisation(NamedTuple):
-    """Rows or points of N frames, and their derivatives to the poses and to the unknowns."""
+    """Residuals or points of N frames, and their derivatives to the poses and to the unknowns."""
 
-    position: np.ndarray
+    position: np.ndarray  # or the residuals
     of_pose: np.ndarray
     of_unknowns: np.ndarray
-
-    @property
-    def residual(self) -> np.ndarray:
-        return self.position
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ class _HandCalibration:
         state = _CalibrationState(unknowns, math.inf, unknowns, poses, codes)
         rows = self._linearise(state)
         volume, of_volume = self._measure_volume(hand, state, rows)
-        gradient = self.frame_weight * (np.einsum("nrq,nr->q", rows.of_unknowns, rows.residual) + of_volume) + unknowns
+        gradient = self.frame_weight * (np.einsum("nrq,nr->q", rows.of_unknowns, rows.position) + of_volume) + unknowns
         cost = self.frame_weight * (float(costs.sum()) + volume) + 0.5 * float(unknowns @ unknowns)
         return replace(state, cost=cost, gradient=gradient)
 

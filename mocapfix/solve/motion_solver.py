@@ -294,9 +294,10 @@ def solve_body(subject: SubjectInTake, start: PoseStart, solved: BodyFit | None,
 def place_body(subject: SubjectInTake, initial: Motion) -> BodyFit:
     """Return the body with the initial poses as its motion, without a solve. Their uncertainty is a usual one."""
     extended, visible = subject.extended_subject, subject.take.visible
-    is_seen = np.zeros(initial.local_rotations.shape[:2], bool)
-    for marker, joint in enumerate(extended.joints):
-        is_seen[:, joint] |= visible[:, marker]
+    joints = np.arange(len(extended.skeleton.names))
+    shown = np.stack([visible[:, extended.joints == joint].sum(1) for joint in joints], axis=1)
+    of_parent = shown[:, np.maximum(extended.skeleton.parents, 0)]  # two markers on a foot show its toes, which need none
+    is_seen = np.where(np.isin(joints, extended.joints), shown > 0, of_parent > 1)
     joint_sd = np.where(is_seen, PLACED_JOINT_SD_M, UNSEEN_JOINT_SD_M)
     motion = replace(initial, marker_sd=np.ascontiguousarray(joint_sd[:, extended.joints]), joint_sd=joint_sd)
     motion = replace(motion, status=classify_frames(motion, extended, subject.take.markers))

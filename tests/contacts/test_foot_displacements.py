@@ -103,6 +103,20 @@ def test_a_foot_hidden_throughout_a_contact_stands_where_its_path_is_most_certai
     np.testing.assert_allclose(held[:, 2:], feet[:, 2:], atol=1e-12)
 
 
+@pytest.mark.parametrize("is_locked", [False, True])
+def test_a_foot_that_is_lost_with_its_body_is_not_held(is_locked):
+    still = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (600, 1, 1))
+    guessed, sd, is_known = still.copy(), np.full((600, 4), 0.004), np.ones((600, 4), bool)
+    is_contact = np.zeros((600, 4), bool)
+    is_known[80:, :2], is_contact[100:160, :2], is_contact[300:360, :2] = False, True, True
+    guessed[80:] += 0.5 * np.maximum(np.arange(520) / RATE, 0)[:, None, None] * [1.0, 0.0, 0.0]
+    sd[80:200, :2], sd[200:, :2] = 0.1, 20.0
+    moved = compute_foot_displacements(guessed, build_contacts(is_contact, is_known), is_locked=is_locked, position_sd=sd)[:, :2]
+    assert np.abs(moved[100:160]).max() > 0.05
+    assert np.abs(moved).max() < 0.3
+    assert np.abs(moved[360:]).max() < 0.03  # nothing is held there, and the displacement of the contact before ends
+
+
 def test_displacement_begins_and_ends_smoothly():
     displacement = np.zeros((240, 1))
     displacement[80:160] = 0.02

@@ -56,3 +56,13 @@ def test_a_hidden_foot_that_may_have_stepped_stays_uncertain(side):
     motion = make_motion()
     held = reduce_held_uncertainty(SUBJECT, motion, make_contacts(False))
     np.testing.assert_array_equal(getattr(held, side), getattr(motion, side))
+
+
+@pytest.mark.parametrize("hidden", [slice(0, 120), slice(40, 80)])
+def test_a_hidden_foot_without_a_known_place_stays_uncertain(hidden):
+    motion, contacts = make_motion(), make_contacts(True)
+    contacts.is_known[hidden, :2] = contacts.is_contact[:, :2] = False
+    contacts.is_contact[hidden, :2] = True
+    held = reduce_held_uncertainty(SUBJECT, motion, contacts)
+    np.testing.assert_array_equal(held.joint_sd, motion.joint_sd)
+    np.testing.assert_array_equal(held.marker_sd, motion.marker_sd)

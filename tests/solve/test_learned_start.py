@@ -56,6 +56,8 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     write_synthetic_take(path, performance)
     result = pipeline.clean(path, is_fast=True)
     assert result.motion is not None
+    assert result.contacts is not None
+    assert result.contacts.is_known[:, :4].all()  # also of toes without a marker of their own
     assert (result.motion.iterations == 0).all()
     assert any(note.startswith("Preview: ") and "10 mm" in note for note in result.subject_report["notes"])
     error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
