@@ -466,6 +466,8 @@ class ReviewSession:
                 self.open_take(max(open_takes, key=lambda each: each["worst_mm"] or -1.0)["id"]).describe()
         if len(takes := list(self._takes.values())) > MAX_TAKES_READ_AT_ONCE:
             for take in takes:
+                if not self._takes:  # the review ends
+                    return
                 self._summarise(take)
             self.announce({"type": "session"})
 

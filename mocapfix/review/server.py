@@ -112,7 +112,7 @@ class ReviewServer:
 
     def serve(self) -> None:
         """Serve until the review is closed. Raises KeyboardInterrupt if it is interrupted."""
-        threading.Thread(target=self.session.read_ahead, daemon=True).start()
+        threading.Thread(target=self.session.read_ahead).start()  # not a daemon: one in compiled code at the end aborts Python
         try:
             asyncio.run(self._serve())
         finally:

@@ -235,7 +235,8 @@ def test_of_two_processes_one_compiles_all_that_call_the_solver() -> None:
     kernels = list(read_kernel_list())
     groups = group_kernels(kernels, processes=2)
     assert sorted(name for group in groups for name in group) == sorted(kernels)
-    solver = {"levenberg_marquardt.solve_frames", "schur.sum_pose_responses", "covariance.compute_uncertainty_frames"}
+    levenberg_marquardt = {"levenberg_marquardt.solve_frames", "levenberg_marquardt.compute_cost_frames"}
+    solver = levenberg_marquardt | {"schur.sum_pose_responses", "covariance.compute_uncertainty_frames"}
     assert [set(group) for group in groups if "levenberg_marquardt.solve_frames" in group] == [solver]
     assert group_kernels(kernels, processes=3) == [[name] for name in kernels]
 
