@@ -11,7 +11,7 @@ from mocapfix.hands.finger_markers import FingerMarkers
 from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, TIP_JOINTS, HandModel, HandPrior, load_hand
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import KernelTerms, SolverSettings, minimise
-from mocapfix.solve.model_terms import PoseModelTerm, linearise_model_term
+from mocapfix.solve.model_terms import LatentCodeTerm, PoseModelTerm, linearise_model_term
 from mocapfix.solve.terms import (
     JointLimitTerm,
     KinematicTree,
@@ -129,7 +129,7 @@ def minimise_hand_poses(
     return solution.poses, solution.codes
 
 
-def linearise_hand_prior(hand: CalibratedHand, frame_count: int):
+def linearise_hand_prior(hand: CalibratedHand, frame_count: int) -> LatentCodeTerm:
     """Return the prior as a term of the kernels, the same for all frames."""
     prior: HandPrior = hand.model.prior
     return linearise_model_term(hand.tree, prior, 1.0, np.zeros((1, prior.code_size)), 0.0, np.zeros(frame_count, int))

@@ -54,7 +54,7 @@ class _CalibrationState:
 class _Linearisation(NamedTuple):
     """Residuals or points of N frames, and their derivatives to the poses and to the unknowns."""
 
-    position: np.ndarray  # or the residuals
+    values: np.ndarray
     of_pose: np.ndarray
     of_unknowns: np.ndarray
 
@@ -109,7 +109,7 @@ class _HandCalibration:
         state = _CalibrationState(unknowns, math.inf, unknowns, poses, codes)
         rows = self._linearise(state)
         volume, of_volume = self._measure_volume(hand, state, rows)
-        gradient = self.frame_weight * (np.einsum("nrq,nr->q", rows.of_unknowns, rows.position) + of_volume) + unknowns
+        gradient = self.frame_weight * (np.einsum("nrq,nr->q", rows.of_unknowns, rows.values) + of_volume) + unknowns
         cost = self.frame_weight * (float(costs.sum()) + volume) + 0.5 * float(unknowns @ unknowns)
         return replace(state, cost=cost, gradient=gradient)
 
@@ -145,7 +145,7 @@ class _HandCalibration:
 
     def _weigh_markers(self, hand: CalibratedHand, state: _CalibrationState) -> Float[np.ndarray, "N K"]:
         """Return one over the standard deviation of each sample, 0 for one that is not used; robust."""
-        distance2 = ((self._differentiate_points(hand, state, hand.attachment).position - self.markers) ** 2).sum(-1)
+        distance2 = ((self._differentiate_points(hand, state, hand.attachment).values - self.markers) ** 2).sum(-1)
         scale2 = (self.robust_scale_m / MARKER_SD_M) ** 2
         return np.sqrt(compute_robust_weights(distance2 / hand.marker_sd_m**2, scale2)) * self.is_used / hand.marker_sd_m
 
@@ -157,7 +157,7 @@ class _HandCalibration:
         hand, model, palm = self.build_hand(state.unknowns), self.start.model, self.palm
         count, (root, local), prior = len(state.codes), state.poses, hand.model.prior
         of_markers = self._differentiate_points(hand, state, hand.attachment)
-        error = of_markers.position - self.markers
+        error = of_markers.values - self.markers
         weight = self._weigh_markers(hand, state)
         by_marker = (each * weight.reshape(*weight.shape, *[1] * (each.ndim - 2)) for each in (error, *of_markers[1:]))
         markers = [each.reshape(count, -1, *each.shape[3:]) for each in by_marker]
