@@ -1,0 +1,90 @@
+"""A robot: a tree of links with joints of one axis, its limits and collision primitives, and which links form a body.
+
+Inside this package lengths are metres, Z is up and X forward, as robots have them: at zero angles a robot stands and looks along
+X. Joint positions are those of MuJoCo's `qpos`: radians, metres for slides, in the order of the file.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+SIDES = ("left", "right")
+LIMBS = tuple(f"{side}_{limb}" for side in SIDES for limb in ("upper_arm", "forearm", "thigh", "shin"))
+"""The segments whose directions a robot keeps."""
+SOLE_CORNERS = ("heel left", "heel right", "toe left", "toe right")
+
+
+@dataclass(frozen=True)
+class CollisionPrimitives:
+    """C capsules on the links, whose ends coincide where they are spheres; boxes are rows of capsules inside them."""
+
+    links: Int[np.ndarray, " C"]
+    ends: Float[np.ndarray, "C 2 3"]  # in the axes of the link, metres
+    radii: Float[np.ndarray, " C"]  # metres
+    pairs: Int[np.ndarray, "P 2"]  # the pairs that must not meet: links that joints let meet and more than two joints apart
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A humanoid of L links and N joints of one axis each; the root, link 0, moves freely.
+
+    Links that are fixed to others stay links of their own. A link is where its file has it at zero angles.
+    """
+
+    name: str
+    link_names: tuple[str, ...]
+    parents: Int[np.ndarray, " L"]  # -1 for the root; parents come before their children
+    link_positions: Float[np.ndarray, "L 3"]  # in the parent's axes, metres
+    link_rotations: Float[np.ndarray, "L 3 3"]  # link axes to parent axes
+    masses: Float[np.ndarray, " L"]  # kg
+    mass_centres: Float[np.ndarray, "L 3"]  # in the axes of the link, metres
+    joint_names: tuple[str, ...]
+    joint_links: Int[np.ndarray, " N"]  # the link that a joint moves, ascending; the joints of one link act one after the other
+    joint_axes: Float[np.ndarray, "N 3"]  # unit vectors in the axes of the link
+    joint_anchors: Float[np.ndarray, "N 3"]  # in the axes of the link, metres
+    is_slide: Bool[np.ndarray, " N"]
+    zero_positions: Float[np.ndarray, " N"]  # joint positions at which the links are where the file has them
+    limits: Float[np.ndarray, "N 2"]  # of positions, infinite without a limit
+    speed_limits: Float[np.ndarray, " N"]  # radians or metres per second, infinite where no file states one
+    # joints that follow others: follower, leader, offset, factor
+    couplings: tuple[tuple[int, int, float, float], ...]
+    collision: CollisionPrimitives
+    notes: tuple[str, ...] = ()  # sentences for the report on how the file was read
+
+
+@dataclass(frozen=True)
+class LinkPoint:
+    """A point of a link, in its axes, metres."""
+
+    link: int
+    position: Float[np.ndarray, " 3"]
+
+
+@dataclass(frozen=True)
+class RobotMap:
+    """Which links form the body of a robot; all rotations are relative to the robot at zero angles.
+
+    Attributes:
+        limbs: Segment (of LIMBS) to the points from which and to which it runs. A robot may lack some: its forearms, say.
+        hips: Side to the point about which the leg turns.
+        feet: Side to the link of the foot.
+        soles: Side to the corners of the sole, in the order of SOLE_CORNERS, in the axes of the foot's link, metres.
+        pelvis, trunk, head: Links; the same link where no joint is between. `trunk` carries the arms.
+        hands: Side to the outermost link of the arm, if a joint moves it relative to the forearm.
+        standing: Joint positions of an upright stance with arms that hang and straight elbows and knees, (N,): rotations of
+            segments are compared with the performer's from this pose.
+        reason: Sentence on how the map was found.
+    """
+
+    limbs: Mapping[str, tuple[LinkPoint, LinkPoint]]
+    hips: Mapping[str, LinkPoint]
+    feet: Mapping[str, int]
+    soles: Mapping[str, Float[np.ndarray, "4 3"]]
+    pelvis: int
+    trunk: int
+    head: int
+    hands: Mapping[str, int]
+    standing: Float[np.ndarray, " N"]
+    reason: str = ""
