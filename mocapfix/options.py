@@ -25,7 +25,7 @@ INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "regis
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
 CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
-EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv", "contacts", "events", "fbx", "usd", "sheet")
+EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "amass", "c3d", "trc", "csv", "contacts", "events", "fbx", "usd", "sheet")
 """formats that are written on request (`output_formats.OPTIONAL_FORMATS`)"""
 REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",

@@ -254,6 +254,13 @@ def _write_npz(target: Path, content: OutputContent) -> None:
     write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, contacts, hands=hands)
 
 
+def _write_amass(target: Path, content: OutputContent) -> None:
+    from mocapfix.characters.amass import pose_smpl, write_amass  # few cleanings need it
+
+    solved, hands = content.motion.subject.solved_joints, content.exported_hands
+    write_amass(target, pose_smpl(*content.motion.parts, solved, hands, content.input_take.rate), content.motion.rate)
+
+
 def _write_bvh(target: Path, content: OutputContent) -> None:
     skeleton, motion, rate = content.motion.parts
     if content.hands:
@@ -316,6 +323,12 @@ OPTIONAL_FORMATS = {
         "amc", _write_amc, ("asf",), needs_body=True, usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up."
     ),
     "npz": OutputFormat("npz", _write_npz),
+    "amass": OutputFormat(
+        "amass.npz",
+        _write_amass,
+        needs_body=True,
+        usage_note="is for readers of AMASS: SMPL-X, metres, Z up; the shape is that of the mean body, not this person's.",
+    ),
     "c3d": OutputFormat(
         "c3d",
         lambda target, content: write_c3d(target, content.points),

@@ -57,6 +57,7 @@ def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, t
     assert set(outputs) == set(cleaned.outputs) | {
         "glb",
         "npz",
+        "amass.npz",
         "asf",
         "amc",
         "trc",

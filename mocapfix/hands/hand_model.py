@@ -86,6 +86,13 @@ class HandModel:
         return tuple(self.skeleton.names[j] for j in HAND_JOINTS)
 
     @property
+    def ray_offsets(self) -> Float[np.ndarray, "15 3"]:
+        """Each of the 15 joints from the one before, the first of a ray from the palm, in the rest pose: m, the palm's axes."""
+        rest = self.skeleton.rest_positions
+        above = np.where(np.arange(len(HAND_JOINTS)) % JOINTS_PER_RAY, np.roll(HAND_JOINTS, 1), 0)
+        return rest[HAND_JOINTS] - rest[above]
+
+    @property
     def tip_names(self) -> tuple[str, ...]:
         """The names of the five tips, thumb to little finger."""
         return tuple(f"{self.side}Hand{ray}Tip" for ray in RAYS)

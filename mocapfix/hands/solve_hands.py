@@ -239,8 +239,7 @@ def attach_hands(
         rest, tips = model.skeleton.rest_positions @ axes.T, np.full((1 + len(HAND_JOINTS), 3), np.nan)
         rest_tips = model.skeleton.compute_rest_ends()[TIP_JOINTS] @ axes.T
         tips[JOINTS_PER_RAY::JOINTS_PER_RAY] = rest_tips - rest[TIP_JOINTS]
-        above = np.where(np.arange(len(HAND_JOINTS)) % JOINTS_PER_RAY, np.roll(HAND_JOINTS, 1), 0)
-        offsets += [np.median(positions[palm], axis=0)[None], rest[HAND_JOINTS] - rest[above]]
+        offsets += [np.median(positions[palm], axis=0)[None], model.ray_offsets @ axes.T]
         ends.append(tips)
         names += [f"{side}Palm", *model.joint_names] if is_numbered else [f"{side}{name}" for name in ATTACHED_NAMES]
         parents += [carrier, *(palm + index if index % JOINTS_PER_RAY else palm for index in range(len(HAND_JOINTS)))]

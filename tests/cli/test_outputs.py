@@ -36,7 +36,7 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
 @pytest.mark.parametrize(
     ("requested", "message"),
     [
-        (("--also", "avi"), "--also must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, usd, sheet, not 'avi'"),
+        (("--also", "avi"), f"--also must be one of {', '.join(EXTRA_FORMAT_NAMES)}, not 'avi'"),
         (("--character", "maya"), "There is no character 'maya'; choose one of daz-g8"),
         (("--character", "nowhere.glb"), "nowhere.glb: "),
         (("--feet", "glued"), "--feet must be one of off, soft, lock, not 'glued'"),

@@ -1,0 +1,128 @@
+"""Write the motion of a body as the data set AMASS does: pose parameters of SMPL-X in a NumPy file, without the model itself.
+
+SMPL's joints turn relative to their parents from a T-pose in which the axes of all joints are those of the world: x to the left,
+y up, z to the front. That is the standard pose of `body_frames`, so that R = S_parent^T S for the rotations S of the segments.
+The world has Z up, hence the root also turns by 90 degrees about x, and a person whose root does no more faces -Y.
+
+The model places its pelvis at J0 + trans, for J0 the place of the pelvis in the rest pose, which no rotation moves. `betas` are
+zero, the mean body; the arrays joint_* have the person's own proportions, with which the joints can be placed.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
+from mocapfix.characters.character import SIDES, build_cmu31_character, convert_motion
+from mocapfix.characters.load_character import load_character_preset
+from mocapfix.characters.retarget_motion import build_solve_tree, spread_rotations
+from mocapfix.hands.hand_model import JOINTS_PER_RAY, RAYS
+from mocapfix.hands.solve_hands import HandMotion
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.resampling import resample_motion
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton, compute_local_rotations
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors
+
+MEAN_PELVIS_M = np.array([0.0031, -0.3514, 0.0120])
+"""J0 of SMPL-X's neutral body with zero betas, as NVIDIA's Kimodo publishes its rest pose (SMPLX_REST_WORLD)"""
+ROTATION_Z_UP = Rotation.from_euler("x", 90, degrees=True).as_matrix()  # from axes with Y up to AMASS's
+HAND_RAYS = ("Index", "Middle", "Pinky", "Ring", "Thumb")  # in SMPL's order
+RAY_JOINTS = np.concatenate([JOINTS_PER_RAY * RAYS.index(ray) + np.arange(JOINTS_PER_RAY) for ray in HAND_RAYS])
+PART_STARTS = {"root_orient": 0, "pose_body": 1, "pose_jaw": 22, "pose_eye": 23, "pose_hand": 25}
+"""first joint of each part of the poses"""
+FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
+HAND_STARTS = {"left": 25, "right": 40}  # first finger joint
+JOINT_COUNT, BETA_COUNT = 55, 16
+
+
+class SmplMotion(NamedTuple):
+    """The motion of SMPL-X's 55 joints, with Y up, and the proportions of the person."""
+
+    skeleton: Skeleton  # in the T-pose; offsets are NaN where the person's body has no such joint
+    is_solved: Bool[np.ndarray, " 55"]  # whether the markers show the joint
+    pelvis: Float[np.ndarray, "T 3"]  # m
+    local_rotations: Float[np.ndarray, "T 55 3 3"]
+
+
+def pose_smpl(
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    solved_joints: Bool[np.ndarray, " 31"],
+    hands: Sequence[HandMotion] = (),
+    hand_rate: float = 1.0,
+) -> SmplMotion:
+    """Return the motion of the 31-joint skeleton as that of SMPL-X's joints.
+
+    The wrists turn as the palms of the hands, the joints of the face and of other fingers not at all.
+
+    Args:
+        rate: Frames per second of the motion.
+        solved_joints: The joints that the markers show.
+        hands: Hands with fingers, at `hand_rate` frames per second, which begin at the same time.
+    """
+    source, target = build_body_frame(build_cmu31_character(skeleton)), build_body_frame(load_character_preset("smpl"))
+    segments, tree = compute_segment_motion(source, convert_motion(motion, rate)), build_solve_tree(target)
+    world = spread_rotations(source, target, tree, segments) @ tree.standard_rotations.swapaxes(1, 2)
+    parents, count = tree.skeleton.parents, len(tree.bones)
+    names = [target.character.skeleton.names[bone] for bone in tree.bones]
+    rest = Skeleton(*_list_joints(names, parents), np.full((JOINT_COUNT, 3), np.nan), np.full((JOINT_COUNT, 3), np.nan))
+    is_solved, local = np.zeros(JOINT_COUNT, bool), np.tile(np.eye(3), (len(world), JOINT_COUNT, 1, 1))
+    segment_of_joint = [segment.partition(".") for segment in tree.skeleton.names]
+    joints = [source.character.mapping.bones[segment][int(number or 0)] for segment, _, number in segment_of_joint]
+    above = [joints[parent] for parent in parents]
+    turns = np.stack([source.standard_rotations[joint] @ source.rest_rotation[joint].T for joint in above])
+    rest.offsets[:count] = (turns @ (source.rest_position[joints] - source.rest_position[above])[..., None])[..., 0]
+    is_solved[:count] = solved_joints[joints]
+    for hand in hands:
+        side, model = hand.hand.model.side.lower(), hand.hand.model
+        wrist, fingers = names.index(f"{side}_wrist"), HAND_STARTS[side] + np.arange(len(RAY_JOINTS))
+        moved = resample_motion(hand.motion, hand_rate, rate)
+        world[:, wrist], local[:, fingers] = moved.local_rotations[:, 0], moved.local_rotations[:, 1 + RAY_JOINTS]
+        from_wrist = np.einsum("tji,tj->ti", world[:, wrist], moved.root_position - segments.position[f"{side}_hand"])
+        offsets = model.ray_offsets
+        offsets[::JOINTS_PER_RAY] += np.median(from_wrist, axis=0)
+        rest.offsets[fingers], is_solved[fingers] = offsets[RAY_JOINTS], True
+    local[:, :count] = compute_local_rotations(world, parents)
+    return SmplMotion(rest, is_solved, segments.position["pelvis"], local)
+
+
+def write_amass(target: Path, moved: SmplMotion, rate: float) -> None:
+    """Write a motion of `rate` frames per second. Raises WriteError if `target` is not writable."""
+    local = moved.local_rotations.copy()
+    local[:, 0] = ROTATION_Z_UP @ local[:, 0]
+    vectors = compute_rotation_vectors(local)
+    parts = np.split(vectors, list(PART_STARTS.values())[1:], axis=1)
+    arrays = {name: part.reshape(len(vectors), -1) for name, part in zip(PART_STARTS, parts, strict=True)} | {
+        "poses": vectors.reshape(len(vectors), -1),
+        "trans": moved.pelvis @ ROTATION_Z_UP.T - MEAN_PELVIS_M,
+        "betas": np.zeros(BETA_COUNT),
+        "num_betas": np.array(BETA_COUNT),
+        "gender": np.array("neutral"),
+        "surface_model_type": np.array("smplx"),
+        "mocap_frame_rate": np.array(float(rate)),  # the spellings of AMASS's two releases
+        "mocap_framerate": np.array(float(rate)),
+        "mocap_time_length": np.array(len(vectors) / rate),
+        "mean_pelvis": MEAN_PELVIS_M,
+        "joint_names": np.array(moved.skeleton.names),
+        "joint_parents": moved.skeleton.parents,
+        "joint_offsets": moved.skeleton.offsets,
+        "joint_solved": moved.is_solved,
+    }
+    with replace_atomically(Path(target)) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _list_joints(body: Sequence[str], parents: Int[np.ndarray, " 22"]) -> tuple[tuple[str, ...], Int[np.ndarray, " 55"]]:
+    """Return the names and parents of all joints from those of the body."""
+    names, above = [*body, *FACE_JOINTS], [*parents.tolist(), *[body.index("head")] * len(FACE_JOINTS)]
+    for side in SIDES:
+        for ray in HAND_RAYS:
+            above += [body.index(f"{side}_wrist"), *range(len(names), len(names) + JOINTS_PER_RAY - 1)]
+            names += [f"{side}_{ray.lower()}{number}" for number in range(1, JOINTS_PER_RAY + 1)]
+    return tuple(names), np.array(above)
