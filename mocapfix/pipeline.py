@@ -118,9 +118,7 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
         return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
     reject_animation_options(capture, options)
     with timer("label"):
-        capture, options = label_capture(capture, options, calibrate_takes)
-    if capture.frame_count > MAX_PIECE_FRAMES and (len(set(capture.labels)) < len(capture.labels) or not is_stored(capture)):
-        capture = select_frames(replace(capture, notes=(*capture.notes, ONE_PIECE_NOTE)), slice(0, None))
+        capture, options = label_or_load(capture, options)
     check_take_options(capture, options)
     if options.initialise.is_fast:
         options = options.change(max_rounds=1, feet=FEET_OFF)
@@ -128,6 +126,14 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
     results = clean_subjects(takes, reviews, options, timer)
     result = results[0] if len(results) == 1 else merge_results(exchanges, tuple(results))
     return replace(result, requested=requested)
+
+
+def label_or_load(capture: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
+    """Return what `label_capture` does; a long take that cannot be cleaned in windows is no longer stored."""
+    capture, options = label_capture(capture, options, calibrate_takes)
+    if capture.frame_count > MAX_PIECE_FRAMES and (len(set(capture.labels)) < len(capture.labels) or not is_stored(capture)):
+        capture = select_frames(replace(capture, notes=(*capture.notes, ONE_PIECE_NOTE)), slice(0, None))
+    return capture, options
 
 
 def reject_animation_options(take: Take, options: CleanOptions) -> None:
@@ -248,17 +254,43 @@ class FittedSubject(NamedTuple):
         return fill_gaps(self.detected, body, props, alternatives, options.fill)
 
 
+class SubjectWindow(NamedTuple):
+    """A window in which the take of a subject is cleaned, that of all frames if it is short, and what is known of the subject."""
+
+    whole: Take
+    window: Window
+    choice: SubjectChoice
+    review: Review  # of the whole take
+    options: CleanOptions
+
+    def extract(self) -> tuple[Take, Review]:
+        """Return the window as a take of its own, and its review."""
+        if not is_stored(self.whole):
+            return self.whole, self.review
+        whole = replace(self.whole)  # what it keeps of itself ends with the window
+        take = extract_window(whole, self.window)
+        release_pages(whole, whole.frame_count)
+        return take, self.review.select_frames(slice(self.window.first, self.window.stop))
+
+    @limit_blas_threads
+    def fit(self) -> FittedSubject:
+        """Return it as it is fitted in `clean`."""
+        take, review = self.extract()
+        return fit_stages(take, self.choice, review, self.options, StageTimer())
+
+
 @limit_blas_threads
-def fit_subject(path: Path, options: CleanOptions, name: str) -> tuple[FittedSubject, Take]:
-    """Return a subject of a file by its take's name, fitted as in `clean`, and this take as read. Raises as `clean`."""
-    capture = read_capture(path, options.read)
+def plan_subject(path: Path, options: CleanOptions, name: str) -> list[SubjectWindow]:
+    """Return the windows in which `clean` cleans a subject of a file, by its take's name. Raises as `clean`."""
+    capture = read_capture(path, options.read, has_windows=True)
     assert isinstance(capture, Take)
-    capture, options = label_capture(capture, options, calibrate_takes)
-    if capture.frame_count > MAX_PIECE_FRAMES:
-        raise TakeError(f"{capture.name}: is cleaned in windows, for its length; estimates are shown when it is cleaned again.")
+    capture, options = label_or_load(capture, options)
     takes, reviews, _ = split_corrected_subjects(capture, options)
     take, review = next(pair for pair in zip(takes, reviews, strict=True) if pair[0].name == name)
-    return fit_stages(take, identify_subject(take, options.subject), review, options, StageTimer()), take
+    if is_stored(take):
+        return survey_windows(take, review, options)[2]
+    window = Window(0, take.frame_count, 0, take.frame_count)
+    return [SubjectWindow(take, window, identify_subject(take, options.subject), review, options)]
 
 
 def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer) -> FittedSubject:
@@ -343,21 +375,10 @@ WindowResult: TypeAlias = tuple[CleanedSubject, dict[str, PartTime]]
 
 def clean_windows(take: Take, review: Review, options: CleanOptions, timer: StageTimer) -> CleanedSubject:
     """Clean a long take of one subject window by window, two at a time, with labels, marker set and body of the whole take."""
-    windows, folder = plan_windows(take.visible, take.rate), tempfile.TemporaryDirectory(**ARRAY_FOLDER)
-    memory = load_memory(take, options)
+    folder = tempfile.TemporaryDirectory(**ARRAY_FOLDER)
     with timer("survey"):
-        survey, frames = build_survey(take)
-        choice = identify_subject(survey, options.subject)
-        choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, StageTimer())
-        check_contradictions(detected, body, options)
-    with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
-    others = [describe_other_person(memory, body.subject.skeleton)] if memory and body else []
-    notes = (*choice.notes, f"Cleaned in {len(windows)} windows, which overlap{with_body}.", *filter(None, others))
-    choice, jobs = replace(choice, notes=notes, is_learned=False), list[partial[WindowResult]]()
-    for window in windows:
-        subject = body and select_marker_places(detected, body, int((frames >= window.first).argmax()))
-        own, known = review.select_frames(slice(window.first, window.stop)), replace(choice, subject=subject)
-        jobs.append(partial(clean_window, window, replace(take), known, own, options, Path(folder.name)))
+        choice, body, windows = survey_windows(take, review, options)
+    jobs = [partial(clean_window, each, Path(folder.name)) for each in windows]
     parts: list[CleanedSubject] = []
     with timer("windows"):
         for cleaned, times in map_in_threads(call, jobs, is_shared=True, most=MAX_WINDOWS_AT_ONCE):
@@ -368,26 +389,41 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
     compute_beside(return_free_memory)
     return_free_memory()
     with timer("join"):
-        joined = join_windows(take, review, list(zip(windows, parts, strict=True)), folder)
+        joined = join_windows(take, review, [(each.window, part) for each, part in zip(windows, parts, strict=True)], folder)
         return CleanedSubject(choice, joined.body and body and replace(joined.body, subject=body.subject), joined.decided)
 
 
+def survey_windows(
+    take: Take, review: Review, options: CleanOptions
+) -> tuple[SubjectChoice, BodyFit | None, list[SubjectWindow]]:
+    """Return what a survey of a long take shows of its subject, the body in it, and the windows in which the take is cleaned."""
+    windows, memory, (survey, frames) = plan_windows(take.visible, take.rate), load_memory(take, options), build_survey(take)
+    choice, detected, body = detect_and_fit(
+        survey, identify_subject(survey, options.subject), FaultReview(), options, StageTimer()
+    )
+    check_contradictions(detected, body, options)
+    with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
+    others = [describe_other_person(memory, body.subject.skeleton)] if memory and body else []
+    notes = (*choice.notes, f"Cleaned in {len(windows)} windows, which overlap{with_body}.", *filter(None, others))
+    choice = replace(choice, notes=notes, is_learned=False)
+    subjects = [body and select_marker_places(detected, body, int((frames >= each.first).argmax())) for each in windows]
+    known = [replace(choice, subject=each) for each in subjects]
+    return choice, body, [SubjectWindow(take, *pair, review, options) for pair in zip(windows, known, strict=True)]
+
+
 @limit_blas_threads
-def clean_window(
-    window: Window, whole: Take, choice: SubjectChoice, review: Review, options: CleanOptions, folder: Path
-) -> WindowResult:
+def clean_window(planned: SubjectWindow, folder: Path) -> WindowResult:
     """Run all stages on a window. Arrays are written into a folder: the result has 0 frames."""
     gc.collect()  # what earlier windows left: commands do without the collector, which takes a tenth of the time of a short take
-    whole = replace(whole)  # what it keeps of itself ends with the window
-    take, timer, kept = extract_window(whole, window), StageTimer(), slice(window.start - window.first, window.end - window.first)
-    release_pages(whole, whole.frame_count)
-    choice, body, decided = run_stages(take, choice, review, options, timer, kept)
+    (first, _, start, end), timer = planned.window, StageTimer()
+    take, review = planned.extract()
+    choice, body, decided = run_stages(take, planned.choice, review, planned.options, timer, slice(start - first, end - first))
     relabelled = decided.detected.take
     relabelled = replace(relabelled, relabelled_points=relabelled.source_points)  # in all windows, if labels change in one
     decided = replace(decided, detected=replace(decided.detected, take=relabelled))
     body = body and replace(body, contacts=body.contacts.add_other_joints())
-    cleaned, count = CleanedSubject(choice, body, decided), window.end - window.start
-    return map_arrays(cleaned, count, lambda path, array: write_rows(folder / path, window.start, array)), timer.part_times
+    cleaned = CleanedSubject(choice, body, decided)
+    return map_arrays(cleaned, end - start, lambda path, array: write_rows(folder / path, start, array)), timer.part_times
 
 
 class FittedTake(NamedTuple):

@@ -22,7 +22,7 @@ DEKKER_SPLITTER = 134217729.0  # 2^27 + 1
 INTEGER_PART_BYTES = 18  # for the sign, the point and the digits before it
 
 
-@compile_kernel
+@compile_kernel(nogil=True)
 def count_tokens(text, first_byte):
     """Return the number of tokens, separated by white space, from `first_byte` on."""
     count, inside = 0, False
@@ -33,7 +33,7 @@ def count_tokens(text, first_byte):
     return count
 
 
-@compile_kernel
+@compile_kernel(nogil=True)
 def fill_tokens(text, first_byte, start_bytes, line_numbers, values, kinds):
     """Fill in the start, line (the first is 0), value and kind of each token."""
     i, line, token = first_byte, 0, 0

@@ -34,7 +34,7 @@ from mocapfix.lab.recordings import Recording, RecordingSource, read_recordings
 from mocapfix.lab.settings import ContactSettings
 from mocapfix.lab.sound_takes import PerformedMotion, cut_performance, perform_take
 from mocapfix.options import FEET_OFF, CleanOptions
-from mocapfix.pipeline import fit_subject
+from mocapfix.pipeline import plan_subject
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.learned_ik import Perceptron, write_perceptron
 from mocapfix.synthetic import SyntheticTake, write_synthetic_take
@@ -122,7 +122,7 @@ def generate_examples(sound: SyntheticTake, rng: np.random.Generator) -> Iterato
     standing = None
     with TemporaryDirectory() as folder, suppress(TakeError):
         write_synthetic_take(path := Path(folder) / "take.c3d", damaged)
-        standing = fit_subject(path, CleanOptions().change(feet=FEET_OFF), path.name)[0].standing
+        standing = plan_subject(path, CleanOptions().change(feet=FEET_OFF), path.name)[0].fit().standing
     if standing is None or not standing.fit.subject.solved_joints[joints].all():
         return
     motion = standing.filling_motion  # with feet off that in which contacts are found, before priors are added for the outputs

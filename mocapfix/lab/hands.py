@@ -24,7 +24,7 @@ from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.uncertainty import PredictedErrors, summarise_errors
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
-from mocapfix.pipeline import fit_subject
+from mocapfix.pipeline import plan_subject
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
 from mocapfix.synthetic import compose_motion, draw_subject, simulate_markers
 
@@ -208,11 +208,11 @@ def measure_hands(
         with TemporaryDirectory() as folder:
             path = Path(folder) / "hands.c3d"
             write_c3d(path, truth.take)
-            fitted, take = fit_subject(path, CleanOptions(), "hands.c3d")
+            fitted = plan_subject(path, CleanOptions(), "hands.c3d")[0].fit()
         assert fitted.standing is not None
         detected, body = fitted.detected, fitted.standing.fit
         for count, left in MARKER_COUNTS.items():
-            kept = select_columns(truth, take.labels, left)
+            kept = select_columns(truth, detected.take.labels, left)
             part, is_used = detected.take.select(kept, detected.solver_mask), detected.solver_mask[:, kept]
             hands = solve_hands(part, is_used, body.subject, body.motion)
             found[count] += [(truth.hands[hand.hand.model.side], hand) for hand in hands]

@@ -21,7 +21,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
-from mocapfix.io.changes_file import locate_correction
+from mocapfix.io.changes_file import Review, locate_correction
 from mocapfix.io.files import hold_process_lock
 from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel
 from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
@@ -33,7 +33,6 @@ from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
 from mocapfix.review.edits import CarryEdit, DecisionStore, parse_edit, read_decisions
 from mocapfix.solve.parallel import begin_second_process
-from mocapfix.stats.sequences import find_runs
 
 EXPORT_OPTIONS = ("extra_formats", "rigs", "characters", "output_rate_hz", "trim")
 MAX_MESSAGE_LENGTH = 1000
@@ -133,11 +132,16 @@ def explain_why_not(take: take_files.CleanedTake) -> str:
 
 
 @lru_cache(1)
-def _fit_subject(folder: Path, input_name: str, options: CleanOptions, name: str, _key: str) -> Any:
+def _plan_subject(folder: Path, input_name: str, options: CleanOptions, name: str, _key: str) -> Any:
     from mocapfix import pipeline  # the server does not need it
 
     os.chdir(folder)  # the options name files relative to it
-    return pipeline.fit_subject(Path(input_name), options, name)
+    return pipeline.plan_subject(Path(input_name), options, name)
+
+
+@lru_cache(1)
+def _fit_window(subject: tuple[Path, str, CleanOptions, str, str], n: int) -> Any:
+    return _plan_subject(*subject)[n].fit()
 
 
 def estimate_fills(
@@ -147,22 +151,25 @@ def estimate_fills(
 
     Of each: its samples with position and standard deviation per axis in metres, None without, and why samples stay empty.
     """
-    fitted, take = _fit_subject(*subject)
-    known = [locate_correction(each, take, "The correction") for each in corrections]
-    located = locate_correction(wanted, take, "The stretch")
-    samples = slice(located.first, located.last + 1), located.markers[0]
-    methods, fills = [each for each in get_args(RequestedFill) if each != "empty"], list[dict[str, Any]]()
-    requests = [replace(located, entry=wanted.model_copy(update={"method": each})) for each in methods]
-    for method, filled in zip(methods, fitted.fill_gaps([[*known, each] for each in requests], subject[2]), strict=True):
-        sd_m, positions = filled.take.estimated_sd[samples], filled.take.markers[samples]
-        known_m, reason = sd_m[~np.isnan(sd_m)], next(filter(None, filled.unfilled_reasons[samples]), "")
-        shown = [None if np.isnan(row[3]) else row.tolist() for row in np.round(np.c_[positions, sd_m], 6)]
+    plan, methods = _plan_subject(*subject), [each for each in get_args(RequestedFill) if each != "empty"]
+    located = [locate_correction(each, plan[0].whole, "The correction") for each in (*corrections, wanted)]
+    parts = [list[tuple[np.ndarray, np.ndarray]]() for _ in methods]
+    for n, (first, stop, start, end) in enumerate(each.window for each in plan):
+        frames = slice(max(start, located[-1].first) - first, min(end, located[-1].last + 1) - first)
+        if frames.start < frames.stop:  # the stretch is in this window
+            *known, one = Review(corrections=tuple(located)).select_frames(slice(first, stop)).corrections
+            requests = [[*known, replace(one, entry=wanted.model_copy(update={"method": each}))] for each in methods]
+            for part, filled in zip(parts, _fit_window(subject, n).fill_gaps(requests, subject[2]), strict=True):
+                samples = frames, one.markers[0]
+                rows = np.c_[filled.take.markers[samples], filled.take.estimated_sd[samples]]
+                part.append((rows, filled.unfilled_reasons[samples]))
+    fills = list[dict[str, Any]]()
+    for method, (rows, reasons) in zip(methods, (map(np.concatenate, zip(*part, strict=True)) for part in parts), strict=True):
+        known_m, reason = rows[~np.isnan(rows[:, 3]), 3], next(filter(None, reasons), "")
+        shown = [None if np.isnan(row[3]) else row.tolist() for row in np.round(rows, 6)]
         predicted_mm = round(float(np.sqrt(3 * (known_m**2).mean())) * 1e3, 1) if len(known_m) else None
         fills.append({"method": method, "samples": shown, "predicted_mm": predicted_mm, "reason": reason})
     return fills
-
-
-MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs from the cleaning before
 
 
 class OpenTake:
@@ -331,7 +338,7 @@ class OpenTake:
             return RunStatus("failed", message=f"The take was cleaned, but its outputs cannot be shown: {error}")
         if self._before_run:
             after = (self._view, [change.id for change in self.store.file.changes])
-            self._difference = compare_cleanings(*self._before_run, *after)
+            self._difference = take_files.compare_cleanings(*self._before_run, *after)
         self._before_run = None
         return RunStatus("done")
 
@@ -374,28 +381,6 @@ def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[
         left[key := json.dumps(entry, sort_keys=True)] -= 1
         entry["is_pending"] = left[key] < 0
     return entries
-
-
-def compare_cleanings(
-    one: take_files.TakeView, before_ids: list[str], other: take_files.TakeView, after_ids: list[str]
-) -> dict[str, Any]:
-    """Return what differs between two cleanings of a take, of which views and ids of changes are given: samples and changes."""
-    markers, total = list[dict[str, Any]](), 0
-    if one.after.shape == other.after.shape and one.labels == other.labels:
-        differs = ~((one.after == other.after) | (np.isnan(one.after) & np.isnan(other.after))).all(-1)
-        distance_mm = np.linalg.norm(one.after - other.after, axis=-1) * 1e3
-        total = int(differs.sum())
-        for m in np.argsort(-differs.sum(0), kind="stable")[:MAX_LISTED_DIFFERENCES]:
-            known, runs = distance_mm[differs[:, m], m], find_runs(differs[:, m])
-            if runs:
-                largest = round(float(np.nanmax(known)), 1) if np.isfinite(known).any() else None
-                markers.append({"label": one.labels[m], "samples": len(known), "largest_mm": largest, "runs": runs})
-    return {
-        "samples": total,
-        "markers": markers,
-        "added": [name for name in after_ids if name not in before_ids][:MAX_LISTED_DIFFERENCES],
-        "removed": [name for name in before_ids if name not in after_ids][:MAX_LISTED_DIFFERENCES],
-    }
 
 
 Event = dict[str, Any]

@@ -4,6 +4,7 @@ import glob
 import json
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -28,7 +29,7 @@ from mocapfix.options import CHARACTER_PRESETS, RIG_NAMES, CleanOptions, ReadOpt
 from mocapfix.output_formats import OPTIONAL_FORMATS
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.review.edits import hash_changes
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MARKER_FORMATS = ("c3d", "trc", "csv")
 KEPT_REPORT_KEYS = ("take", "arguments", "corrections", "notes", "times")
@@ -249,9 +250,10 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
         ReadError: If its files are damaged or do not belong together.
     """
     options = replace(take.options.read, accept_contradictions=True)  # the take was cleaned
-    body = None if take.report["take"].get("animation") else _read_body(take)  # first, since its text needs much memory
-    before = _read_take(take.input_path, options, None)[0] if take.input_path else None
-    after, fill_sd, animation = _read_take(take.cleaned_path, options, before)
+    with ThreadPoolExecutor(1) as beside:
+        body_read = None if take.report["take"].get("animation") else beside.submit(_read_body, take)
+        before = _read_take(take.input_path, options, None)[0] if take.input_path else None
+        after, fill_sd, animation = _read_take(take.cleaned_path, options, before)
     notes = [] if before else [NO_INPUT_NOTE.format(name=take.name)]
     if before and before.frame_count != after.frame_count:
         raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
@@ -273,7 +275,7 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
         before=before.markers.astype(np.float32, copy=False),
         after=after.markers.astype(np.float32, copy=False),
         unlabelled=unlabelled.astype(np.float32, copy=False),
-        body=animation or body,
+        body=animation or (body_read and body_read.result()),
         body_height_m=0.0 if animation else take.options.output.floor_height_m,
         sd=fill_sd.astype(np.float32, copy=False),
         states=np.zeros(fill_sd.shape, np.uint8),
@@ -404,3 +406,26 @@ def trace_marker(take: CleanedTake, view: TakeView, label: str) -> Float[np.ndar
         positions, rotations = view.compute_poses(block)
         trace[block] = positions[:, joint] + rotations[:, joint] @ subject.marker_offsets[k]
     return trace
+
+
+MAX_LISTED_DIFFERENCES = 200  # markers and changes in the list of what differs from the cleaning before
+
+
+def compare_cleanings(one: TakeView, before_ids: list[str], other: TakeView, after_ids: list[str]) -> dict[str, Any]:
+    """Return what differs between two cleanings of a take, of which views and ids of changes are given: samples and changes."""
+    markers, total = list[dict[str, Any]](), 0
+    if one.after.shape == other.after.shape and one.labels == other.labels:
+        differs = ~((one.after == other.after) | (np.isnan(one.after) & np.isnan(other.after))).all(-1)
+        distance_mm = np.linalg.norm(one.after - other.after, axis=-1) * 1e3
+        total = int(differs.sum())
+        for m in np.argsort(-differs.sum(0), kind="stable")[:MAX_LISTED_DIFFERENCES]:
+            known, runs = distance_mm[differs[:, m], m], find_runs(differs[:, m])
+            if runs:
+                largest = round(float(np.nanmax(known)), 1) if np.isfinite(known).any() else None
+                markers.append({"label": one.labels[m], "samples": len(known), "largest_mm": largest, "runs": runs})
+    return {
+        "samples": total,
+        "markers": markers,
+        "added": [name for name in after_ids if name not in before_ids][:MAX_LISTED_DIFFERENCES],
+        "removed": [name for name in before_ids if name not in after_ids][:MAX_LISTED_DIFFERENCES],
+    }

@@ -156,7 +156,8 @@ def test_a_requested_fill_is_used_or_the_samples_stay_empty(sound, tmp_path):
     requests = [build_correction("fill", (label,), 60, 79, method=method) for method in get_args(RequestedFill)]
     result = clean_with(sound, tmp_path, marked)
     options = CleanOptions().change(prior="none", subject=sound[1].subject, review_files=(tmp_path / "walk.changes.yaml",))
-    fitted, take = pipeline.fit_subject(sound[0], options, sound[1].take.name)
+    (planned,) = pipeline.plan_subject(sound[0], options, sound[1].take.name)
+    take, fitted = planned.whole, planned.fit()
     first = take.first_frame
     alternatives = [
         [locate_correction(each.model_copy(update={"first": 60 + first, "last": 79 + first}), take, "file")] for each in requests

@@ -4,14 +4,29 @@ import json
 import sys
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import pytest
 
+from mocapfix import pipeline
 from mocapfix.errors import MocapfixError
+from mocapfix.io import capture
+from mocapfix.io.capture import read_take
+from mocapfix.io.changes_file import Review, locate_correction, write_changes_file
 from mocapfix.io.yaml_files import CorrectionModel
-from mocapfix.options import parse_arguments
-from mocapfix.review.review_session import CleaningRun, ReviewSession, build_clean_command, describe_corrections
+from mocapfix.model import windows
+from mocapfix.model.faults import RequestedFill
+from mocapfix.options import CleanOptions, parse_arguments
+from mocapfix.review.review_session import (
+    CleaningRun,
+    ReviewSession,
+    build_clean_command,
+    describe_corrections,
+    estimate_fills,
+)
 from mocapfix.review.take_files import find_cleaned_takes
 
 
@@ -105,3 +120,34 @@ def test_corrections_are_pending_until_a_cleaning_has_made_them() -> None:
     assert [each["is_pending"] for each in describe_corrections([one, other, one], made)] == [False, True, True]
     assert [each["is_pending"] for each in describe_corrections([one], [])] == [True]
     assert [each["is_pending"] for each in describe_corrections([one, one, other], [one, one])] == [False, False, True]
+
+
+def test_estimates_in_a_long_take_are_those_of_the_windows_in_which_it_is_cleaned(folder: Path, monkeypatch) -> None:
+    for name, value in (("OVERLAP_S", 0.5), ("MIN_SHOWN_S", 0.5), ("CUT_SEARCH_S", 0.1), ("PIECE_S", 2.0)):
+        monkeypatch.setattr(windows, name, value)
+    monkeypatch.setattr(capture, "MAX_PIECE_FRAMES", 100)
+    monkeypatch.setattr(pipeline, "plan_windows", partial(windows.plan_windows, window_frames=120))
+    monkeypatch.chdir(folder.parent)
+    options, path = CleanOptions().change(prior="none"), folder.parent / "walk.c3d"
+    first_cut = pipeline.plan_subject(path, options, path.name)[0].window.end
+    take = read_take(path)
+    stretches = [(15, 24), (first_cut - 10, first_cut + 9)]  # within a window, and in two of them
+    wrong = [
+        CorrectionModel(kind="wrong", markers=["LTOE"], first=take.first_frame + first, last=take.first_frame + last)
+        for first, last in stretches
+    ]
+    changes = folder / "long.changes.yaml"
+    write_changes_file(changes, take, [], Review(corrections=tuple(locate_correction(each, take, "") for each in wrong)))
+    options = options.change(review_files=(changes,))
+    fills = [each.model_copy(update={"kind": "fill", "method": "cluster"}) for each in wrong]
+    subject = folder.parent, path.name, options, path.name, ""
+    found = [estimate_fills(subject, fills[:n], fill) for n, fill in enumerate(fills)]
+    corrections = tuple(locate_correction(each, take, "") for each in (*wrong, *fills))
+    write_changes_file(changes, take, [], Review(corrections=corrections))
+    cleaned = pipeline.clean(path, options).take
+    toe = take.labels.index("LTOE")
+    for (first, last), estimates in zip(stretches, found, strict=True):
+        assert {each["method"] for each in estimates} == {*get_args(RequestedFill)} - {"empty"}
+        (samples,) = [each["samples"] for each in estimates if each["method"] == "cluster"]
+        samples_of_clean = np.c_[cleaned.markers, cleaned.estimated_sd[..., None]][first : last + 1, toe]
+        np.testing.assert_allclose(samples, samples_of_clean, atol=2e-6)

@@ -60,8 +60,8 @@ export class LaneView {
     }
     const prefixes = new Set(take.labels.map((label) => label.match(NAME)?.[0] ?? ""));
     this.names = take.labels.map((label) => (prefixes.size === 1 ? label.replace(NAME, "") : label));
+    Object.assign(this, { lanes: [], rows: [] });  // until the first samples have come
     this.window.setCount(take.frame_count);
-    this.update();
   }
 
   // Reads the samples and decisions again.

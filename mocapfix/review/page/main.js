@@ -21,6 +21,7 @@ import { Samples } from "./samples.js";
 import { FIRST_DIRECTION, SceneView } from "./scene.js";
 
 const find = (id) => document.getElementById(id);
+const firstSession = api.fetchSession();  // the views are built meanwhile
 
 class App {
   constructor() {
@@ -66,7 +67,7 @@ class App {
 
   async start() {
     try {
-      await this.fetchSession();
+      await this.fetchSession(firstSession);
       const asked = decodeURIComponent(location.hash.slice(1)), { takes } = this.session;
       const first = takes.find((each) => each.id === asked) ?? takes.find((each) => each.state !== "approved" && !each.error) ?? takes[0];
       await this.openTake(first.id);
@@ -76,8 +77,8 @@ class App {
     this.stream = api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
   }
 
-  async fetchSession() {
-    const session = await api.fetchSession();
+  async fetchSession(asked = api.fetchSession()) {
+    const session = await asked;
     this.session = { ...session, takes: orderTakes(session.takes) };
   }
 
