@@ -20,6 +20,7 @@ from mocapfix.detect.contradictions import check_contradictions, select_consiste
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
+from mocapfix.hands.solve_hands import HandMotion, solve_hands
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Correction, Review, build_fault_review, reject_corrections
 from mocapfix.io.files import return_free_memory
@@ -227,8 +228,7 @@ def run_stages(
     fitted = fit_stages(take, choice, review, options, timer)
     with timer("fill"):
         filled = next(fitted.fill_gaps([review.corrections], options))
-        has_hands = kept is None and not options.initialise.is_fast
-        solved = build_solved_body(fitted.detected, fitted.standing, has_hands=has_hands) if fitted.standing else None
+        solved = build_solved_body(fitted.detected, fitted.standing, fitted.hands) if fitted.standing else None
         if kept is not None:
             filled, solved = crop_stages(take, filled, solved, kept)
             take, review = select_frames(take, kept), review.select_frames(kept)
@@ -245,13 +245,15 @@ class FittedSubject(NamedTuple):
     choice: SubjectChoice
     detected: Detected
     standing: StandingBody | None
+    hands: tuple[HandMotion, ...]  # those whose fingers markers show
 
     def fill_gaps(self, alternatives: Sequence[Sequence[Correction]], options: CleanOptions) -> Iterator[Filled]:
         """Yield the take filled with each of some lists of corrections, which differ in requested methods only."""
         # markers are filled from feet that are held in full, without the prior; changes are compared with the body of the outputs
         body = replace(self.standing.fit, motion=self.standing.filling_motion) if self.standing else None
         props = self.choice.marker_set.props if self.choice.marker_set else {}
-        return fill_gaps(self.detected, body, props, alternatives, options.fill)
+        hands = [hand.carry_markers(self.detected.take) for hand in self.hands]
+        return fill_gaps(self.detected, body, props, alternatives, options.fill, hands)
 
 
 class SubjectWindow(NamedTuple):
@@ -301,7 +303,7 @@ def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: Clean
     choice, detected, body = detect_and_fit(take, choice, build_fault_review(take, review), options, timer)
     if take.part is None:
         check_contradictions(detected, body, options)
-    standing = None
+    standing, hands = None, tuple[HandMotion, ...]()
     if body:
         with timer("solve", "limbs and feet"):
             load_pose_model = build_pose_model_loader(options.prior.name_used)
@@ -314,7 +316,10 @@ def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: Clean
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
             if conditioner:
                 standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
-    return FittedSubject(choice, detected, standing)
+        if take.part is None and not options.initialise.is_fast:
+            with timer("solve", "hands"):
+                hands = solve_hands(detected.take, detected.solver_mask, body.subject, standing.fit.motion)
+    return FittedSubject(choice, detected, standing, hands)
 
 
 def load_memory(take: Take, options: CleanOptions) -> PersonMemory | None:

@@ -6,6 +6,7 @@ measured and added to the residual at the edges; and the errors in the hidden st
 pose has in the gap beyond that with the marker.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,25 +51,26 @@ class MarkerOnBody(NamedTuple):
 
 
 class BodyPlacement:
-    """Estimates a marker from its place on the body."""
+    """Estimates a marker from its place on the body, or on one of several: hands are bodies too."""
 
-    def __init__(self, take: MarkersInTake) -> None:
-        self.take, self.rate, self.rows = take, take.rate, dict[int, int]()
+    def __init__(self, take: MarkersInTake, bodies: Sequence[BodyFit] | None = None) -> None:
+        self.take, self.rate, self.rows = take, take.rate, dict[int, tuple[BodyFit, int]]()
         self.markers: dict[int, MarkerOnBody] = {}
-        if take.body:
-            subject, motion = take.body.extended_subject, take.body.motion
-            self.rotations = kinematics.compute_world_poses(subject.skeleton, motion)[1]
-            self.places = kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
-            self.rows = {marker: row for row, marker in enumerate(take.body.marker_columns.tolist()) if marker >= 0}
+        self.poses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        for body in [take.body] if bodies is None and take.body else bodies or ():
+            subject, motion = body.extended_subject, body.motion
+            rotations = kinematics.compute_world_poses(subject.skeleton, motion)[1]
+            self.poses[id(body)] = rotations, kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
+            self.rows |= {marker: (body, row) for row, marker in enumerate(body.marker_columns.tolist()) if marker >= 0}
 
     def __call__(self, gap: Gap) -> list[GapEstimate]:
-        if gap.marker not in self.rows or not self.take.body:
+        if gap.marker not in self.rows:
             return []
         if gap.marker not in self.markers:
-            row = self.rows[gap.marker]
-            joint, path = self.take.body.extended_subject.joints[row], self.take.visible_markers[:, gap.marker]
-            axes = MovingAxes(self.rotations[:, joint], self.places[:, row])
-            self.markers[gap.marker] = place_marker(self.take.body, row, axes, path, self.rate)
+            (body, row), path = self.rows[gap.marker], self.take.visible_markers[:, gap.marker]
+            rotations, places = self.poses[id(body)]
+            axes = MovingAxes(rotations[:, body.extended_subject.joints[row]], places[:, row])
+            self.markers[gap.marker] = place_marker(body, row, axes, path, self.rate)
         on_body, rate = self.markers[gap.marker], self.rate
         axes, residual = on_body.axes, on_body.residual
         w = gap.window.keep_known_context(~np.isnan(residual[gap.window.context_frames, 0]))

@@ -91,6 +91,7 @@ def estimate_missing_samples(
     *,
     body: BodyFit | None = None,
     rigid_groups: Sequence[RigidGroup] = (),
+    hands: Sequence[BodyFit] = (),
     alternatives: Sequence[Sequence[FillRequest]] = ((),),
 ) -> Iterator[MarkerEstimate]:
     """Yield the estimates of all missing samples with each of some lists of requests, in the same arrays.
@@ -100,6 +101,7 @@ def estimate_missing_samples(
         rate: Frame rate in Hz.
         body: The solved body, or that of a preview, in which only gaps off the body and on unseen segments need more than it.
         rigid_groups: Groups of markers that are rigid and not on the body.
+        hands: The solved hands, as bodies that carry the finger markers; the fills of other markers do not depend on them.
         alternatives: Requests for samples that are estimated by one method only, or not at all; NaN where it gives no estimate.
             The gaps are estimated once, so that the lists differ in their methods only.
     """
@@ -116,9 +118,10 @@ def estimate_missing_samples(
         return
     known = markers.copy(order="K")
     known[is_settled] = settled.position[is_settled]
-    take = MarkersInTake(markers, known, settled, measure_distance_changes(markers), rate, body, rigid_groups)
+    take = MarkersInTake(markers, known, settled, measure_distance_changes(markers), rate, body, rigid_groups, hands)
     is_idle = second_process.future is not None and second_process.future.done()
-    estimation = _GapEstimation(take, {each.column for each in requests})
+    on_hands = [column for hand in hands for column in hand.marker_columns.tolist()]
+    estimation = _GapEstimation(take, {*on_hands, *(each.column for each in requests)})
     try:
         gaps = _estimate_gaps(estimation, requests, is_shared=is_idle)
     finally:
@@ -314,10 +317,15 @@ def _estimate_gaps(estimation: _GapEstimation, requests: Sequence[FillRequest], 
     for each in chain(*estimated) if requests else []:
         if any(each.is_requested(request) for request in requests) and (each.fill[1] < MAX_SETTLED_SD_M).all():
             each.estimates.extend(*estimation.estimate_later([each.gap]))
-    for each, added in zip(chain(*uncertain), chain(*later), strict=True):
+    found = {id(each): of_later for each, of_later in zip(chain(*uncertain), chain(*later), strict=True)}
+    place_on_hand = BodyPlacement(take, take.hands)  # last, so that fills of fingers change no other
+    for each in chain(*estimated):
+        added = [*found.get(id(each), ()), *estimation.call_estimators([place_on_hand], each.gap)]
+        if not added:
+            continue
         each.estimates.extend(added)
         fill = combine_gap_estimates(each.estimates, each.gap.window, each.similarity, each.gap.window.length / take.rate)
-        if added and len(each.gap.lost_markers) >= MIN_LIMB_MARKERS:
+        if len(each.gap.lost_markers) >= MIN_LIMB_MARKERS:
             sd = np.minimum(fill[1] * compare_with_spread(each.estimates, fill), np.maximum(fill[1], MAX_LIMB_SD_M))
             fill = fill[0], np.maximum(sd, MIN_FILL_SD_M), fill[2]
         estimation.use_fills([(each.gap.marker, each.gap.window.first, fill)])

@@ -32,6 +32,7 @@ def fill_gaps(
     props: Mapping[str, Sequence[str]],
     alternatives: Sequence[Sequence[Correction]],
     options: FillOptions,
+    hands: Sequence[BodyFit] = (),
 ) -> Iterator[Filled]:
     """Fill a take's missing and faulty samples, with each of some lists of corrections.
 
@@ -42,6 +43,7 @@ def fill_gaps(
         body: the body that is solved from it, with the motion from which lost markers are filled.
         props: the labels of each prop that the marker set names.
         alternatives: those of a reviewer, who may request the fills of samples; the lists differ in requested methods only.
+        hands: the solved hands, as bodies that carry the finger markers.
     """
     take, inliers, epochs = detected.take, detected.inlier_mask, detected.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate, take.part)[:, epochs.column_marker]
@@ -71,6 +73,7 @@ def fill_gaps(
         body,
         options,
         rigid_groups=groups,
+        hands=hands,
         alternatives=requests,
     )
     for corrections, (filled, empty_reasons, method_numbers) in zip(alternatives, fills, strict=True):
@@ -127,6 +130,7 @@ def fill_take(
     options: FillOptions,
     *,
     rigid_groups: Sequence[RigidGroup] = (),
+    hands: Sequence[BodyFit] = (),
     alternatives: Sequence[Sequence[FillRequest]] = ((),),
 ) -> Iterator[tuple[Take, Shaped[np.ndarray, "T M"], Int[np.ndarray, "T M"]]]:
     """Fill or empty every sample that is not an inlier.
@@ -140,6 +144,7 @@ def fill_take(
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
+        hands: the solved hands, as bodies that carry the finger markers.
         alternatives: how a reviewer wants some samples to be filled; lists that differ in their methods only.
 
     Yields:
@@ -149,7 +154,9 @@ def fill_take(
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
     known = np.where(is_inlier[..., None], take.markers, np.nan)
-    estimates = estimate_missing_samples(known, take.rate, body=body, rigid_groups=rigid_groups, alternatives=alternatives)
+    estimates = estimate_missing_samples(
+        known, take.rate, body=body, rigid_groups=rigid_groups, hands=hands, alternatives=alternatives
+    )
     for requests, (markers, sd, method) in zip(alternatives, estimates, strict=True):
         reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
         reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)

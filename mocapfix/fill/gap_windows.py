@@ -195,6 +195,7 @@ class MarkersInTake:
         rate: Frame rate in Hz.
         body: The solved body; None without one.
         rigid_groups: Groups of markers that are rigid and not on the body.
+        hands: The solved hands, as bodies that carry the finger markers.
         is_visible: The samples of `visible_markers`.
         is_known: The samples of `markers`.
         is_common: The markers that are visible in more than MIN_VISIBLE_SHARE of the frames.
@@ -207,6 +208,7 @@ class MarkersInTake:
     rate: float
     body: BodyFit | None = None
     rigid_groups: Sequence[RigidGroup] = ()
+    hands: Sequence[BodyFit] = ()
     is_visible: Bool[np.ndarray, "T M"] = field(init=False)
     is_known: Bool[np.ndarray, "T M"] = field(init=False)
     is_common: Bool[np.ndarray, " M"] = field(init=False)

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.hands.finger_markers import FingerMarkers
 from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, TIP_JOINTS, HandModel, HandPrior, load_hand
+from mocapfix.model.subject import Subject
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import KernelTerms, SolverSettings, minimise
 from mocapfix.solve.model_terms import LatentCodeTerm, PoseModelTerm, linearise_model_term
@@ -71,6 +72,12 @@ class CalibratedHand:
     @property
     def attachment(self) -> MarkerAttachment:
         return MarkerAttachment(self.markers.markers.joints, self.marker_offsets)
+
+    @property
+    def subject(self) -> Subject:
+        """The hand as a body with markers."""
+        own = self.markers.markers
+        return Subject(self.model.skeleton, own.name, own.labels, own.joints, self.marker_offsets, own.marker_spread)
 
     @property
     def marker_sd_m(self) -> Float[np.ndarray, " K"]:

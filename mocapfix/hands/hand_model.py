@@ -120,6 +120,10 @@ class HandModel:
         """Return the rotations of the 15 joints for axes that are parallel to those of the palm in the rest pose."""
         return self._ray_axes @ local_rotations[:, HAND_JOINTS] @ self._ray_axes.swapaxes(-1, -2)
 
+    def convert_from_palm_axes(self, rotations: Float[np.ndarray, "T 15 3 3"]) -> Float[np.ndarray, "T 15 3 3"]:
+        """Return the rotations of the 15 joints in their parents' axes from those of `convert_to_palm_axes`."""
+        return self._ray_axes.swapaxes(-1, -2) @ rotations @ self._ray_axes
+
     def compute_rotation_vectors(self, rotations: Float[np.ndarray, "T 15 3 3"]) -> Float[np.ndarray, "T 15 3"]:
         """Return the rotation vectors, in radians in the axes of the rays, of rotations from `convert_to_palm_axes`."""
         return np.einsum("jba,tjb->tja", self._ray_axes, compute_rotation_vectors(rotations))

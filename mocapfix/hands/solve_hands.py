@@ -32,12 +32,13 @@ from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, load_hand
 from mocapfix.io.resampling import resample_motion
+from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.motion import Motion, PoseUncertainty
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import smoothing
-from mocapfix.solve.kinematics import Poses, compute_world_poses, interpolate_poses
+from mocapfix.solve.kinematics import Poses, compute_world_poses, interpolate_poses, predict_markers
 from mocapfix.solve.minimise import compute_uncertainty
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import find_key_frames, find_unobserved_joints, list_posed_frames
@@ -68,6 +69,7 @@ class HandMotion:
         point_sd: Metres: predicted standard deviation per axis of these.
         rotation_sd: Radians: predicted standard deviation of the rotation of each joint, over its three axes.
         is_seen: Whether a marker on a ray is used in a frame.
+        marker_sd: Metres: predicted standard deviation per axis of the hand's markers as it places them.
     """
 
     hand: CalibratedHand
@@ -78,6 +80,7 @@ class HandMotion:
     point_sd: Float[np.ndarray, "T 20"]
     rotation_sd: Float[np.ndarray, "T 15"]
     is_seen: Bool[np.ndarray, "T 5"]
+    marker_sd: Float[np.ndarray, "T K"]
 
     def lower_floor(self, height_m: float) -> "HandMotion":
         """Return the motion with the floor of a height at height 0."""
@@ -90,6 +93,17 @@ class HandMotion:
         rotations = np.concatenate([self.palm_rotation[:, None], self.joint_rotations], axis=1)
         none = np.zeros(len(rotations), int)
         return Motion(self.palm_position, rotations, none, none, np.zeros((len(rotations), 0)), self.point_sd)
+
+    def carry_markers(self, take: Take) -> BodyFit:
+        """Return the hand as a body that carries its finger markers in a take."""
+        hand, subject, frames = self.hand, self.hand.subject, len(self.palm_position)
+        local = np.tile(hand.model.skeleton.rest_rotations, (frames, 1, 1, 1))
+        local[:, 0], local[:, HAND_JOINTS] = self.palm_rotation, hand.model.convert_from_palm_axes(self.joint_rotations)
+        none = np.zeros(frames, int)
+        motion = Motion(self.palm_position, local, none, none, self.marker_sd, np.zeros((frames, 0)))
+        columns = np.where(subject.joints > 0, hand.markers.columns, -1)  # the body carries those on the back of the hand
+        places = predict_markers(subject, (self.palm_position, local))
+        return BodyFit(subject, subject, columns, take, motion, self.point_positions, places, None)
 
     @property
     def tip_positions(self) -> Float[np.ndarray, "T 5 3"]:
@@ -193,6 +207,7 @@ def solve_hand(
         np.hypot(point_sd, hand.point_sd_m),
         np.sqrt(3 * uncertainty.rotation_variance[:, HAND_JOINTS]),
         is_seen,
+        uncertainty.marker_sd[:, : len(carriers)],
     )
 
 
@@ -264,9 +279,7 @@ def _solve_single_frames(hand: CalibratedHand, measured: np.ndarray, is_used: np
 
 def _find_unobserved(hand: CalibratedHand, is_used: Bool[np.ndarray, "T K"]) -> Bool[np.ndarray, "T J"]:
     """Return the joints that no marker shows in a frame, if one does in others."""
-    set_of_hand, spread = hand.markers.markers, hand.markers.markers.marker_spread
-    subject = Subject(hand.model.skeleton, set_of_hand.name, set_of_hand.labels, set_of_hand.joints, hand.marker_offsets, spread)
-    return find_unobserved_joints(is_used, subject, hand.model.free_joints)
+    return find_unobserved_joints(is_used, hand.subject, hand.model.free_joints)
 
 
 def _compute_uncertainty(

@@ -125,12 +125,12 @@ def run_bench_hands(
     Errors are mean distances of the tips and mean differences of flexion. Of a normal distribution, 68 % lie within one standard
     deviation and 95 % within two.
     """
-    from mocapfix.lab.hands import measure_hands
+    from mocapfix.lab.hands import measure_finger_fills, measure_hands
 
     if people < 1:
         return print_usage_error(f"bench hands: --people must be at least 1, not {people}.")
     with show_progress("hands") as progress:
-        results = measure_hands(range(people), progress)
+        results = {"hands": measure_hands(range(people), progress), "fills": measure_finger_fills(range(people), progress)}
     return print_results(results, as_json)
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +27,8 @@ from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.pipeline import plan_subject
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
+from mocapfix.stats.rigid_alignment import align_to_shape, compute_lengths, fit_common_shape, transform_to_body_axes
+from mocapfix.stats.sequences import find_runs
 from mocapfix.synthetic import compose_motion, draw_subject, simulate_markers
 
 HAND_SEEDS = range(6)  # people that no constant was tuned on; those used for tuning have seeds of 100 and more
@@ -46,6 +49,7 @@ MARKER_COUNTS = {  # of a hand pair, and the labels of a left hand
     6: ("LTHM3", "LIDX3", "LPNK3"),
     2: ("LMID6",),
 }
+FILL_COUNTS = (20, 10)
 # Flexion of thumb (saddle joint, middle, end), of the fingers' knuckles and of their middle joints, spread, and abduction of the
 # thumb, in degrees; several numbers are those of index to little finger.
 GESTURES: dict[str, tuple[Any, Any, Any, float, float]] = {
@@ -69,6 +73,7 @@ class TrueHand(NamedTuple):
     flexions: Float[np.ndarray, "T 15"]  # rad
     markers: Float[np.ndarray, "T K 3"]
     labels: tuple[str, ...]
+    is_lost: Bool[np.ndarray, "T K"]  # the samples that the take lacks
 
 
 class TrueHands(NamedTuple):
@@ -151,8 +156,8 @@ def draw_hand(
     )
     markers = position[:, scheme.joints] + (rotation[:, scheme.joints] @ (offset + skin)[..., None])[..., 0]
     markers += rng.normal(0, NOISE_SD_M, markers.shape)
-    markers[draw_finger_gaps(rng, frames, scheme.labels)] = np.nan
-    return TrueHand(np.concatenate([position[:, HAND_JOINTS], tips], axis=1), angles[..., 0], markers, scheme.labels)
+    is_lost = draw_finger_gaps(rng, frames, scheme.labels)
+    return TrueHand(np.concatenate([position[:, HAND_JOINTS], tips], axis=1), angles[..., 0], markers, scheme.labels, is_lost)
 
 
 def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, ...]) -> Bool[np.ndarray, "T K"]:
@@ -190,11 +195,87 @@ def compose_hands(seed: int) -> TrueHands:
         bent = rotation[:, joint] @ Rotation.from_rotvec(turns * (1 - np.eye(3)[0])).as_matrix()
         turn = bent @ rotation[:, joint].swapaxes(-1, -2)
         on_hand = np.flatnonzero(subject.joints == joint)
-        markers[:, on_hand] = wrist[:, None] + np.einsum("tab,tkb->tka", turn, markers[:, on_hand] - wrist[:, None])
+        from_wrist = rotation[:, joint] @ (subject.skeleton.offsets[joint] - place)  # the hand is rigid and turns about the wrist
+        arms = markers[:, on_hand] - (position[:, joint] - from_wrist)[:, None]
+        markers[:, on_hand] = wrist[:, None] + np.einsum("tab,tkb->tka", turn, arms)
         hands[side] = draw_hand(rng, side, wrist, bent, size_ratio)
-    all_markers = np.concatenate([markers, *(hand.markers for hand in hands.values())], axis=1)
+    shown = [np.where(hand.is_lost[..., None], np.nan, hand.markers) for hand in hands.values()]
+    all_markers = np.concatenate([markers, *shown], axis=1)
     labels = (*subject.labels, *(label for hand in hands.values() for label in hand.labels))
     return TrueHands(Take(all_markers, labels, HAND_RATE_HZ), hands)
+
+
+FILL_LENGTHS = {"up to 3 frames": 3, "4 to 30 frames": 30, "31 to 100 frames": 100, "over a second": 10**6}
+
+
+def measure_finger_fills(
+    seeds: Iterable[int] = HAND_SEEDS, report_progress: Callable[[str], None] = lambda _: None
+) -> dict[str, dict[str, Any]]:
+    """Return by finger markers of a hand pair and length of gap the errors of fills, and of lines, cubic splines and the palm."""
+    found: dict[tuple[int, str], list[np.ndarray]] = {(count, name): [] for count in FILL_COUNTS for name in FILL_LENGTHS}
+    for seed in seeds:
+        truth = compose_hands(seed)
+        for count in FILL_COUNTS:
+            report_progress(f"fills, seed {seed}, {count} markers")
+            kept = select_columns(truth, truth.take.labels, MARKER_COUNTS[count])
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / "hands.c3d"
+                write_c3d(path, truth.take.select(kept, truth.take.visible))
+                [subject] = plan_subject(path, CleanOptions(), "hands.c3d")
+            take, fitted = subject.whole, subject.fit()
+            filled = next(fitted.fill_gaps([()], CleanOptions())).take
+            for hand in truth.hands.values():
+                for name, rows in compare_fills(hand, take, filled).items():
+                    found[count, name] += rows
+    return {f"{count} markers, {name}": summarise_fills(np.concatenate(rows)) for (count, name), rows in found.items() if rows}
+
+
+def compare_fills(hand: TrueHand, take: Take, filled: Take) -> dict[str, list[Float[np.ndarray, "n 8"]]]:
+    """Return by length of gap the distances from the truth (m) of fills, lines, splines and markers that move with the palm.
+
+    Then the fills' errors along the axes, and their predicted deviations. The palm's axes are those of the markers on wrist and
+    back of the hand; a marker moves on a line between its places in them beside the gap.
+    """
+    side, known = hand.labels[0][0], np.arange(take.frame_count)
+    palm = take.markers[:, [take.labels.index(side + each) for each in ("IHAND", "OHAND", "IWR", "OWR")]]
+    rotation, origin, is_aligned = align_to_shape(palm, ~np.isnan(palm[..., 0]), fit_common_shape(palm))
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in FILL_LENGTHS}
+    for k, label in enumerate(hand.labels):
+        if label not in take.labels:
+            continue
+        column, lost = take.labels.index(label), hand.is_lost[:, k]
+        path, truth = take.markers[:, column], hand.markers[:, k]
+        shown = np.flatnonzero(~lost & ~np.isnan(path[:, 0]))
+        in_palm = transform_to_body_axes(path[:, None], origin, rotation)[:, 0]
+        fixed = np.flatnonzero(~np.isnan(in_palm[:, 0]))
+        on_palm = np.stack([np.interp(known, fixed, in_palm[fixed, a]) for a in range(3)], axis=1)
+        line = np.stack([np.interp(known, shown, path[shown, a]) for a in range(3)], axis=1)
+        with_palm = np.where(is_aligned[:, None], np.einsum("tab,tb->ta", rotation, on_palm) + origin, line)
+        cubic = CubicSpline(shown, path[shown])(known)
+        for first, last in find_runs(lost):
+            if shown[0] < first and last < shown[-1]:
+                gap = slice(first, last + 1)
+                errors = [compute_lengths(each[gap] - truth[gap]) for each in (filled.markers[:, column], line, cubic, with_palm)]
+                name = next(name for name, longest in FILL_LENGTHS.items() if last - first < longest)
+                own = filled.markers[gap, column] - truth[gap], filled.estimated_sd[gap, column, None]
+                rows[name].append(np.concatenate([np.stack(errors, axis=1), *own], axis=1))
+    return rows
+
+
+def summarise_fills(errors: Float[np.ndarray, "n 8"]) -> dict[str, Any]:
+    """Return the mean distances in mm of samples that are filled, the ratio to the best of the others, and the calibration."""
+    is_filled = ~np.isnan(errors[:, 0])
+    ours, *others = 1e3 * errors[is_filled, :4].mean(0)
+    predicted = summarise_errors(PredictedErrors(errors[is_filled, 4:7], errors[is_filled, 7]))
+    return {
+        "samples": len(errors),
+        "filled_share": float(is_filled.mean()),
+        "fill_mm": float(ours),
+        **dict(zip(("line_mm", "cubic_mm", "palm_mm"), map(float, others), strict=True)),
+        "ratio_to_best": float(ours / min(others)),
+        "within_1_sigma": predicted["within_1_sigma"],
+        "within_2_sigma": predicted["within_2_sigma"],
+    }
 
 
 def measure_hands(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
 from mocapfix.hands.finger_markers import find_finger_markers
-from mocapfix.hands.solve_hands import HandMotion, solve_hands
+from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.model.body_fit import BodyFit, RememberedGap
 from mocapfix.model.changes import compute_distance_error_mm
 from mocapfix.model.detected import Detected
@@ -62,8 +62,8 @@ class SolvedBody:
     hands: tuple[HandMotion, ...] = ()  # the hands whose fingers markers show; none of a long take, which is cleaned in windows
 
 
-def build_solved_body(detected: Detected, standing: StandingBody, *, has_hands: bool = False) -> SolvedBody:
-    """Return what outputs need of a body whose standing feet are held, with its hands solved if they are wanted."""
+def build_solved_body(detected: Detected, standing: StandingBody, hands: tuple[HandMotion, ...] = ()) -> SolvedBody:
+    """Return what outputs need of a body whose standing feet are held, and of its hands."""
     body, columns, epochs = standing.fit, standing.fit.marker_columns, detected.epochs
     carried, seen = columns[columns >= 0], np.any(epochs.split_mask(detected.inlier_mask), axis=0)
     joints = body.extended_subject.joints[columns >= 0][seen[carried]]
@@ -77,7 +77,7 @@ def build_solved_body(detected: Detected, standing: StandingBody, *, has_hands: 
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),
         remembered=body.remembered,
-        hands=solve_hands(detected.take, detected.solver_mask, body.subject, body.motion) if has_hands else (),
+        hands=hands,
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocapfix.fill.gap_estimates import estimate_missing_samples
 from mocapfix.hands.calibrated_hand import minimise_hand_poses
 from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.hand_model import HAND_JOINTS, RAYS, TIP_JOINTS
@@ -31,6 +32,27 @@ def test_a_hand_of_the_model_is_recovered(side):
     assert found.joint_rotations.shape == (FRAMES, 15, 3, 3)
     assert (found.angles[:, 1::3, 2] > -0.3).all()  # nothing bends backwards
     assert found.is_seen.all()
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_a_lost_finger_marker_is_filled_from_the_hand_and_no_other_marker_changes(side):
+    hand = build_hand(side, ("IDX3", "IDX6", "MID0"))
+    palm, poses = compose_poses(hand)
+    markers, truth = carry_markers(hand, poses), carry_markers(hand, poses)
+    labels = list(hand.markers.markers.labels)
+    lost, off_hand = slice(80, 170), 0.3 + markers[:, :1] + 0.05 * np.sin(np.arange(FRAMES) / 9)[:, None, None]
+    index = labels.index(f"{side[0]}IDX3")
+    markers[lost, index] = np.nan
+    found = solve_hand(hand, markers, ~np.isnan(markers[..., 0]), palm, RATE_HZ)
+    markers, truth = (np.concatenate([each, off_hand], axis=1) for each in (markers, truth))
+    markers[100:140, -1] = np.nan
+    carried = found.carry_markers(Take(markers, (*labels, "STICK"), RATE_HZ))
+    assert np.linalg.norm(carried.marker_positions - truth[:, :-1], axis=-1).mean() < 0.004
+    usual, filled = (next(estimate_missing_samples(markers, RATE_HZ, hands=hands)) for hands in ((), (carried,)))
+    errors = [np.linalg.norm(each.position[lost, index] - truth[lost, index], axis=-1).mean() for each in (usual, filled)]
+    assert errors[1] < 0.8 * errors[0]
+    np.testing.assert_array_equal(usual.position[:, -1], filled.position[:, -1])
+    np.testing.assert_array_equal(usual.sd[:, -1], filled.sd[:, -1])
 
 
 def test_rotations_for_the_palms_axes_give_the_same_points():

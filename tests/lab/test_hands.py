@@ -1,5 +1,7 @@
 """The composed hands of the benchmark."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,3 +39,22 @@ def test_columns_of_fewer_markers_keep_those_of_the_body(composed):
     assert set(labels) - kept == {f"{side}{name}" for side in "LR" for name in (
         "THM6", "IDX6", "MID0", "MID6", "RNG3", "RNG6", "PNK6"
     )}  # fmt: skip
+
+
+def test_markers_on_the_back_of_a_hand_keep_their_places_on_it(composed):
+    for side, hand in composed.hands.items():
+        marker = composed.take.markers[:, composed.take.labels.index(f"{side[0]}OHAND")]
+        for knuckle in (3, 6, 9, 12):  # they slide on the skin by 4 mm per axis
+            assert np.nanstd(np.linalg.norm(hand.points[:, knuckle] - marker, axis=-1)) < 0.008
+
+
+def test_fills_are_compared_with_a_line_a_cubic_and_a_palm_that_carries_the_marker(composed):
+    hand, take = composed.hands["Left"], composed.take
+    perfect = take.markers.copy()
+    columns = [take.labels.index(label) for label in hand.labels]
+    perfect[:, columns] = hand.markers
+    rows = hands.compare_fills(hand, take, replace(take, markers=perfect))
+    assert {name for name, found in rows.items() if found} == set(hands.FILL_LENGTHS)
+    errors = np.concatenate([each for found in rows.values() for each in found])
+    assert (errors[:, 0] == 0).all()
+    assert errors[:, 3].mean() < 0.5 * errors[:, 1].mean()  # of a marker that moves with the palm, and of a line

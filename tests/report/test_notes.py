@@ -162,7 +162,7 @@ def build_left_hand():
     """Return a hand of average length over four frames."""
     turns, points = np.tile(np.eye(3), (4, 15, 1, 1)), np.zeros((4, 20, 3))
     sd, seen = np.zeros((4, 20)), np.ones((4, 5), bool)
-    return HandMotion(build_hand("Left"), points[:, 0], turns[:, 0], turns, points, sd, sd[:, :15], seen)
+    return HandMotion(build_hand("Left"), points[:, 0], turns[:, 0], turns, points, sd, sd[:, :15], seen, sd[:, :0])
 
 
 def describe_fingers(hands, *, is_preview=False, is_visible=True, has_forearm=True, marker_set="frontwaist53"):
