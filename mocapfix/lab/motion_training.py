@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
 from mocapfix.lab.cards import CardData, format_table, write_card
 from mocapfix.lab.motion_windows import (
@@ -24,6 +25,7 @@ from mocapfix.lab.motion_windows import (
 )
 from mocapfix.lab.networks import compute_rotation_tensor
 from mocapfix.lab.settings import MotionSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
+from mocapfix.model.system import count_cores
 from mocapfix.solve.motion_prior import (
     INITIAL_LOG_SD,
     INNER_COUNT,
@@ -114,6 +116,24 @@ class MotionExamples:
         weight = 1 / (SHORT_GAP_WEIGHT_S + windows.gap_s)
         self.row_weight = torch.from_numpy(np.repeat(weight / weight.sum() / INNER_COUNT, INNER_COUNT).astype(np.float32))
 
+    def move_to(self, device: str) -> "MotionExamples":
+        """Move all tensors to a device, and return these examples."""
+        vars(self).update({name: values.to(device) for name, values in vars(self).items()})
+        return self
+
+
+class MotionBatches(Dataset[MotionExamples]):
+    """The examples of each step of a training, which are drawn with the seed of the settings and the step."""
+
+    def __init__(self, settings: MotionSettings, stretches: MotionStretches):
+        self.settings, self.stretches = settings, stretches
+        self.weights = compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight)
+
+    def __getitem__(self, step: int) -> MotionExamples:
+        drawn, rng = self.settings, np.random.default_rng([self.settings.seed, step])
+        variation = drawn.speed_spread, drawn.posture_sd_rad
+        return MotionExamples(draw_training_windows(self.stretches, self.weights, drawn.batch_windows, rng, *variation))
+
 
 def select_inner_moments(values: np.ndarray) -> np.ndarray:
     """Return the values (B I, ...) of the moments inside each gap, given (B, T, ...)."""
@@ -123,14 +143,15 @@ def select_inner_moments(values: np.ndarray) -> np.ndarray:
 
 def compute_points(matrices: Tensor, position: Tensor) -> Tensor:
     """Return the 31 joints (R, 31, 3) of poses: local rotations (R, J, 3, 3) and root positions (R, 3)."""
-    tree = build_motion_tree()
+    tree, device = build_motion_tree(), matrices.device
+    offsets, points, carriers = (torch.from_numpy(each).to(device) for each in (tree.offsets, tree.points, tree.carriers))
     world, origins = [matrices[:, 0]], [position]
     for j in range(1, len(tree.parents)):
         parent = int(tree.parents[j])
-        origins.append(origins[parent] + world[parent] @ torch.from_numpy(tree.offsets[j]))
+        origins.append(origins[parent] + world[parent] @ offsets[j])
         world.append(world[parent] @ matrices[:, j])
-    rotations, carried = torch.stack(world, 1)[:, tree.carriers], torch.stack(origins, 1)[:, tree.carriers]
-    return carried + (rotations @ torch.from_numpy(tree.points)[..., None])[..., 0]
+    rotations, carried = torch.stack(world, 1)[:, carriers], torch.stack(origins, 1)[:, carriers]
+    return carried + (rotations @ points[..., None])[..., 0]
 
 
 def predict_rows(outputs: Tensor, examples: MotionExamples) -> tuple[Tensor, Tensor, Tensor]:
@@ -250,7 +271,7 @@ def train_motion_prior(
 
 def extract_motion_weights(network: MotionNetwork) -> MotionPrior:
     """Return the network in the form that inference evaluates, rounded to the precision of its file."""
-    return MotionPrior({name: values.half().float().numpy() for name, values in network.state_dict().items()})
+    return MotionPrior({name: values.half().float().cpu().numpy() for name, values in network.state_dict().items()})
 
 
 def compute_gap_scores(model: MotionPrior, stretches: MotionStretches, settings: MotionSettings) -> GapScores:
@@ -274,26 +295,29 @@ def compute_gap_scores(model: MotionPrior, stretches: MotionStretches, settings:
 def fit_motion_network(
     settings: MotionSettings, stretches: MotionStretches, checkpoint: Path, progress: Callable[[str], object]
 ) -> MotionNetwork:
-    """Return a trained network. An interrupted training continues from its checkpoint, with the same result.
+    """Return a trained network. An interrupted training continues from its checkpoint, on a processor with the same result.
+
+    Where there is a GPU it has the network, and all cores draw windows.
 
     Raises:
         ReadError: If the checkpoint is not one.
     """
-    weights = compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight)
-    first = draw_training_windows(stretches, weights, NORMALISATION_WINDOWS, np.random.default_rng(settings.seed))
-    network = draw_initial_network(settings.width, settings.blocks, settings.seed, MotionExamples(first).features)
+    batches, device = MotionBatches(settings, stretches), "cuda" if torch.cuda.is_available() else "cpu"
+    first = draw_training_windows(stretches, batches.weights, NORMALISATION_WINDOWS, np.random.default_rng(settings.seed))
+    network = draw_initial_network(settings.width, settings.blocks, settings.seed, MotionExamples(first).features).to(device)
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     states: dict[str, Stateful] = {"network": network, "optimizer": optimizer}
     fingerprint, mean_loss = compute_training_fingerprint(settings, stretches.quaternions), 0.0
     first_step = resume_training(checkpoint, fingerprint, states)
-    for step in range(first_step, settings.steps):
+    steps, workers = range(first_step, settings.steps), count_cores() if device == "cuda" else 0
+    loader = DataLoader(batches, batch_size=None, sampler=steps, num_workers=workers)
+    for step, examples in zip(steps, loader, strict=True):
+        examples.move_to(device)
         remaining = (settings.steps - step) / (DECAY_SHARE * settings.steps)
         rate = settings.learning_rate * min(1, (step + 1) / RISE_STEPS, remaining)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        rng = np.random.default_rng([settings.seed, step])
-        examples = MotionExamples(draw_training_windows(stretches, weights, settings.batch_windows, rng))
-        with torch.autocast("cpu", torch.bfloat16):
+        with torch.autocast(device, torch.bfloat16):
             outputs = network(examples.features)
         loss, _ = compute_motion_loss(outputs.float(), examples)
         optimizer.zero_grad()

@@ -19,7 +19,15 @@ from mocapfix.errors import ReadError
 from mocapfix.lab.recordings import UNKNOWN_SOURCE, RecordingSource, read_recordings
 from mocapfix.lab.training_poses import detect_rotation_jumps, find_weakly_observed_joints, mirror_joint_name
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.motion_prior import INNER_TOKENS, MOTION_RATE_HZ, TOKEN_COUNT, build_motion_tree, compute_token_times
+from mocapfix.solve.motion_prior import (
+    INNER_TOKENS,
+    MOTION_RATE_HZ,
+    TOKEN_COUNT,
+    build_motion_tree,
+    compute_token_times,
+    compute_vector_quaternions,
+)
+from mocapfix.stats.rigid_alignment import multiply_quaternions
 
 MIN_STRETCH_FRAMES = 30  # shorter stretches between jumps of the solved motion are not used
 MAX_RATE_DEVIATION = 0.02  # motion whose rate differs by a smaller share from that of the motion prior is not resampled
@@ -148,22 +156,38 @@ def compute_stretch_weights(
 
 
 def draw_training_windows(
-    stretches: MotionStretches, weights: Float[np.ndarray, " S"], count: int, rng: np.random.Generator
+    stretches: MotionStretches,
+    weights: Float[np.ndarray, " S"],
+    count: int,
+    rng: np.random.Generator,
+    speed_spread: float = 0.0,
+    posture_sd_rad: float = 0.0,
 ) -> TrainingWindows:
-    """Return windows with an occlusion in the middle."""
+    """Return windows with an occlusion in the middle.
+
+    Args:
+        speed_spread: Windows are up to this share faster or slower than recorded.
+        posture_sd_rad: Standard deviation of the rotation vectors by which joints of a window are turned, as in other people.
+    """
     chosen = rng.choice(len(weights), count, p=weights)
     lengths = (stretches.ends - stretches.starts)[chosen]
     longest = np.minimum(MAX_GAP_FRAMES, lengths - 2 * MIN_KNOWN_FRAMES)
     gap_frames = MIN_GAP_FRAMES + (rng.random(count) * (longest - MIN_GAP_FRAMES + 1)).astype(int)
     first = MIN_KNOWN_FRAMES + (rng.random(count) * (lengths - 2 * MIN_KNOWN_FRAMES - gap_frames + 1)).astype(int)
-    gap_s = (gap_frames + 1) / MOTION_RATE_HZ
+    faster = (1 + speed_spread) ** rng.uniform(-1, 1, count) if speed_spread else np.ones(count)
+    rate_hz = MOTION_RATE_HZ * faster
+    gap_s = (gap_frames + 1) / rate_hz
     times_s = compute_token_times(gap_s)
-    frames = (first - 1)[:, None] + times_s * MOTION_RATE_HZ
+    frames = (first - 1)[:, None] + times_s * rate_hz[:, None]
     is_inside = (frames > -0.5) & (frames < lengths[:, None] - 0.5)
     quaternions, position = sample_stretches(stretches, chosen, np.clip(frames, 0, lengths[:, None] - 1))
     is_mirrored = rng.random(count) < 0.5
     quaternions[is_mirrored] = mirror_quaternions(quaternions[is_mirrored])
     position[is_mirrored] *= np.array([-1, 1, 1], np.float32)
+    if posture_sd_rad:
+        turn = rng.normal(0, posture_sd_rad, (count, 1, quaternions.shape[2], 3))
+        turn[:, :, 0] = 0.0
+        quaternions = multiply_quaternions(quaternions, compute_vector_quaternions(turn))
     is_known = np.broadcast_to(is_inside[..., None], (*is_inside.shape, quaternions.shape[2])).copy()
     is_body_gap = np.zeros(count, bool)
     for b in range(count):

@@ -126,4 +126,4 @@ def compute_rotation_tensor(vectors: Tensor) -> Tensor:
     k = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
     first = torch.where(square < 1e-12, 1.0, torch.sin(angle) / angle)
     second = torch.where(square < 1e-12, 0.5, (1 - torch.cos(angle)) / angle**2)
-    return torch.eye(3, dtype=vectors.dtype) + first * k + second * (k @ k)
+    return torch.eye(3, dtype=vectors.dtype, device=vectors.device) + first * k + second * (k @ k)

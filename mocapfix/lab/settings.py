@@ -115,6 +115,8 @@ class MotionSettings(SubjectSettings):
     blocks: PositiveInt  # number of its residual blocks
     steps: PositiveInt  # number of steps
     batch_windows: PositiveInt  # windows per step
+    speed_spread: NonNegativeFloat  # windows are up to this share faster or slower than recorded
+    posture_sd_rad: NonNegativeFloat  # by which each joint of a window is turned, as in another person
     learning_rate: PositiveFloat  # in most steps; in the last ones it falls to zero
     weight_decay: NonNegativeFloat  # of AdamW
 
@@ -183,7 +185,7 @@ def resume_training(checkpoint: Path, fingerprint: str, states: Mapping[str, Sta
     if not checkpoint.is_file():
         return 0
     try:
-        content = torch.load(checkpoint, weights_only=True)
+        content = torch.load(checkpoint, map_location="cpu", weights_only=True)
         if content["fingerprint"] != fingerprint:
             return 0
         for name, state in states.items():

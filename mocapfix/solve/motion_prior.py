@@ -255,7 +255,7 @@ class MotionPrior:
             block = f"blocks.{n}"
             mixed = each[f"{block}.time.weight"] @ self._normalise(f"{block}.norm", hidden)
             channels = self._transform(f"{block}.channel", mixed + each[f"{block}.time.bias"][:, None])
-            hidden = hidden + self._transform(f"{block}.out", channels / (1 + np.exp(-channels)))
+            hidden = hidden + self._transform(f"{block}.out", channels * (0.5 + 0.5 * np.tanh(0.5 * channels)))
         return self._transform("output", self._normalise("norm", hidden[:, INNER_TOKENS]))
 
     def _transform(self, layer: str, values: np.ndarray) -> np.ndarray:

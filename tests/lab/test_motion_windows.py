@@ -62,3 +62,20 @@ def test_mirroring_twice_changes_nothing(stretches):
     mirrored = motion_windows.mirror_quaternions(stretches.quaternions)
     assert np.abs(mirrored - stretches.quaternions).max() > 0.01
     np.testing.assert_array_equal(motion_windows.mirror_quaternions(mirrored), stretches.quaternions)
+
+
+def test_varied_windows_are_slower_or_faster_and_turned_by_the_same_rotation_throughout(stretches):
+    weights = motion_windows.compute_stretch_weights(stretches, 0.5)
+
+    def draw(*variation):
+        return motion_windows.draw_training_windows(stretches, weights, 40, np.random.default_rng(0), *variation)
+
+    plain, turned, paced = draw(), draw(0.0, 0.1), draw(0.25)
+    moved = turned.quaternions.reshape(-1, 4), plain.quaternions.reshape(-1, 4)
+    turn = (Rotation.from_quat(moved[1]).inv() * Rotation.from_quat(moved[0])).as_rotvec().reshape(*plain.is_known.shape, 3)
+    np.testing.assert_allclose(turn, np.broadcast_to(turn[:, :1], turn.shape), atol=1e-5)
+    assert np.abs(turn[:, :, 0]).max() < 1e-5  # the root has its own directions
+    assert turn[:, 0, 1:].std() == pytest.approx(0.1, rel=0.1)
+    frames = paced.gap_s * motion_windows.MOTION_RATE_HZ
+    assert np.abs(frames - np.round(frames)).max() > 0.1  # those of recorded speed last for whole frames
+    np.testing.assert_allclose(plain.gap_s * motion_windows.MOTION_RATE_HZ % 1, 0, atol=1e-9)

@@ -89,3 +89,10 @@ def test_features_do_not_depend_on_heading_and_place():
 def test_output_scale_vanishes_at_the_edges():
     edge_s = np.array([0.0, motion_prior.EDGE_SOFTENING_S, 100.0], np.float32)
     np.testing.assert_allclose(motion_prior.compute_output_scale(edge_s), [0, 0.5, 1], atol=2e-3)
+
+
+@pytest.mark.filterwarnings("error")
+def test_far_features_have_finite_predictions_without_warnings():
+    prior = motion_prior.load_shipped_motion_prior()
+    far = np.full((1, motion_prior.TOKEN_COUNT, motion_prior.count_features()), -1e4, np.float32)
+    assert np.isfinite(prior.evaluate(far)).all()
