@@ -5,7 +5,7 @@ for the world rotations W of the joint and V of its counterpart.
 
 Rest poses differ: a file's arms may hang, its legs may be parallel. For an animation, A follows from a pose in which its figure
 is upright, with the 31-joint skeleton posed like it: hips, trunk and head face the same way, and each bone of the limbs points
-along the file's bone.
+along the file's bone. In a pose of the motion elbows and knees show how limbs are twisted: they bend about one axis.
 
 A rig is the skeleton as another program expects it, with its joint names, tree, rest pose and unit. The rotation of a joint that
 it omits is composed into those of the joint's children, so that their rotations in the world do not change. A child's position in
@@ -37,6 +37,10 @@ LIMB_BONE_ENDS = {side + start: side + end for side in SIDE_PREFIXES for start, 
 PARENT_ALIGNED_JOINTS = ("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # suffixes of joints with their parent's axes
 TRUNK_CHAIN_JOINTS = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
 """joints that share the rotation between two of them evenly"""
+LIMB_BEND_AXES = {"LeftForeArm": (0, -1, 0), "RightForeArm": (0, 1, 0), "LeftLeg": (1, 0, 0), "RightLeg": (1, 0, 0)}
+"""by joint: the axis about which a limb bends there, in the axes of its joints: in a T-pose elbows bend forwards"""
+MIN_BENT_SINE, MIN_BENT_FRAMES = 0.34, 5  # a limb that is bent by 20 degrees shows the axis; in fewer frames it may be a fault
+MIN_BEND_CONSISTENCY = 0.8  # length of the sum of these axes over the frames, as a share of that of parallel ones
 MIN_UPRIGHT_COSINE = 0.8  # a figure is upright if trunk, thighs and shins are within 37 degrees of the vertical
 MIN_VECTOR_LENGTH_M = 1e-9  # below which a vector has no direction
 MAX_ALIGNMENT_FRAMES = 200  # frames from which the upright pose and the bone lengths are taken
@@ -148,7 +152,8 @@ def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) ->
         frame = int(np.argmax(uprightness))
         if uprightness[frame] > MIN_UPRIGHT_COSINE:
             pose = {name: place[frame] for name, place in places.items()}
-            rotation_file_model = _compute_axis_rotations(animation.skeleton, file_joints, pose, rotations[frame])
+            bend_axes = _measure_bend_axes(places, rotations, file_joints) if is_moving else {}
+            rotation_file_model = _compute_axis_rotations(animation.skeleton, file_joints, pose, rotations[frame], bend_axes)
             skeleton = _build_aligned_skeleton(animation.skeleton, *moving_poses, file_joints, rotation_file_model)
             return SkeletonAlignment(skeleton, file_joints, rotation_file_model, frame * step if is_moving else -1)
     return None
@@ -164,11 +169,29 @@ def _compute_uprightness(places: Mapping[str, Float[np.ndarray, "T 3"]]) -> Floa
     return np.min([each[:, 1] / np.maximum(np.linalg.norm(each, axis=1), MIN_VECTOR_LENGTH_M) for each in upward], axis=0)
 
 
+def _measure_bend_axes(
+    places: Mapping[str, Float[np.ndarray, "T 3"]], rotations: Float[np.ndarray, "T J 3 3"], file_joints: Int[np.ndarray, " 31"]
+) -> dict[str, tuple[Float[np.ndarray, " 3"], tuple[int, ...]]]:
+    """Return by joint of a limb the axis about which it bends: in the axes of the file's joint, and of the model's."""
+    model, found = load_cmu31_body().skeleton, {}
+    for lower, axis in LIMB_BEND_AXES.items():
+        upper, end = model.names[model.parents[model.find_joint(lower)]], LIMB_BONE_ENDS[lower]
+        one, other = places[lower] - places[upper], places.get(end, places[lower]) - places[lower]
+        normal, length = np.cross(one, other), np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1)
+        is_bent = np.linalg.norm(normal, axis=1) > MIN_BENT_SINE * length
+        for name in (upper, lower) if is_bent.sum() >= MIN_BENT_FRAMES else ():
+            own = np.einsum("tji,tj->ti", rotations[is_bent, file_joints[model.find_joint(name)]], normal[is_bent])
+            if np.linalg.norm(own.sum(0)) > MIN_BEND_CONSISTENCY * np.linalg.norm(own, axis=1).sum():
+                found[name] = own.sum(0), axis
+    return found
+
+
 def _compute_axis_rotations(
     source: Skeleton,
     file_joints: Int[np.ndarray, " 31"],
     pose: Mapping[str, Float[np.ndarray, " 3"]],
     rotations: Float[np.ndarray, "J 3 3"],
+    bend_axes: Mapping[str, tuple[Float[np.ndarray, " 3"], tuple[int, ...]]],
 ) -> Float[np.ndarray, "31 3 3"]:
     """Compute A from places by joint and world rotations of an upright pose; the identity for joints without counterparts."""
     model = load_cmu31_body().skeleton
@@ -181,8 +204,12 @@ def _compute_axis_rotations(
         elif name in LIMB_BONE_ENDS and name in pose:
             end = LIMB_BONE_ENDS[name]
             bone = pose[end] - pose[name] if end in pose else np.nan_to_num(rotations[file_joint] @ source.ends[file_joint])
-            model_bone = facing @ model.offsets[model.find_joint(end)]
-            rotation_world_model[joint] = compute_shortest_rotation(model_bone, bone) @ facing
+            start = rotation_world_model[model.parents[joint]] if name.endswith("Foot") else facing  # at rest it lies as the shin
+            turned = compute_shortest_rotation(start @ model.offsets[model.find_joint(end)], bone) @ start
+            if name in bend_axes:
+                axes = turned @ bend_axes[name][1], rotations[file_joint] @ bend_axes[name][0]
+                turned = compute_shortest_rotation(*(axis - bone * (axis @ bone) / (bone @ bone) for axis in axes)) @ turned
+            rotation_world_model[joint] = turned
         if file_joint >= 0:
             rotation_file_model[joint] = rotations[file_joint].T @ rotation_world_model[joint]
     return rotation_file_model

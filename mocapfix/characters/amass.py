@@ -33,10 +33,8 @@ MEAN_PELVIS_M = np.array([0.0031, -0.3514, 0.0120])
 ROTATION_Z_UP = Rotation.from_euler("x", 90, degrees=True).as_matrix()  # from axes with Y up to AMASS's
 HAND_RAYS = ("Index", "Middle", "Pinky", "Ring", "Thumb")  # in SMPL's order
 RAY_JOINTS = np.concatenate([JOINTS_PER_RAY * RAYS.index(ray) + np.arange(JOINTS_PER_RAY) for ray in HAND_RAYS])
-PART_STARTS = {"root_orient": 0, "pose_body": 1, "pose_jaw": 22, "pose_eye": 23, "pose_hand": 25}
-"""first joint of each part of the poses"""
+PART_STARTS = {"root_orient": 0, "pose_body": 1, "pose_jaw": 22, "pose_eye": 23, "pose_hand": 25}  # joints
 FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
-HAND_STARTS = {"left": 25, "right": 40}  # first finger joint
 JOINT_COUNT, BETA_COUNT = 55, 16
 
 
@@ -59,12 +57,10 @@ def pose_smpl(
 ) -> SmplMotion:
     """Return the motion of the 31-joint skeleton as that of SMPL-X's joints.
 
-    The wrists turn as the palms of the hands, the joints of the face and of other fingers not at all.
-
     Args:
         rate: Frames per second of the motion.
         solved_joints: The joints that the markers show.
-        hands: Hands with fingers, at `hand_rate` frames per second, which begin at the same time.
+        hands: Hands with fingers, at `hand_rate` frames per second, which begin at the same time; wrists turn as their palms.
     """
     source, target = build_body_frame(build_cmu31_character(skeleton)), build_body_frame(load_character_preset("smpl"))
     segments, tree = compute_segment_motion(source, convert_motion(motion, rate)), build_solve_tree(target)
@@ -75,13 +71,13 @@ def pose_smpl(
     is_solved, local = np.zeros(JOINT_COUNT, bool), np.tile(np.eye(3), (len(world), JOINT_COUNT, 1, 1))
     segment_of_joint = [segment.partition(".") for segment in tree.skeleton.names]
     joints = [source.character.mapping.bones[segment][int(number or 0)] for segment, _, number in segment_of_joint]
-    above = [joints[parent] for parent in parents]
+    above = [joints[max(parent, 0)] for parent in parents]
     turns = np.stack([source.standard_rotations[joint] @ source.rest_rotation[joint].T for joint in above])
     rest.offsets[:count] = (turns @ (source.rest_position[joints] - source.rest_position[above])[..., None])[..., 0]
     is_solved[:count] = solved_joints[joints]
     for hand in hands:
         side, model = hand.hand.model.side.lower(), hand.hand.model
-        wrist, fingers = names.index(f"{side}_wrist"), HAND_STARTS[side] + np.arange(len(RAY_JOINTS))
+        wrist, fingers = names.index(f"{side}_wrist"), rest.names.index(f"{side}_index1") + np.arange(len(RAY_JOINTS))
         moved = resample_motion(hand.motion, hand_rate, rate)
         world[:, wrist], local[:, fingers] = moved.local_rotations[:, 0], moved.local_rotations[:, 1 + RAY_JOINTS]
         from_wrist = np.einsum("tji,tj->ti", world[:, wrist], moved.root_position - segments.position[f"{side}_hand"])

@@ -102,6 +102,7 @@ def test_joints_of_a_reader_are_the_solved_ones(tmp_path):
     skeleton = take.subject.skeleton
     found = write_and_read(tmp_path, skeleton, take.motion, 60.0)
     assert tuple(found["joint_parents"]) == PARENTS
+    assert not found["joint_offsets"][0].any()
     assert list(found["joint_names"][[0, 1, 16, 22, 25, 31, 34, 37, 54]]) == [
         "pelvis", "left_hip", "left_shoulder", "jaw", "left_index1", "left_pinky1", "left_ring1", "left_thumb1", "right_thumb3",
     ]  # fmt: skip

@@ -170,3 +170,53 @@ def test_one_unknown_name_is_mapped_by_the_shape_and_the_others_by_their_names()
 
 def test_tree_that_is_no_body_is_not_mapped_by_its_shape():
     assert map_joints_by_shape(["a", "b", "c"], np.array([-1, 0, 1]), [np.eye(3)]) is None
+
+
+def build_soma_tree() -> tuple[list[str], list[int]]:
+    """Return names and parents of NVIDIA's skeleton of 77 joints below Root."""
+    chains = ["Root Hips Spine1 Spine2 Chest Neck1 Neck2 Head HeadEnd", "Head Jaw", "Head LeftEye", "Head RightEye"]
+    for side in ("Left", "Right"):
+        chains.append(f"Hips {side}Leg {side}Shin {side}Foot {side}ToeBase {side}ToeEnd")
+        chains.append(f"Chest {side}Shoulder {side}Arm {side}ForeArm {side}Hand")
+        for finger, count in {"Thumb": 3, "Index": 4, "Middle": 4, "Ring": 4, "Pinky": 4}.items():
+            chains.append(" ".join([f"{side}Hand", *(f"{side}Hand{finger}{each}" for each in [*range(1, count + 1), "End"])]))
+    names, parents = ["Root"], [-1]
+    for chain in chains:
+        above, *below = chain.split()
+        for name in below:
+            names.append(name)
+            parents.append(names.index(above))
+            above = name
+    return names, parents
+
+
+def test_the_thigh_of_soma_is_its_left_leg():
+    names, parents = build_soma_tree()
+    assert len(names) == 78
+    found = map_names(names, parents)
+    assert len(found) == 27
+    assert [found[joint] for joint in ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "Spine1", "Neck1", "RightHandIndex1")] == [
+        "Hips", "LeftLeg", "LeftShin", "LeftFoot", "Chest", "Neck2", "RightHandIndex2",
+    ]  # fmt: skip
+
+
+def test_names_of_phc_are_those_of_smpl():
+    chains = (
+        ["Pelvis", "Torso", "Spine", "Chest", "Neck", "Head"],
+        *(
+            each.replace("S_", f"{side}_").split()
+            for side in "LR"
+            for each in ("Pelvis S_Hip S_Knee S_Ankle S_Toe", "Chest S_Thorax S_Shoulder S_Elbow S_Wrist S_Hand")
+        ),
+    )
+    names, parents = ["Pelvis"], [-1]
+    for above, *below in chains:
+        for name in below:
+            names.append(name)
+            parents.append(names.index(above))
+            above = name
+    found = map_names(names, parents)
+    assert len(found) == 22
+    assert [found[joint] for joint in ("LowerBack", "Spine", "Spine1", "LeftShoulder", "LeftArm", "RightToeBase")] == [
+        "Torso", "Spine", "Chest", "L_Thorax", "L_Shoulder", "R_Toe",
+    ]  # fmt: skip
