@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.contacts.contacts import CONTACT_JOINTS, StandingBody
 from mocapfix.detect.contradictions import check_contradictions, select_consistent_set
-from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
+from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_hands, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.hands.solve_hands import HandMotion, solve_hands
@@ -467,6 +467,9 @@ def detect_and_fit(
             return FittedTake(withdraw_marker_set(choice), without_set, None)
         if marker_set is not choice.marker_set:
             return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, timer)
+    elif take.part is None and not options.initialise.is_fast:
+        with timer("detect"):
+            detected = detect_on_hands(detected, body, calibrated.marker_set, review, options.detect)
     return FittedTake(replace(choice, marker_set=calibrated.marker_set), detected, body)
 
 

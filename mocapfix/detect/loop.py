@@ -1,9 +1,10 @@
 """The detection loop: labels are corrected and faults are detected, until nothing new is found.
 
-`detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body. Labels come first,
-since a label error looks like every other fault. Under correct labels `detect_sample_faults` detects the fills of other programs
-first, which are not judged; then spikes, frozen values and jitter, and ghosts last, among the samples that are left. After a
-correction of labels the samples are judged again.
+`detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body, and `detect_on_hands`
+compares the labels of fingers with the hands that it carries. Labels come first, since a label error looks like every other
+fault. Under correct labels `detect_sample_faults` detects the fills of other programs first, which are not judged; then spikes,
+frozen values and jitter, and ghosts last, among the samples that are left. After a correction of labels the samples are judged
+again.
 """
 
 from dataclasses import replace
@@ -15,6 +16,8 @@ from mocapfix.detect.body_outliers import is_body_wrong
 from mocapfix.detect.keypoints import detect_on_keypoints
 from mocapfix.detect.noise import RoundMemory
 from mocapfix.errors import TakeError
+from mocapfix.hands.finger_labels import find_finger_faults
+from mocapfix.hands.finger_markers import find_finger_markers
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
 from mocapfix.labels.label_swaps import detect_label_swaps, detect_mislabelled, undo_label_exchanges
 from mocapfix.model.body_fit import BodyFit
@@ -190,11 +193,14 @@ def detect_on_trajectories(
         mislabelled = review.select(detect_mislabelled(take, marker_set, subject))
         take = undo_label_exchanges(take, mislabelled)
         label_faults += mislabelled
+    has_hands = take.part is None and not options.initialise.is_fast  # `detect_on_hands` follows
+    hands = find_finger_markers(marker_set.name, take.labels) if marker_set and has_hands else ()
+    fingers = {column for hand in hands for column in hand.columns.tolist()}
     for _ in range(options.detect.max_rounds):
         fragments = review.select([*detect_fragments(take)])
         joined = join_fragments(take, fragments)
         swaps = review.select(detect_label_swaps(joined.masked(joined.measured)))
-        swaps = [fault for fault in swaps if fault.confidence >= MIN_LABEL_CONFIDENCE]
+        swaps = [fault for fault in swaps if fault.confidence >= MIN_LABEL_CONFIDENCE and not fingers.issuperset(fault.markers)]
         # a fragment that was not joined is detected again in each round
         kept = (each for each in label_faults if not (isinstance(each, Fragment) and each.relation in ("other", "doubles")))
         label_faults = [*kept, *fragments, *swaps]
@@ -237,6 +243,20 @@ def detect_on_body(
         body_faults=body_faults,
         unconfirmed_shifts=unconfirmed_shifts,
     )
+
+
+def detect_on_hands(
+    detected: Detected, body: BodyFit, marker_set: MarkerSet, review: FaultReview, options: DetectOptions
+) -> Detected:
+    """Correct the labels of finger markers. Returns `detected` itself where they are right, or there are none."""
+    swaps = review.select(find_finger_faults(detected.take, body.subject, body.motion))
+    if not swaps:
+        return detected
+    take, changed = undo_label_exchanges(detected.take, swaps), {marker for fault in swaps for marker in fault.markers}
+    found = detect_remaining_faults(take, marker_set, review, options).items
+    kept = (fault for fault in detected.sample_faults.items if fault.marker not in changed)
+    sample_faults = Faults().add_faults((*kept, *(fault for fault in found if fault.marker in changed)))
+    return replace(detected, take=take, label_faults=(*detected.label_faults, *swaps), sample_faults=sample_faults)
 
 
 def detect_remaining_faults(take: Take, marker_set: MarkerSet | None, review: FaultReview, options: DetectOptions) -> Faults:

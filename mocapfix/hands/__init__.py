@@ -5,4 +5,5 @@
 - `calibrated_hand`: the hand of a person with its markers, and the terms of its poses
 - `calibration`: what is the same in all frames of a take
 - `solve_hands`: the motion of both hands
+- `finger_labels`: labels that fingers exchange
 """

@@ -268,6 +268,14 @@ def _compute_logarithm_derivative(vectors: Float[np.ndarray, "*batch 3"]) -> Flo
     return np.eye(3) - cross / 2 + (1 - half / np.tan(half)) / (2 * half) ** 2 * (cross @ cross)
 
 
+def build_average_hand(finger_markers: FingerMarkers, size_ratio: float) -> CalibratedHand:
+    """Return the average hand of a person of a size relative to the average one."""
+    model, count = load_hand(finger_markers.side), len(HAND_JOINTS) + len(TIP_JOINTS)
+    usual, place = model.scale(np.full(count, size_ratio)), model.palm_position * size_ratio
+    offsets = finger_markers.markers.marker_offsets * size_ratio
+    return CalibratedHand(usual, place, np.eye(3), finger_markers, offsets, np.zeros(count))
+
+
 def calibrate_hand(
     finger_markers: FingerMarkers,
     markers: Float[np.ndarray, "T K 3"],
@@ -285,10 +293,7 @@ def calibrate_hand(
         rate: Frames per second.
         size_ratio: Of the person's body to the average one.
     """
-    model = load_hand(finger_markers.side)
-    usual = model.scale(np.full(len(HAND_JOINTS) + len(TIP_JOINTS), size_ratio))
-    place, offsets = model.palm_position * size_ratio, finger_markers.markers.marker_offsets * size_ratio
-    average = CalibratedHand(usual, place, np.eye(3), finger_markers, offsets, np.zeros(len(HAND_JOINTS) + len(TIP_JOINTS)))
+    average, model = build_average_hand(finger_markers, size_ratio), load_hand(finger_markers.side)
     shown = np.flatnonzero(is_used.mean(1) >= MIN_CALIBRATION_SHARE * min(1.0, is_used.mean(1).max()))
     frames = shown[sample_evenly(len(shown), MAX_CALIBRATION_FRAMES)]
     weight = min(MAX_INDEPENDENT_FRAMES, len(shown) / rate / SKIN_PERSISTENCE_S, len(frames)) / len(frames)

@@ -30,7 +30,7 @@ from mocapfix.hands.calibrated_hand import (
 )
 from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
-from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, load_hand
+from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, Side, load_hand
 from mocapfix.io.resampling import resample_motion
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.motion import Motion, PoseUncertainty
@@ -127,21 +127,27 @@ def solve_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, 
     hands = find_finger_markers(subject.marker_set, take.labels)
     if not hands:
         return ()
-    position, rotation = compute_world_poses(subject.skeleton, motion)
 
     def solve_one(finger_markers: FingerMarkers) -> HandMotion | None:
-        hand, forearm = (subject.skeleton.find_joint(f"{finger_markers.side}{name}") for name in ("Hand", "ForeArm"))
+        hand = subject.skeleton.find_joint(f"{finger_markers.side}Hand")
         if not (subject.solved_joints[hand] and is_used[:, finger_markers.columns].any()):
             return None
-        sd = motion.joint_sd[:, hand] if motion.joint_sd.size else np.zeros(len(position))
-        sd_m, sd_rad = np.hypot(MIN_PALM_SD_M, sd), np.hypot(MIN_PALM_SD_RAD, sd / PALM_LEVER_M)
-        palm = PalmPath(position[:, forearm], rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
+        palm = trace_palm(subject, motion, finger_markers.side)
         hand_markers = add_palm_markers(finger_markers, subject, take.labels)
         used, markers = np.ascontiguousarray(is_used[:, hand_markers.columns]), take.markers[:, hand_markers.columns]
         calibrated = calibrate_hand(hand_markers, markers, used, palm, take.rate, subject.skeleton.size_ratio)
         return solve_hand(calibrated, markers, used, palm, take.rate)
 
     return tuple(hand for hand in map_in_threads(solve_one, hands) if hand is not None)
+
+
+def trace_palm(subject: Subject, motion: Motion, side: Side) -> PalmPath:
+    """Return what a body says of a palm."""
+    position, rotation = compute_world_poses(subject.skeleton, motion)
+    hand, forearm = (subject.skeleton.find_joint(f"{side}{name}") for name in ("Hand", "ForeArm"))
+    sd = motion.joint_sd[:, hand] if motion.joint_sd.size else np.zeros(len(position))
+    sd_m, sd_rad = np.hypot(MIN_PALM_SD_M, sd), np.hypot(MIN_PALM_SD_RAD, sd / PALM_LEVER_M)
+    return PalmPath(position[:, forearm], rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
 
 
 def add_palm_markers(hand: FingerMarkers, subject: Subject, labels: tuple[str, ...]) -> FingerMarkers:

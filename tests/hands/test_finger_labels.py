@@ -1,0 +1,104 @@
+"""Labels of finger markers: exchanges with known answers are undone, clean hands stay as they are."""
+
+import numpy as np
+import pytest
+
+from mocapfix.hands.finger_labels import cut_unseen_changes, find_finger_faults
+from mocapfix.hands.finger_markers import SIDES
+from mocapfix.hands.hand_model import HAND_JOINTS
+from mocapfix.hands.solve_hands import trace_palm
+from mocapfix.labels.label_swaps import undo_label_exchanges
+from mocapfix.model.take import Take
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions
+from mocapfix.stats.rigid_alignment import compute_rotations
+from mocapfix.synthetic import compose_motion, draw_subject
+from tests.hands.composed_hands import RATE_HZ, build_hand, carry_markers
+
+TIPS = ["THM6", "IDX6", "MID6", "RNG6", "PNK6"]
+
+
+@pytest.fixture(scope="module")
+def body():
+    """Return a body with the markers of both hands, whose fingers bend one after the other."""
+    subject = draw_subject(np.random.default_rng(5), False, "frontwaist53")
+    motion = compose_motion(subject, 4.0, RATE_HZ)
+    markers, labels = [compute_joint_and_marker_positions(subject, motion)[1]], [*subject.labels]
+    time = np.arange(motion.frame_count) / RATE_HZ
+    for side in SIDES:
+        hand = build_hand(side, TIPS)
+        root, local = hand.place_palm(trace_palm(subject, motion, side))
+        codes = np.sin(2 * np.pi * (0.4 * time[:, None] + np.arange(hand.model.prior.code_size) / 7))
+        vectors = hand.model.prior.decode(codes)
+        local[:, HAND_JOINTS] = local[:, HAND_JOINTS] @ compute_rotations(vectors[:, HAND_JOINTS])
+        markers.append(carry_markers(hand, (root, local)))
+        labels += hand.markers.markers.labels
+    return subject, motion, Take(np.concatenate(markers, axis=1), tuple(labels), RATE_HZ)
+
+
+def exchange(take, one, other, first, last):
+    return take.exchange_labels((take.labels.index(one), take.labels.index(other)), first, last)
+
+
+def test_clean_fingers_keep_their_labels(body):
+    subject, motion, take = body
+    assert find_finger_faults(take, subject, motion) == []
+
+
+@pytest.mark.parametrize(("one", "other", "first", "last"), [
+    ("LIDX6", "LMID6", 50, 52),  # three frames
+    ("LRNG6", "LPNK6", 20, 160),  # more than half of the take
+    ("LIDX6", "RIDX6", 100, 130),  # both hands
+    ("RTHM6", "RIDX6", 0, 239),  # never right
+])  # fmt: skip
+def test_an_exchange_is_found_and_undone(body, one, other, first, last):
+    subject, motion, take = body
+    wrong = exchange(take, one, other, first, last)
+    faults = find_finger_faults(wrong, subject, motion)
+    assert [({take.labels[m] for m in each.markers}, each.first, each.last) for each in faults] == [({one, other}, first, last)]
+    assert faults[0].kind == "swap"
+    np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, take.markers)
+
+
+def test_labels_that_change_in_a_gap_follow_the_poses_of_the_hand(body):
+    subject, motion, take = body
+    markers = take.markers.copy()
+    columns = [take.labels.index(label) for label in ("LIDX6", "LMID6")]
+    markers[80:100, columns] = markers[150:170, columns] = np.nan
+    right = take.replace_markers(markers)
+    wrong = exchange(right, "LIDX6", "LMID6", 100, 149)
+    faults = find_finger_faults(wrong, subject, motion)
+    np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, right.markers)
+
+
+def test_a_cycle_of_three_fingers_is_undone(body):
+    subject, motion, take = body
+    cycle = tuple(take.labels.index(label) for label in ("RIDX6", "RMID6", "RRNG6"))
+    wrong = take.exchange_labels(cycle, 60, 90)
+    faults = find_finger_faults(wrong, subject, motion)
+    np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, take.markers)
+
+
+def test_a_sample_under_the_label_of_a_missing_finger_goes_back(body):
+    subject, motion, take = body
+    one, other = (take.labels.index(label) for label in ("LMID6", "LPNK6"))
+    markers = take.markers.copy()
+    markers[70:110, other] = np.nan
+    right = take.replace_markers(markers)
+    wrong = right.exchange_labels((one, other), 80, 100)
+    faults = find_finger_faults(wrong, subject, motion)
+    np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, right.markers)
+
+
+def test_bodies_without_finger_markers_have_none(body):
+    subject, motion, take = body
+    assert (
+        find_finger_faults(Take(take.markers, tuple(f"X{n}" for n in range(take.markers.shape[1])), RATE_HZ), subject, motion)
+        == []
+    )
+
+
+def test_a_tracklet_ends_where_its_label_changes_unseen():
+    seen = np.array([[0, 1], [0, 1], [1, 0], [1, 0]])  # both change their columns in sight
+    np.testing.assert_array_equal(cut_unseen_changes(seen, seen >= 0), seen)
+    unseen = np.array([[0, -1], [0, -1], [-1, 0], [-1, 0]])  # it may be another point
+    np.testing.assert_array_equal(cut_unseen_changes(unseen, unseen >= 0), [[0, -1], [0, -1], [-1, 1], [-1, 1]])
